@@ -11,6 +11,7 @@ from user_commands import in_this_process, one_error
 from procedures.cli.arm.command import app as ronna_arm
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.stereo.command import app as ronna_stereo
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_ABORTED
 
 
@@ -25,7 +26,7 @@ from ronna_hw.errors import EXIT_ABORTED
     ],
     ids=["arm", "stereo", "tracker-frame", "tool-tip"],
 )
-def test_a_calibration_declined_by_the_answers_is_aborted_and_writes_no_record(
+def test_a_calibration_declined_by_the_answers_moves_nothing_and_writes_no_record(
     app: typer.Typer, command: tuple[str, ...], tmp_path: Path
 ) -> None:
     answers = tmp_path / "answers.toml"
@@ -36,3 +37,5 @@ def test_a_calibration_declined_by_the_answers_is_aborted_and_writes_no_record(
     assert "PRO-002" in " ".join(one_error(done.stderr))
     assert done.returncode == EXIT_ABORTED
     assert not list(out.rglob("calibration.toml"))
+    (journal,) = out.rglob(JOURNAL_FILE)
+    assert [line for line in read_journal(journal) if line["entry"] == Entry.MOTION] == []

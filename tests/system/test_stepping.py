@@ -103,7 +103,7 @@ def test_answers_with_unknown_words_are_refused_before_anything_starts(tmp_path:
 
 @pytest.mark.slow
 @pytest.mark.hazard(1)
-def test_a_plan_changed_during_a_case_is_detected_and_voids_the_registration(
+def test_a_plan_changed_during_a_case_stops_all_motion_and_voids_the_registration(
     commands: Commands, tmp_path: Path
 ) -> None:
     options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
@@ -118,5 +118,7 @@ def test_a_plan_changed_during_a_case_is_detected_and_voids_the_registration(
     plan.write_text(re.sub(r"(target_mm = \[\s*-?\d+\.)", r"\g<1>9", plan.read_text(), count=1))
     _, errors = process.communicate("next\nquit\n", timeout=60)
     assert "PRO-021" in errors
-    (voided,) = [line for line in read_journal(run / JOURNAL_FILE) if line["entry"] == Entry.VOIDED]
+    lines = list(read_journal(run / JOURNAL_FILE))
+    (voided,) = [line for line in lines if line["entry"] == Entry.VOIDED]
+    assert all(line["entry"] != Entry.MOTION for line in lines[lines.index(voided) :])
     assert any("registration-T1" in str(name) for name in voided["supersedes"])

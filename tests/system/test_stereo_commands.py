@@ -21,6 +21,7 @@ from benchmarks.stereo_cell import with_ideal_arm
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.cli.stereo.command import app
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.reporting.report import REPORT_FILE
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.command_line.terminal import exit_code_of
@@ -245,7 +246,7 @@ def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
-def test_without_a_terminal_nothing_is_confirmed_and_the_calibration_fails(
+def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(
     stereo: Callable[..., Said], theatre: Path, tmp_path: Path
 ) -> None:
     said = stereo("calibrate", "--config", theatre, "--ball", "720", "-10", "310", "--out", tmp_path)
@@ -253,6 +254,7 @@ def test_without_a_terminal_nothing_is_confirmed_and_the_calibration_fails(
     assert one_error(said.errors)[0].startswith("PRO-002")
     (run,) = tmp_path.iterdir()
     assert "ball_observation failed. PRO-002" in (run / REPORT_FILE).read_text()
+    assert [line for line in read_journal(run / JOURNAL_FILE) if line["entry"] == Entry.MOTION] == []
 
 
 @dataclass(frozen=True)

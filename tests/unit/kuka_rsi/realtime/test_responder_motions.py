@@ -143,12 +143,17 @@ def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     assert not stand.cycle()
 
 
-def test_ending_the_session_does_not_send_stop_while_the_arm_moves() -> None:
+def test_the_session_ends_only_after_its_motion() -> None:
     stand = moving()
     stand.give(CommandKind.END)
-    stand.cycle()
+    stand.run()
     assert stand.responder.phase is Phase.RUNNING
-    assert stand.sent[-1][1] == 0
+    assert {stop for _, stop in stand.sent} == {0}
+    stand.give(CommandKind.END)
+    stand.cycle()
+    stand.cycle()
+    assert stand.responder.phase is Phase.ENDING
+    assert stand.sent[-1][1] == 1
 
 
 def test_a_motion_from_another_start_is_refused() -> None:
