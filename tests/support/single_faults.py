@@ -51,16 +51,16 @@ TRACKER = {
     "restart": {"NDI-007", "NDI-008", "NDI-009"},
     "watchdog": {"NDI-007", "NDI-009"},
     "repeat frames": {"PRO-007", "PRO-017"},
-    "skip 2 frames": set(),
-    "garble commands 5 %": {"NDI-003", "NDI-006"},
-    "garble replies 5 %": SPOILT_REPLY,
-    "drop bytes 5 %": SPOILT_REPLY,
-    "double bytes 5 %": SPOILT_REPLY,
-    # Readings that fail lengthen the time for which the arm covers the head.
+    # Readings that fail or come late lengthen the time for which the guide covers the head at this target.
+    "skip 2 frames": {"PRO-017"},
+    "garble commands 5 %": {"NDI-003", "NDI-006", "PRO-017"},
+    "garble replies 5 %": {"PRO-017", *SPOILT_REPLY},
+    "drop bytes 5 %": {"PRO-017", *SPOILT_REPLY},
+    "double bytes 5 %": {"PRO-017", *SPOILT_REPLY},
     "cut replies 5 %": {"NDI-002", "PRO-017", *SPOILT_REPLY},
     "lose replies 5 %": {"NDI-002", "NDI-007", "PRO-017"},
     "delay replies 0.5 s": {"NDI-002", "NDI-007", "PRO-007", "PRO-017"},
-    "slow TSTART 1 s": set(),
+    "slow TSTART 1 s": {"PRO-017"},
 }
 ROBOT = {
     "drop 10 % for 1 s": set(),
