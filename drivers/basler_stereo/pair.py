@@ -29,7 +29,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, require_person
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
 from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
@@ -139,7 +139,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop both streams; control is kept."""
-        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._guard.require("deactivate", RUNNING)
         deadline_s = time.monotonic() + timeout_s
         counters = self.counters
         self._watched(lambda: self._streams.end(deadline_s), deadline_s)

@@ -13,7 +13,7 @@ from drivers.kuka_rsi.context_check import usable_context
 from drivers.kuka_rsi.eki.controller_commands import ControllerCommands
 from drivers.kuka_rsi.eki.controller_state import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
-from drivers.kuka_rsi.fault_watch import STREAMING, FaultWatch
+from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.motion_planning import MotionPlanner
@@ -30,7 +30,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import (
@@ -103,7 +103,7 @@ class KukaRsiArm:
         return self._watch.fault
 
     def observe(self) -> LastKnown[ArmReading]:
-        streaming = self._guard.state in STREAMING  # unlike `state`, this does not check for new faults
+        streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
         says = standing_facts(self._connections.said)
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
@@ -206,7 +206,7 @@ class KukaRsiArm:
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Bring the arm to rest and end the RSI program."""
-        self._guard.require("deactivate", STREAMING)
+        self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
         if self._connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
@@ -277,7 +277,7 @@ class KukaRsiArm:
         """Measured axes: from the stream while it runs, otherwise requested by EKI."""
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
-        if self._guard.state in STREAMING:
+        if self._guard.state in RUNNING:
             return self._readings.of_stream(self._connections.link.state)
         return self._readings.of_controller(self._ask(timeout_s))
 
@@ -321,7 +321,7 @@ class KukaRsiArm:
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
         self._watch.notice()
-        self._guard.require("stop", (*STREAMING, Lifecycle.FAULT))
+        self._guard.require("stop", (*RUNNING, Lifecycle.FAULT))
         link = self._connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
@@ -339,7 +339,7 @@ class KukaRsiArm:
 
     def resume(self) -> None:
         self._watch.raise_new()
-        self._guard.require("resume", STREAMING)
+        self._guard.require("resume", RUNNING)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def surround(self, surroundings: Surroundings) -> None:

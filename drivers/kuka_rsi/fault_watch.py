@@ -21,13 +21,12 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
 from ronna_hw.arm.monitor import FOLLOWING_ERROR
-from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
 REASON_S = 1.0  # host time for the controller to say why the axes no longer follow; they are stopping already
 EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for real-time control
-STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 
 
 class _Asked(NamedTuple):
@@ -63,7 +62,7 @@ class FaultWatch:
     def notice(self) -> None:
         """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki
-        if self._guard.state not in STREAMING:
+        if self._guard.state not in RUNNING:
             parked = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
@@ -104,7 +103,7 @@ class FaultWatch:
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""
         link = self._connections.open_link
-        if link is not None and self._guard.state in STREAMING:
+        if link is not None and self._guard.state in RUNNING:
             self._keep(error, link)
         self._guard.latch(error)
         self._raised = self._guard.fault
@@ -128,7 +127,7 @@ class FaultWatch:
     def controller_said(self, state: ControllerState) -> None:
         """From the EKI reader: a state from the controller, requested or not."""
         self.notice()
-        if self._guard.state not in STREAMING:
+        if self._guard.state not in RUNNING:
             return
         stopped = self._stopped_by(state)
         if stopped is not None:
@@ -140,7 +139,7 @@ class FaultWatch:
 
     def controller_lost(self, failure: RonnaError) -> None:
         """From the EKI reader: the channel broke, so an emergency stop would no longer be reported."""
-        if self._guard.state in STREAMING:
+        if self._guard.state in RUNNING:
             self.notice()
             self._stop_for(failure)
 
@@ -174,7 +173,7 @@ class FaultWatch:
 
     def _stop_for(self, error: RonnaError) -> None:
         link = self._connections.open_link
-        if link is None or self._guard.state not in STREAMING:
+        if link is None or self._guard.state not in RUNNING:
             return
         self._keep(error, link)
         link.stop(StopOrder.PROTECTIVE)

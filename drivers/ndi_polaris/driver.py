@@ -37,7 +37,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, LifecycleGuard, require_person
 from ronna_hw.devices.readings import TrackerFrame, Vector3
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -189,7 +189,7 @@ class PolarisTracker:
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop tracking; the tools stay loaded."""
-        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._guard.require("deactivate", RUNNING)
         self._guarded(self._run.stop, self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
@@ -200,7 +200,7 @@ class PolarisTracker:
         unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with
         FAULT latched, NDI-008 (link lost), NDI-009 (restarted), NDI-020 (hardware), NDI-021 (bumped).
         """
-        self._guard.require("read_frame", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._guard.require("read_frame", RUNNING)
         try:
             frame = self._run.read(self._monotonic() + timeout_s)
         except TemperatureHold:
@@ -309,7 +309,7 @@ class PolarisTracker:
     def _leave_unit(self, link: CommandLink, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
-        if self._guard.state in (Lifecycle.ACTIVE, Lifecycle.HOLD, Lifecycle.FAULT):
+        if self._guard.state in RUNNING | {Lifecycle.FAULT}:
             stop_tracking(link, deadline_s)
         for tool in self._loaded:
             free_handle(link, tool.handle, deadline_s)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from procedures.workcell import Workcell
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import LinkStatistics, Validity
 
-STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 LARGEST_BAD_SHARE = 0.05  # of the cycles; the driver slows down at more than 3 in a row, far below this
 LEAST_CYCLES = 250  # one second: fewer say little
 
@@ -24,7 +23,7 @@ class ArmLink:
     def unmet(self) -> str | None:
         """That the pose is old, or how bad the link is."""
         seen = self._workcell.arm.observe()
-        if seen.state not in STREAMING:  # a fault is told by whatever moves the arm
+        if seen.state not in RUNNING:  # a fault is told by whatever moves the arm
             self._since = self._verdict = None
             return None
         if seen.reading is not None and seen.reading.validity is Validity.STALE:

@@ -24,7 +24,7 @@ from procedures.workcell.frame_as_tool import with_its_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
 
@@ -180,7 +180,7 @@ class _Looking:
             self._tell_silence(problem)
         finally:
             self._first.set()
-            if tracker.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
+            if tracker.state in RUNNING:
                 with contextlib.suppress(RonnaError):
                     tracker.deactivate()
         while not self._ending.wait(UNSEEN_LOOK_S):  # nothing looks any more, but the time counts

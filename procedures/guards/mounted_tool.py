@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from procedures.guards.arm_link import STREAMING
 from procedures.workcell import Workcell
+from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.errors import RonnaError
 
 
@@ -19,7 +19,7 @@ class ToolStillMounted:
         """Which tool is reported instead of the one that was checked."""
         workcell = self._workcell
         expected = workcell.checked_tool_number
-        if expected is None or workcell.arm.observe().state not in STREAMING:
+        if expected is None or workcell.arm.observe().state not in RUNNING:
             return None
         try:
             mounted = workcell.reported_tool_number()

@@ -31,7 +31,7 @@ from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
@@ -125,7 +125,7 @@ class Workcell:
     @property
     def streaming(self) -> bool:
         """Whether the arm's correction stream runs; while it does not, nothing of ours can move the arm."""
-        return self._arm.observe().state in (Lifecycle.ACTIVE, Lifecycle.HOLD)
+        return self._arm.observe().state in RUNNING
 
     @property
     def at_home(self) -> bool:
@@ -329,7 +329,7 @@ class Workcell:
     def rest(self) -> None:
         """End the arm's correction stream and the cameras, as a tool change and a parked arm want it."""
         for device in (self._arm, self.stereo):
-            if device.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
+            if device.state in RUNNING:
                 device.deactivate()
         self.supervised.begin_anew()
 

@@ -6,11 +6,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TypeVar
 
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.host.interruption import interruption_deferred
 
 D = TypeVar("D", bound=Device)
-RUNNING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 
 
 @contextmanager

@@ -36,6 +36,7 @@ class Lifecycle(StrEnum):
     CLOSED = "closed"
 
 
+RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
 READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
 
 _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {

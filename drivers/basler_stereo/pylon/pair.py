@@ -28,7 +28,7 @@ from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pyl
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.devices.activation import activated
-from ronna_hw.devices.lifecycle import Identity, Lifecycle, require_person
+from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, require_person
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
@@ -87,7 +87,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop both streams; control is kept."""
-        self._guard.require("deactivate", {Lifecycle.ACTIVE, Lifecycle.HOLD})
+        self._guard.require("deactivate", RUNNING)
         self._end()
         self._guard.enter(Lifecycle.CONFIGURED)
 
