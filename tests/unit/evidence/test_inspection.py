@@ -89,7 +89,8 @@ def test_a_record_from_another_run_is_named(run: Path, tmp_path: Path) -> None:
     assert "is of run another" in what
 
 
-def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(cell: RecordingCell) -> None:
+def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(tmp_path: Path) -> None:
+    cell = RecordingCell(tmp_path)
     order = plain_order("T1", image=seen)
     engine = cell.engine(order)
     for _ in range(3):
