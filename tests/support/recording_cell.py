@@ -197,16 +197,18 @@ class RecordingArm(RecordingDevice):
 class RecordingOperator:
     """Goes on, or by `refusing` some topics answers these as silence would; remembers the questions.
 
-    `answers` has the words for some topics.
+    `answers` has the words for some topics; `meanwhile` is called with every question before its answer.
     """
 
     def __init__(self, *refusing: Topic) -> None:
         self.refusing = refusing
         self.asked: list[Question] = []
         self.answers: dict[Topic, str] = {}
+        self.meanwhile: Callable[[Question], object] = lambda _question: None
 
     def ask(self, question: Question) -> str:
         self.asked.append(question)
+        self.meanwhile(question)
         if question.topic in self.refusing:
             return question.silence
         return self.answers.get(question.topic, question.answers[0])

@@ -6,7 +6,6 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 
 from procedures.engine.engine import Engine
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.workcell import Insertion, MountedTool
@@ -161,18 +160,11 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
-def test_homing_has_the_instrument_taken_out_before_anything_moves(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
     cell.workcell.instrument.goes_in("T1")
-    motions, asked_after, ask = len(cell.arm.motions), [], cell.operator.ask
-
-    def noted(question: Question) -> str:
-        asked_after.append(len(cell.arm.motions))
-        return ask(question)
-
-    monkeypatch.setattr(cell.operator, "ask", noted)
+    motions, asked_after = len(cell.arm.motions), []
+    cell.operator.meanwhile = lambda _question: asked_after.append(len(cell.arm.motions))
     engine.retreat_home()
     assert asked_after[0] == motions
     assert [task.name for task in cell.room.worked] == ["out"]

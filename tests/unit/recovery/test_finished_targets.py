@@ -25,6 +25,7 @@ from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
+from procedures.cli.case import opening
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import finished
 from procedures.cli.case.request import CaseRequest
@@ -235,6 +236,7 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     broken_off(cell)
     monkeypatch.setattr(resume, "order_of_case", lambda *_: engine.order)
     monkeypatch.setattr(resume, "_as_it_ended", lambda _request, left: left)
+    monkeypatch.setattr(opening, "opened_engine", pytest.fail)
     ended = resume._go_on(CaseRequest(out=tmp_path), read_left_run(tmp_path), Watcher(), accepted=True)
     assert ended.run.journal[-1]["outcome"] == "done"  # type: ignore[attr-defined]
 

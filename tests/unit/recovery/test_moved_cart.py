@@ -26,6 +26,7 @@ from procedures.results.result import StepResult
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
 from procedures.workcell import MountedTool
+from ronna_hw.errors import LinkTimeout, RonnaError
 
 pytestmark = [pytest.mark.hazard(50), pytest.mark.branch("CART_MOVED")]
 KEPT = ["ct_import", "fiducial_localization", "plan_check", "set_up", "head_clamp"]
@@ -121,9 +122,14 @@ def test_a_cart_that_keeps_moving_stops_the_case_after_the_maximum_number_of_mov
     assert moves_asked(cell) == MOST_MOVES
 
 
-def test_the_case_does_not_continue_after_the_patient_moved(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "problem",
+    [PatientMoved("the head has moved"), InputChanged("the plan has changed"), LinkTimeout("silent")],
+    ids=lambda problem: type(problem).__name__,
+)
+def test_the_case_continues_on_its_own_after_a_cart_move_only(tmp_path: Path, problem: RonnaError) -> None:
     cell = ClinicalCell(tmp_path)
-    assert not MovedCart(localizing(cell)).agreed_to_go_on(PatientMoved("the head has moved"))
+    assert not MovedCart(localizing(cell)).agreed_to_go_on(problem)
     assert moves_asked(cell) == 0
 
 

@@ -69,13 +69,15 @@ def test_the_order_is_ball_then_guide_then_divot(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.parametrize("topic", [Topic.CALIBRATION, Topic.TOOL_CHANGE])
-def test_an_unconfirmed_calibration_or_tool_change_stops_the_step(cell: ClinicalCell, topic: Topic) -> None:
+def test_nothing_moves_after_an_unconfirmed_calibration_or_tool_change(
+    cell: ClinicalCell, topic: Topic
+) -> None:
     stand(cell)
-    cell.operator = RecordingOperator(topic)
+    cell.operator, motions = RecordingOperator(topic), []
+    cell.operator.meanwhile = lambda _question: motions.append(len(cell.arm.motions))
     with pytest.raises(NotConfirmed):
         read(cell)
-    if topic is Topic.CALIBRATION:
-        assert cell.arm.motions == []
+    assert len(cell.arm.motions) == motions[-1]
 
 
 def test_the_arm_stays_after_a_reading_until_hands_are_confirmed_clear(
@@ -100,8 +102,11 @@ def test_the_arm_stays_after_a_reading_until_hands_are_confirmed_clear(
 def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell) -> None:
     stand(cell)
     cell.room.mounts = 7
+    motions: list[int] = []
+    cell.operator.meanwhile = lambda _question: motions.append(len(cell.arm.motions))
     with pytest.raises(WrongTool, match="PRO-009"):
         read(cell)
+    assert len(cell.arm.motions) == motions[-1]  # none towards the divot
 
 
 def test_an_implausible_reading_is_refused(cell: ClinicalCell) -> None:
