@@ -2,7 +2,8 @@
 
 Append-only JSON lines, each flushed to disk before the call returns, each naming the SHA-256 of the line
 before it. Without a journal nothing moves: a write that fails raises PRO-003 and leaves no part of its line.
-How a step or the run ended is recorded even on a full disk: room for it is held in a file of its own.
+How a step or the run ended is recorded even on a full disk: room for it is held in a file of its own. A block
+that a power loss empties costs the lines since the last result at most.
 """
 
 from __future__ import annotations
@@ -44,6 +45,9 @@ __all__ = [
 
 TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
 ROOM_BYTES = 1 << 20  # a last line names every file of the run and every slice of its CT, some 150 bytes each
+BLOCK_BYTES = 4096  # what a power loss may tear or empty at the end of a file
+# A result, or where an instrument is, must not share a block with lines that follow it: spaces fill the rest.
+FILLING = (Entry.RESULT, Entry.INSTRUMENT)
 ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 
@@ -125,7 +129,10 @@ class Journal:
             "theatre_time_s": theatre_time_s,
             **data,
         }
-        line = json.dumps(content, separators=(",", ":"), allow_nan=False).encode() + b"\n"
+        line = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+        if entry in FILLING:
+            line += b" " * (-(self._chain.size + len(line) + 1) % BLOCK_BYTES)
+        line += b"\n"
         try:
             self._put(line, durable=durable)
         except JournalNotWritable:

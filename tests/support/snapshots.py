@@ -22,14 +22,13 @@ from kills import Killed
 from run_folders import records_of, run_folder
 from user_commands import Commands
 
-from procedures.journal.journal import JOURNAL_FILE
+from procedures.journal.journal import BLOCK_BYTES, JOURNAL_FILE
 from ronna_hw.evidence.journal_reading import read_chain
 from sim.world.left_world import write_left_world
 from sim.world.world import World
 
 BEING_WRITTEN = "being_written.json"
 REST_LIMIT_S = 0.3  # that the theatre gives an arm on its way
-BLOCK_BYTES = 4096  # of a disk
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from procedures.journal.errors import JournalNotWritable
-from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.journal.journal import BLOCK_BYTES, JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import ROOM_FILE
 
 
@@ -45,6 +46,27 @@ def test_a_torn_last_line_is_ignored(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text() + json.dumps({"sequence": 2})[:7])
     assert len(list(read_journal(path))) == 2
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("entry", [Entry.RESULT, Entry.INSTRUMENT])
+@pytest.mark.parametrize("following", [1, 30])
+def test_an_emptied_last_block_costs_no_result_that_other_lines_follow(
+    tmp_path: Path, entry: Entry, following: int
+) -> None:
+    journal = Journal(tmp_path)
+    journal.write(Entry.INTENT, 1.0, step="ct_import")
+    journal.write(entry, 2.0)
+    for number in range(following):
+        journal.write(Entry.FINDING, 3.0, text=f"number {number}")
+    journal.close()
+    path = tmp_path / JOURNAL_FILE
+    content = path.read_bytes()
+    kept = (len(content) - 1) // BLOCK_BYTES * BLOCK_BYTES
+    path.write_bytes(content[:kept] + bytes(len(content) - kept))
+    chain = read_chain(path)
+    assert chain.lines[1]["entry"] == entry
+    assert chain.torn
 
 
 def test_a_journal_is_never_overwritten(tmp_path: Path) -> None:
