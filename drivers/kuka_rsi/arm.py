@@ -90,7 +90,7 @@ class KukaRsiArm:
 
     @property
     def state(self) -> Lifecycle:
-        self._watch.notice()
+        self._watch.settle()
         return self._guard.state
 
     @property
@@ -100,7 +100,8 @@ class KukaRsiArm:
     @property
     def fault(self) -> RonnaError | None:
         """The error that latched FAULT, if any."""
-        return self._watch.fault
+        self._watch.settle()
+        return self._guard.fault
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
@@ -205,7 +206,8 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Bring the arm to rest and end the RSI program."""
+        """Bring the arm to rest and end the RSI program. Raises a fault that comes up before it has ended."""
+        self._watch.settle()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
         if self._connections.link.state.moving:
@@ -217,6 +219,8 @@ class KukaRsiArm:
             self._watch.latch(error)
             raise
         ended = self._connections.link.state
+        if self._guard.state is Lifecycle.FAULT:  # it must be acknowledged, although the program has ended
+            self._watch.raise_any()
         self._guard.enter(
             Lifecycle.CONFIGURED,
             cycles=ended.cycles,

@@ -167,4 +167,4 @@ def furthest_text(state: LinkState) -> str:
     """The axis that is furthest from its set-point, for a message."""
     off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
     axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
-    return f"A{axis + 1} {off_deg[axis]:.4f} deg from where it was sent"
+    return f"A{axis + 1} {off_deg[axis]:.4f} deg off its set-point"

@@ -8,6 +8,7 @@ The reader of that channel also calls this while nothing arrives, so that no pol
 from __future__ import annotations
 
 import contextlib
+import threading
 import time
 from typing import NamedTuple
 
@@ -32,6 +33,7 @@ EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for r
 class _Asked(NamedTuple):
     """A request for the controller's state, and the end of the wait for its reply, in host time."""
 
+    eki: EkiClient
     number: int
     until_s: float
 
@@ -51,6 +53,7 @@ class FaultWatch:
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
         self._raised: RonnaError | None = None  # the fault that was already raised to a caller
         self._asked: _Asked | None = None  # why the axes no longer follow
+        self._asking = threading.Lock()
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
     @property
@@ -75,6 +78,8 @@ class FaultWatch:
             error = self._reason(error, eki)
             if error is None:
                 return
+        else:
+            self._asked = None
         if error is None and not link.alive:
             error = link.death()
         if error is None and link.stalled_s > self._stall_limit_s:
@@ -96,7 +101,7 @@ class FaultWatch:
         self.notice()
         eki, asked = self._connections.open_eki, self._asked
         if eki is not None and asked is not None:
-            with contextlib.suppress(RonnaError):  # a broken channel has latched its own
+            with contextlib.suppress(RonnaError):  # with a broken channel the following error is latched
                 eki.await_reply(asked.number, max(0.0, asked.until_s - time.monotonic()))
             self.notice()
 
@@ -148,10 +153,12 @@ class FaultWatch:
         if not causes:
             return None
         link = self._connections.open_link
-        if link is not None and link.state.foreign:
+        if state.error and link is not None and (count := link.state.foreign):
             # A stranger that opened the session is answered in the controller's place, which then times out.
-            count, host = link.state.foreign, link.state.foreign_host
-            causes.append(f"{count} telegrams came from another sender, the last from {host}")
+            telegrams = f"{count} telegram{'s' * (count > 1)}"
+            causes.append(
+                f"note: {telegrams} came from another sender, the last from {link.state.foreign_host}"
+            )
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
     def _reason(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
@@ -160,12 +167,13 @@ class FaultWatch:
         Axes that the controller has braked leave their set-points before its unsolicited state has arrived:
         its reply to a request made after that is what counts.
         """
-        asked = self._asked
-        if asked is None:
-            try:
-                asked = self._asked = _Asked(eki.ask(), time.monotonic() + REASON_S)
-            except RonnaError:
-                return tripped
+        with self._asking:
+            asked = self._asked
+            if asked is None or asked.eki is not eki:
+                try:
+                    asked = self._asked = _Asked(eki, eki.ask(), time.monotonic() + REASON_S)
+                except RonnaError:
+                    return tripped
         state = eki.reply(asked.number)
         if state is not None:
             return self._stopped_by(state) or tripped
@@ -181,8 +189,8 @@ class FaultWatch:
     def _keep(self, error: RonnaError, link: LinkClient) -> None:
         if self._guard.state is not Lifecycle.FAULT:
             attach_flight_record(error, self._name, link.recorded_cycles())
-        self._asked = None
         self._guard.latch(error)
+        self._asked = None  # after it: whoever finds no request finds the fault
 
     def _error_of(self, state: LinkState) -> RonnaError | None:
         eki = self._connections.open_eki

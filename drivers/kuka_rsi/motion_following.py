@@ -57,7 +57,7 @@ class MotionFollower:
         link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
         begun = link.state
-        moved_cycles = begun.cycles
+        rested_cycles: int | None = None  # when the path was first seen to have ended
 
         def ended(state: LinkState) -> bool:
             if state.fault:
@@ -70,12 +70,13 @@ class MotionFollower:
                 self._watch.raise_any()
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             state = link.state
-            if state.moving or state.command_number < number:
-                moved_cycles = state.cycles
-            elif (state.cycles - moved_cycles) * self._cycle_s > SETTLE_LIMIT_S:
+            if state.moving or state.command_number < number or state.result is not Result.RUNNING:
+                rested_cycles = None
+            elif rested_cycles is None:  # the next look is a while later also where theatre time runs fast
+                rested_cycles = state.cycles
+            elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
                 raise MotionNotFinished(
-                    f"{self._name}: the path has ended, and the arm does not settle there"
-                    f"{losses_text(begun, state)}",
+                    f"{self._name}: the arm did not settle at the end of its path{losses_text(begun, state)}",
                     limit=f"{SETTLE_LIMIT_S:g} s",
                     got=furthest_text(state),
                 )

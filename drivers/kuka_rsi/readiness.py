@@ -32,10 +32,8 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
         "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
-    brakes = "released" if state.drives else "closed"
-    yield Fact(
-        "brakes", f"{brakes} with the drives; only the controller's own brake test knows how they hold"
-    )
+    brakes = "not reported; normally released while the drives are on"
+    yield Fact("brakes", brakes if state.drives else "closed, because the drives are off")
 
 
 def _message(number: int) -> str:

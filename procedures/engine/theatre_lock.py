@@ -19,6 +19,8 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, holder_of_lock
 
+READABLE_BY_ALL = 0o644
+
 
 class TheatreNote(BaseModel):
     """Content of the lock file: the last run that had the devices, and the last before it that moved."""
@@ -32,7 +34,7 @@ class TheatreNote(BaseModel):
     @property
     def last_moved(self) -> Path | None:
         """The last run that moved the arm, if its journal can still be read."""
-        return self.run if self.run is not None and _has_moved(self.run) else self.moved_before
+        return self.run if self.run is not None and _may_have_moved(self.run) else self.moved_before
 
 
 @dataclass(frozen=True)
@@ -48,13 +50,13 @@ class TheatreUser:
         number = "" if self.holder is None else f" (pid {self.holder.pid})"
         return f"{'another program' if self.run is None else self.run.name}{number} is using this theatre"
 
-    @property
-    def advice(self) -> str:
-        """What to do instead of ending it; the caller adds when to try again."""
-        alone = "Leave it alone: its arm may be at a patient. "
+    def advice(self, then: str) -> str:
+        """What to do instead of ending it; `then` when it has ended."""
+        alone = "Leave it alone: its arm may be at a patient."
         if self.run is None:
-            return alone
-        return f"{alone}Follow it with ronna-procedure watch {shlex.quote(str(self.run))}; "
+            return f"{alone} {then.capitalize()} when it has ended."
+        watch = f"Follow it with ronna-procedure watch {shlex.quote(str(self.run))}"
+        return f"{alone} {watch}; {then} when it has ended."
 
 
 @contextmanager
@@ -63,9 +65,13 @@ def held_theatre(theatre: Path, run: Path | None) -> Iterator[Path | None]:
 
     Raises PRO-043 while another program has them.
     """
+    if user := _user_of_own_run(theatre):
+        raise _in_use(user)
     path = _lock_file(theatre)
     try:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        with suppress(OSError):  # of another user: it names a run only, so all may see who has the theatre
+            os.fchmod(file, READABLE_BY_ALL)
     except OSError:  # the file of another user, or a folder that cannot be written: held without a note
         file = os.open(path if path.exists() else theatre, os.O_RDONLY | os.O_CLOEXEC)
     try:
@@ -76,29 +82,26 @@ def held_theatre(theatre: Path, run: Path | None) -> Iterator[Path | None]:
         last_moved = read_note(path).last_moved
         note = TheatreNote(run=run and run.resolve(), pid=os.getpid(), moved_before=last_moved)
         with suppress(OSError):
-            os.ftruncate(file, 0)
-            os.pwrite(file, note.model_dump_json().encode(), 0)
+            os.ftruncate(file, os.pwrite(file, note.model_dump_json().encode(), 0))
+            os.fdatasync(file)
         yield last_moved
     finally:
         os.close(file)
 
 
 def theatre_user(theatre: Path) -> TheatreUser | None:
-    """Who has the devices of a theatre file now."""
+    """Who has the devices of a theatre file now, as far as this user may see."""
+    if user := _user_of_own_run(theatre):
+        return user
     path = _lock_file(theatre)
     try:
         file = os.open(path if path.exists() else theatre, os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
         return None
-    try:
-        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return _user(path, file)
-    except OSError:  # a file system without locks
-        return None
+    try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
+        return None if holder_of_lock(file) is None else _user(path, file)
     finally:
         os.close(file)
-    return None
 
 
 def require_free_theatre(theatre: Path) -> None:
@@ -108,13 +111,29 @@ def require_free_theatre(theatre: Path) -> None:
 
 
 def _in_use(user: TheatreUser) -> TheatreInUse:
-    return TheatreInUse(user.seen, action=f"{user.advice}start again when it has ended.")
+    return TheatreInUse(user.seen, action=user.advice("start again"))
 
 
 def _user(path: Path, file: int) -> TheatreUser:
     """The holder of the lock, and its run if the note is its own."""
     note, holder = read_note(path), holder_of_lock(file)
-    return TheatreUser(note.run if holder is None or holder.pid == note.pid else None, holder)
+    return TheatreUser(note.run if holder is not None and holder.pid == note.pid else None, holder)
+
+
+def _user_of_own_run(theatre: Path) -> TheatreUser | None:
+    """A simulated theatre is made in the folder of its run, and used by that run alone."""
+    run = theatre.resolve().parent.parent
+    if not (run / JOURNAL_FILE).is_file():
+        return None
+    try:
+        folder = os.open(run, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        holder = holder_of_lock(folder)
+    finally:
+        os.close(folder)
+    return None if holder is None else TheatreUser(run, holder)
 
 
 def _lock_file(theatre: Path) -> Path:
@@ -130,7 +149,9 @@ def read_note(path: Path) -> TheatreNote:
         return TheatreNote()
 
 
-def _has_moved(run: Path) -> bool:
-    with suppress(OSError, RonnaError):
+def _may_have_moved(run: Path) -> bool:
+    """Also one whose journal cannot be read; not one whose folder was removed, as of a refused run."""
+    try:
         return any(line["entry"] == Entry.MOTION for line in read_chain(run / JOURNAL_FILE).lines)
-    return False
+    except (OSError, RonnaError):
+        return run.exists()

@@ -20,7 +20,7 @@ SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of 
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
 FOLLOWING_TIME_S = 0.25  # how late an arm may be at a set-point: dead time and servo lag stay below 0.1 s
-FOLLOWING_RAD = radians(0.1)  # how far beside all set-points of that time; servo overshoot is not published
+FOLLOWING_RAD = radians(0.1)  # off the range of set-points of that time; servo overshoot is not published
 FOLLOWING_ERROR = "following error"  # the kind of violation that a stop by the controller causes too
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 

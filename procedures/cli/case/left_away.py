@@ -22,11 +22,13 @@ def left_away(last: Path | None) -> str | None:
     try:
         if not arm_as_left(read_chain(last / JOURNAL_FILE).lines).away:
             return None
-    except (RonnaError, OSError):  # its folder is gone or damaged
-        return None
+    except (RonnaError, OSError):
+        return (
+            f"run {last.name} moved the arm last, and its journal cannot be read" if last.exists() else None
+        )
     left = f"run {last.name} left the arm away from its home"
     try:
         read_request(last)
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
-        return left
+        return f"{left}; jog it home with the controller's pendant"
     return f"{left}; ronna-procedure home {shlex.quote(str(last))} brings it there"

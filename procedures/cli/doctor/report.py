@@ -67,7 +67,7 @@ def examine(
         user = theatre_user(config)
         if user is not None:
             seen = f"{user.seen}: its devices were not checked"
-            case = (Diagnostic(RUN, False, seen, f"{user.advice}check again when it has ended."), *case)
+            case = (Diagnostic(RUN, False, seen, user.advice("check again")), *case)
         else:
             devices = list(file.devices)
             for name, device in file.devices.items():

@@ -57,7 +57,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
     from ronna_hw.theatre import Theatre
 
     by = _person(by)
-    with held_theatre(file, None), Theatre.from_file(file) as theatre:
+    with Theatre.from_file(file) as theatre, held_theatre(file, None):
         devices = theatre.devices
         _recover_all(
             devices,

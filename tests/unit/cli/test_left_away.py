@@ -13,7 +13,7 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.engine.order import order_of
 from procedures.engine.theatre_lock import held_theatre
-from procedures.journal.journal import Entry
+from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
@@ -53,9 +53,19 @@ def test_a_run_that_moved_nothing_does_not_hide_the_one_that_left_the_arm_away(t
         assert away.name in str(warning(tmp_path))
 
 
-def test_a_check_that_left_the_arm_away_is_named_without_a_home_command(tmp_path: Path) -> None:
+def test_a_check_that_left_the_arm_away_is_named_with_the_pendant_as_the_way_home(tmp_path: Path) -> None:
     check = earlier(tmp_path, 1, "go", resumable=False)
-    assert warning(tmp_path) == f"run {check.name} left the arm away from its home"
+    left = f"run {check.name} left the arm away from its home"
+    assert warning(tmp_path) == f"{left}; jog it home with the controller's pendant"
+
+
+def test_a_run_whose_journal_cannot_be_read_is_named_and_not_forgotten(tmp_path: Path) -> None:
+    earlier(tmp_path, 1, "go", "home")
+    damaged = earlier(tmp_path, 2, "go")
+    lines = (damaged / JOURNAL_FILE).read_bytes().splitlines(keepends=True)
+    (damaged / JOURNAL_FILE).write_bytes(b"".join(lines[1:]))
+    for _ in range(2):
+        assert warning(tmp_path) == f"run {damaged.name} moved the arm last, and its journal cannot be read"
 
 
 def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:

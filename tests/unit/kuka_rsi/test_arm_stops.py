@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from driven_arm import FAR, THERE, largest_step, moving, state_of
-from waiting import HANG_LIMIT_S
+from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi.errors import (
     DrivesOff,
@@ -87,6 +87,17 @@ def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_
     monkeypatch.setattr("drivers.kuka_rsi.motion_following.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
     with pytest.raises(
-        MotionNotFinished, match=r"does not settle there; limit 0\.5 s, got A6 -0\.0500 deg from"
+        MotionNotFinished,
+        match=r"did not settle at the end of its path; limit 0\.5 s, got A6 -0\.0500 deg off",
     ):
         active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=HANG_LIMIT_S)
+
+
+@pytest.mark.hazard(38)
+def test_a_pushed_arm_is_in_fault_although_it_is_deactivated(active_arm: Any, controller: Any) -> None:
+    controller.frozen = True
+    controller.axes_deg = (controller.axes_deg[0] + 1.0, *controller.axes_deg[1:])
+    eventually(lambda: active_arm._connections.link.state.fault)
+    with pytest.raises(RonnaError, match="RSI-005"):
+        active_arm.deactivate()
+    assert state_of(active_arm) is Lifecycle.FAULT

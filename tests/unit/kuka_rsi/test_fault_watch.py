@@ -165,7 +165,7 @@ def test_a_stop_names_a_foreign_sender_of_telegrams() -> None:
     watched.link.state = MOVING._replace(foreign=101, foreign_host="192.168.1.7")
     watched.watch.controller_said(_changed(error=29002))
     assert (
-        "29002 is not acknowledged; 101 telegrams came from another sender, the last from 192.168.1.7"
+        "29002 is not acknowledged; note: 101 telegrams came from another sender, the last from 192.168.1.7"
         in str(watched.guard.fault)
     )
 

@@ -83,7 +83,7 @@ def test_a_pressed_emergency_stop_is_named_with_its_remedy(controller: FakeContr
     assert [name for name, fact in facts.items() if not fact.ready] == ["emergency stop"]
     assert facts["emergency stop"].advice.startswith("Release the emergency stop")
     assert facts["drives"].found == "on"
-    assert facts["brakes"].found.startswith("released with the drives")
+    assert facts["brakes"].found.startswith("not reported; normally released")
     assert facts["operating mode"].found == "EXT"
 
 
