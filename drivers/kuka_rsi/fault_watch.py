@@ -56,12 +56,6 @@ class FaultWatch:
         self._asking = threading.Lock()
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
-    @property
-    def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
-        self.notice()
-        return self._guard.fault
-
     def notice(self) -> None:
         """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki

@@ -30,11 +30,12 @@ class ArmAsLeft:
     instrument_out: bool = False  # confirmed since the guide was brought there last
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     stops: Stops = field(default_factory=dict)  # of the instrument
+    cut_short: bool = False  # the last motion has no recorded end: the arm may be anywhere on its way
 
     @property
     def away(self) -> bool:
-        """As `Workcell.away`, as far as it was written down."""
-        return self.insertion is not None or bool(self.trail)
+        """As `Workcell.away`, as far as it was written down; also after a motion that was cut short."""
+        return self.insertion is not None or bool(self.trail) or self.cut_short
 
 
 def arm_as_left(lines: Iterable[Line]) -> ArmAsLeft:
@@ -48,9 +49,10 @@ def arm_as_left(lines: Iterable[Line]) -> ArmAsLeft:
     instrument_out = False
     stages: Stages = {}
     stops: Stops = {}
+    cut_short = False
     for line in lines:
         if line["entry"] == Entry.MOTION:
-            motion, motions = line, motions + 1
+            motion, motions, cut_short = line, motions + 1, True
             if line.get("what") == "insert":
                 insertion, withdrawn_from, instrument_out = _insertion(line), None, False
         elif line["entry"] == Entry.INSTRUMENT:
@@ -63,7 +65,7 @@ def arm_as_left(lines: Iterable[Line]) -> ArmAsLeft:
             else:
                 stages.setdefault(name, {})[str(line["task"])] = bool(line["done"])
         elif line["entry"] == Entry.MOVED and "joints_rad" in line:
-            what = motion.get("what")
+            what, cut_short = motion.get("what"), False
             if what == "withdraw" and insertion is not None:
                 withdrawn_from = insertion.trajectory
                 insertion = None
@@ -72,7 +74,15 @@ def arm_as_left(lines: Iterable[Line]) -> ArmAsLeft:
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
     return ArmAsLeft(
-        tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out, stages, stops
+        tuple(trail),
+        insertion,
+        withdrawn_from,
+        motions,
+        instrument_in,
+        instrument_out,
+        stages,
+        stops,
+        cut_short,
     )
 
 

@@ -13,10 +13,11 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.engine.order import order_of
 from procedures.engine.theatre_lock import held_theatre
-from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
+from ronna_hw.evidence.journal_reading import read_chain
 
 
 def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Path:
@@ -66,6 +67,21 @@ def test_a_run_whose_journal_cannot_be_read_is_named_and_not_forgotten(tmp_path:
     (damaged / JOURNAL_FILE).write_bytes(b"".join(lines[1:]))
     for _ in range(2):
         assert warning(tmp_path) == f"run {damaged.name} moved the arm last, and its journal cannot be read"
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("end", [{}, {"error": "RSI-005"}], ids=["killed", "failed"])
+@pytest.mark.parametrize("before", [(), ("go", "home")], ids=["first motion", "a later one"])
+def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
+    tmp_path: Path, before: tuple[str, ...], end: dict[str, str]
+) -> None:
+    run = earlier(tmp_path, 1, *before)
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.MOTION, 0.0, what="go")
+    if end:
+        journal.write(Entry.MOVED, 0.0, **end)
+    journal.close()
+    assert f"ronna-procedure home {run}" in str(warning(tmp_path))
 
 
 def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:
