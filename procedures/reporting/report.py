@@ -14,7 +14,8 @@ from typing import Any
 
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
-from procedures.reporting.calibration import HeadFigures, read_figures
+from procedures.reporting.calibration.result_file import figures_if_readable
+from procedures.reporting.calibration.stereo_head import HeadFigures
 from procedures.reporting.clearance_figure import clearance_figure
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
@@ -190,13 +191,13 @@ def _figures(
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
     """Result of a calibration, a check or a measurement; empty for a case."""
-    found = read_figures(run)
+    found = figures_if_readable(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
         picture = looks_figure(found.looks_px)
         files.text("looks.svg", picture)
         files.looks(found.looks_px)
-    return {"figures": [] if found is None else list(found.figures()), "looks_picture": picture}
+    return {"figures": [] if found is None else list(found.table()), "looks_picture": picture}
 
 
 def _read_twice(

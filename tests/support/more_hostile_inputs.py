@@ -25,7 +25,7 @@ from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
 from procedures.planning.cart.proposed_place import ProposedPlace, read_place
-from procedures.reporting.calibration import read_figures
+from procedures.reporting.calibration.result_file import figures_if_readable
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.happenings import happenings, questions
@@ -69,13 +69,22 @@ LIBRARY_SYNTAXES = {
     "DICOM JPEG 2000": gdcm.TransferSyntax.JPEG2000Lossless,
 }
 LONGEST_HOST_LINE = 1024
+OUTLINE = {
+    "centre_px": [1024.5, 544.5],
+    "axes_px": [260.1, 259.9],
+    "quality": 0.9,
+    "status": "OK",
+    "rim_fraction": 1.0,
+    "scatter_px": 0.05,
+    "blur_px": 1.2,
+}
 FIGURES = {
-    "looks": 8,
-    "calibration": "c",
     "position_mm": [0.1, 0.2, 0.3],
     "covariance_mm2": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
     "ray_gap_mm": 0.001,
     "radius_mm": 5.75,
+    "left": OUTLINE,
+    "right": OUTLINE,
 }
 SAMPLE = {
     "target": "T1",
@@ -128,7 +137,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             of("theatre/world.json", read_left_world, run / "theatre"),
         ),
         "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", kept_truth)),
-        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", read_figures)),
+        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", figures_if_readable)),
         "room": ((b'{"do":"mount","number":1}', b'{"do":"fault","line":"now: tracker bump"}'), _asked(room)),
         "raw image": ((mono,), _raw_image),
         "Polaris host line": ((b"TSTART:5423\rAPIREV \rTX 0001\r",), _host_line),

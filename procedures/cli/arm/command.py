@@ -12,7 +12,6 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
-    from procedures.calibration.arm.check import ArmCheck
     from procedures.calibration.arm.looks import ArmLooks
 
 app = typer.Typer(
@@ -68,17 +67,20 @@ def check(
     from procedures.cli.arm import files
     from procedures.cli.arm.display import print_check
     from procedures.cli.calibrating.calibration import observe
-    from procedures.cli.calibrating.files import write_payload
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
+    from procedures.reporting.calibration.arm import ArmCheckFigures
+    from procedures.reporting.calibration.result_file import write_figures
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    results: list[ArmCheck] = []
+    found: list[ArmCheckFigures] = []
 
     def conclude(observed: ArmLooks) -> None:
-        results.append(check_arm(observed))
-        write_payload(files.check_payload(results[0]), folder)
-        results[0].require()
+        result = check_arm(observed)
+        figures = ArmCheckFigures.model_validate(result)
+        write_figures(figures, folder)
+        found.append(figures)
+        result.require()
 
     theatre = replace(asked, calibrated=True).theatre()
     folder = new_folder(asked.out, "check")
@@ -87,11 +89,11 @@ def check(
             recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
             observe(files.CHECK, recipe, theatre, folder, conclude)
     finally:
-        for result in results:
+        for figures in found:
             if asked.as_json:
-                terminal.print_json(files.check_payload(result))
+                terminal.print_json(figures.as_json())
             else:
-                print_check(result)
+                print_check(figures)
 
 
 def main() -> None:

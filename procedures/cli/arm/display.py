@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from procedures.calibration.arm.check import ArmCheck
-from procedures.cli.arm.files import check_payload
-from procedures.reporting.calibration import ArmCheckFigures
+from procedures.reporting.calibration.arm import ArmCheckFigures
 from ronna_hw.command_line import terminal
 
 
-def print_check(result: ArmCheck) -> None:
+def print_check(figures: ArmCheckFigures) -> None:
     """The verdict of a check."""
-    figures = ArmCheckFigures.model_validate(check_payload(result)).figures()
     terminal.print_table(
-        f"check of calibration {result.calibration}",
+        f"check of calibration {figures.calibration}",
         ["", "value", ""],
-        [[one.name, one.value, one.verdict] for one in figures],
+        [[one.name, one.value, one.verdict] for one in figures.table()],
     )

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from procedures.calibration.arm.check import ArmCheck
 from procedures.calibration.arm.looks import LOOKS_FILE, ArmLooks
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.reporting.calibration import ArmFigures
+from procedures.reporting.calibration.arm import ArmFigures, ParameterFigures
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from ronna_hw.config import Calibrations
 
@@ -20,41 +19,28 @@ def records_of(result: ArmResult) -> dict[str, Any]:
     return {name: record.model_dump() for name, record in records.items() if record is not None}
 
 
-def payload_of(result: ArmResult) -> dict[str, Any]:
-    """The figures of a calibration as plain numbers."""
+def figures_of(result: ArmResult) -> ArmFigures:
+    """The figures of a calibration."""
     fit, held = result.fit, result.validation
-    return {
-        "calibration": result.arm.identifier,
-        "created": result.arm.created.isoformat(),
-        "expires": result.arm.expires.isoformat(),
-        "arm": result.arm.arm,
-        "looks": len(fit.used),
-        "outliers": int((~fit.used).sum()),
-        "validation_looks": len(held.misses_mm),
-        "before_mm": held.before_mm,
-        "error_mm": held.error_mm,
-        "predicted_mm": held.predicted_mm,
-        "model_mm": held.model_mm,
-        "scatter_mm": fit.scatter_mm,
-        "tool_shift_mm": result.tool_shift_mm,
-        "parameters": {
-            name: {"value": float(value), "standard_error": float(error)}
+    return ArmFigures(
+        calibration=result.arm.identifier,
+        created=result.arm.created.isoformat(),
+        expires=result.arm.expires.isoformat(),
+        arm=result.arm.arm,
+        looks=len(fit.used),
+        outliers=int((~fit.used).sum()),
+        validation_looks=len(held.misses_mm),
+        before_mm=held.before_mm,
+        error_mm=held.error_mm,
+        predicted_mm=held.predicted_mm,
+        model_mm=held.model_mm,
+        scatter_mm=fit.scatter_mm,
+        tool_shift_mm=result.tool_shift_mm,
+        parameters={
+            name: ParameterFigures(value=value, standard_error=error)
             for name, value, error in zip(fit.model.names, fit.values, fit.learnt, strict=False)
         },
-    }
-
-
-def check_payload(result: ArmCheck) -> dict[str, Any]:
-    """The figures of a check as plain numbers."""
-    return {
-        "calibration": result.calibration,
-        "passed": result.passed,
-        "looks": result.looks,
-        "error_mm": result.error_mm,
-        "expected_mm": result.expected_mm,
-        "statistic": result.statistic,
-        "limit": result.limit,
-    }
+    )
 
 
 def without_arm(of_theatre: Calibrations) -> Calibrations:
@@ -72,8 +58,7 @@ KIND = CalibrationKind(
     remarks=lambda case: case.get(ObservedSpheres).result.remarks,
     compute=lambda looks, life: calibrate_arm(looks, life=life),
     records=records_of,
-    payload=payload_of,
-    figures=lambda payload: ArmFigures.model_validate(payload).figures(),
+    figures=figures_of,
     in_use=without_arm,
 )
 CHECK = replace(KIND, title="Check of the arm", in_use=lambda of_theatre: of_theatre)

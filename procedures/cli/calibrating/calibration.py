@@ -5,14 +5,14 @@ OUT/<name>-<id>/<looks file>    what was observed, kept before anything is compu
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from procedures.calibration.observations import read_strict
-from procedures.cli.calibrating.files import read_payload, write_payload, write_records, write_theatre
+from procedures.cli.calibrating.files import finished_figures, write_records, write_theatre
 from procedures.cli.calibrating.running import new_folder, run_steps
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption
@@ -20,7 +20,8 @@ from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.engine.run_lock import held_run
-from procedures.reporting.calibration import Figure
+from procedures.reporting.calibration.figures import RecordFigures
+from procedures.reporting.calibration.result_file import write_figures
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.calibration import Strict
 from ronna_hw.command_line import terminal
@@ -48,11 +49,9 @@ class CalibrationKind(Generic[Looks, Result]):
     remarks: Callable[[Case], Sequence[str]]
     compute: Callable[[Looks, timedelta], Result]
     records: Callable[[Result], dict[str, Any]]
-    payload: Callable[[Result], dict[str, Any]]
-    figures: Callable[[dict[str, Any]], Iterable[Figure]]
+    figures: Callable[[Result], RecordFigures]
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
-    warnings: Callable[[dict[str, Any]], Iterable[str]] = lambda _payload: ()
 
     def read_looks(self, path: Path) -> Looks:
         """Stored looks, from their file or folder. Raises CAL-005."""
@@ -95,7 +94,7 @@ def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: Cal
         folder = new_folder(request.out, kind.name, run)
         with held_run(folder), leaving_report(folder, with_truth=False):
             looked(kind, recipe, run, folder)
-    show(kind, read_payload(folder), folder, written=request.write, as_json=request.as_json)
+    show(finished_figures(folder), folder, written=request.write, as_json=request.as_json)
 
 
 def looked(
@@ -115,25 +114,18 @@ def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: L
     result = kind.compute(looks, timedelta(days=run.days))
     kind.keep(looks, result, folder)
     write_records(kind.records(result), folder)
-    write_payload(kind.payload(result), folder)
+    write_figures(kind.figures(result), folder)
     if run.write is not None and run.config is not None:
         write_theatre(run.config, run.write, kind.records(result))
 
 
-def show(
-    kind: CalibrationKind[Looks, Result],
-    payload: dict[str, Any],
-    folder: Path,
-    *,
-    written: Path | None,
-    as_json: bool,
-) -> None:
+def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json: bool) -> None:
     """The figures of a calibration that is finished, and the theatre file that was `written` with it."""
     if as_json:
-        terminal.print_json({**payload, "folder": str(folder)})
+        terminal.print_json({**figures.as_json(), "folder": str(folder)})
         return
-    rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
-    terminal.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
+    rows = [[one.name, one.value, one.spread] for one in figures.table()]
+    terminal.print_table(f"calibration {figures.calibration}", ["", "value", "standard error"], rows)
     told = (
         f"written to {written}"
         if written
@@ -143,7 +135,7 @@ def show(
         )
     )
     terminal.tell(f"records in {folder}: {told}")
-    for warning in kind.warnings(payload):
+    for warning in figures.warnings():
         terminal.tell(f"warning: {warning}")
 
 

@@ -6,14 +6,14 @@ OUT/<id>/result.json         what `--json` prints
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from procedures.calibration.errors import BadObservations
 from procedures.cli.calibrating.replaced_tables import with_tables
-from procedures.reporting.calibration import RESULT_FILE
+from procedures.reporting.calibration.figures import RecordFigures
+from procedures.reporting.calibration.result_file import RESULT_FILE, read_figures
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
@@ -47,18 +47,15 @@ def require_records(folders: Iterable[Path]) -> None:
             )
 
 
-def write_payload(payload: dict[str, Any], folder: Path) -> None:
-    """What `--json` prints, for the report."""
-    write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
-
-
-def read_payload(folder: Path) -> dict[str, Any]:
-    """The same of a calibration that is finished. Raises CAL-005."""
+def finished_figures(folder: Path) -> RecordFigures:
+    """The figures of a calibration that is finished. Raises CAL-005."""
     try:
-        payload: dict[str, Any] = json.loads((folder / RESULT_FILE).read_bytes())
+        figures = read_figures(folder)
     except (OSError, ValueError) as error:
         raise BadObservations(f"cannot read {folder / RESULT_FILE}: {error}") from error
-    return payload
+    if not isinstance(figures, RecordFigures):
+        raise BadObservations(f"cannot read {folder / RESULT_FILE}: it is not of a calibration")
+    return figures
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:

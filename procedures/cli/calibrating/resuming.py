@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.calibrating.calibration import CalibrationKind, conclude, looked, show
-from procedures.cli.calibrating.files import read_payload
+from procedures.cli.calibrating.files import finished_figures
 from procedures.cli.calibrating.kinds import kind_of
 from procedures.cli.calibrating.running import opened_steps
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
@@ -37,7 +37,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
             leave_report(folder, told=False)
             seal_run(folder)
         tell(f"{left.run.name} is finished: nothing remains to be done")
-        show(kind, read_payload(folder), folder, written=run.write, as_json=as_json)
+        show(finished_figures(folder), folder, written=run.write, as_json=as_json)
         return
     complete = _every_look_taken(recipe, left)
     if not complete:
@@ -48,7 +48,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
             _conclude(kind, run, recipe, left)
         else:
             looked(kind, recipe, run, folder, Resumption(left, accepted))
-    show(kind, read_payload(folder), folder, written=run.write, as_json=as_json)
+    show(finished_figures(folder), folder, written=run.write, as_json=as_json)
 
 
 @contextmanager

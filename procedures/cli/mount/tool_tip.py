@@ -9,7 +9,7 @@ from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
 from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.cli.calibrating.running import valid_now
-from procedures.reporting.calibration import TipFigures
+from procedures.reporting.calibration.mount import TipFigures
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
 
@@ -21,29 +21,29 @@ def records_of(result: TipResult) -> dict[str, Any]:
     return {"tool_tip": result.tool_tip.model_dump()}
 
 
-def payload_of(result: TipResult) -> dict[str, Any]:
-    """The figures of a calibration as plain numbers."""
+def figures_of(result: TipResult) -> TipFigures:
+    """The figures of a calibration."""
     fit, record = result.fit, result.tool_tip
     missed = [math.hypot(*one) ** 2 for one in result.misses_mm.tolist()]
-    return {
-        "calibration": record.identifier,
-        "created": record.created.isoformat(),
-        "expires": record.expires.isoformat(),
-        "tool_number": record.tool_number,
-        "readings": len(fit.misses_mm),
-        "validation_readings": len(missed),
-        "tip_in_head_mm": fit.tip_mm.tolist(),
-        "flange_from_tool": record.flange_from_tool.model_dump(),
-        "error_mm": math.sqrt(float(fit.covariance_mm2.trace())),
-        "stated_error_mm": record.stated_error_mm,
-        "stated_direction_error_rad": record.stated_direction_error_rad,
-        "reading_scatter_mm": fit.scatter_mm,
-        "validation_mm": math.sqrt(sum(missed) / len(missed)),
-        "predicted_mm": result.predicted_mm,
-        "gap_mm": fit.gap_mm.tolist(),
-        "gap_error_mm": fit.gap_error_mm,
-        "change_mm": result.change_mm,
-    }
+    return TipFigures(
+        calibration=record.identifier,
+        created=record.created.isoformat(),
+        expires=record.expires.isoformat(),
+        tool_number=record.tool_number,
+        readings=len(fit.misses_mm),
+        validation_readings=len(missed),
+        tip_in_head_mm=fit.tip_mm.tolist(),
+        flange_from_tool=record.flange_from_tool,
+        error_mm=math.sqrt(float(fit.covariance_mm2.trace())),
+        stated_error_mm=record.stated_error_mm,
+        stated_direction_error_rad=record.stated_direction_error_rad,
+        reading_scatter_mm=fit.scatter_mm,
+        validation_mm=math.sqrt(sum(missed) / len(missed)),
+        predicted_mm=result.predicted_mm,
+        gap_mm=fit.gap_mm.tolist(),
+        gap_error_mm=fit.gap_error_mm,
+        change_mm=result.change_mm,
+    )
 
 
 KIND = CalibrationKind(
@@ -56,7 +56,6 @@ KIND = CalibrationKind(
     remarks=lambda case: (*case.get(ObservedStand).result.remarks, MOUNT_THE_HEAD),
     compute=lambda looks, life: calibrate_tip(looks, life=life),
     records=records_of,
-    payload=payload_of,
-    figures=lambda payload: TipFigures.model_validate(payload).figures(),
+    figures=figures_of,
     in_use=lambda given: valid_now(given, "tool_tip", "tracker_frame"),
 )

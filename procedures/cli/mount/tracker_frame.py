@@ -9,7 +9,7 @@ from procedures.calibration.tracker_frame.looks import LOOKS_FILE, FrameLooks
 from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.cli.calibrating.running import valid_now
-from procedures.reporting.calibration import FrameFigures
+from procedures.reporting.calibration.mount import FrameFigures
 from procedures.steps.calibration.frame_looks import ObservedFrame
 
 
@@ -18,32 +18,32 @@ def records_of(result: FrameResult) -> dict[str, Any]:
     return {"tracker_frame": result.tracker_frame.model_dump()}
 
 
-def payload_of(result: FrameResult) -> dict[str, Any]:
-    """The figures of a calibration as plain numbers."""
+def figures_of(result: FrameResult) -> FrameFigures:
+    """The figures of a calibration."""
     fit, record = result.fit, result.tracker_frame
-    return {
-        "calibration": record.identifier,
-        "created": record.created.isoformat(),
-        "expires": record.expires.isoformat(),
-        "frame": record.tool,
-        "poses": len(fit.used),
-        "outliers": int((~fit.used).sum()),
-        "validation_poses": len(result.misses_mm),
-        "tool_from_marker": record.tool_from_marker.model_dump(),
-        "flange_from_marker": fit.flange_from_marker.tolist(),
-        "error_mm": fit.error_mm,
-        "error_rad": fit.error_rad,
-        "arm_error_mm": result.arm_error_mm,
-        "stated_error_mm": record.stated_error_mm,
-        "scatter_mm": fit.scatter_mm,
-        "scatter_rad": fit.scatter_rad,
-        "validation_mm": _rms(result.misses_mm.tolist()),
-        "validation_rad": _rms(result.misses_rad.tolist()),
-        "predicted_mm": result.predicted_mm,
-        "predicted_rad": result.predicted_rad,
-        "change_mm": result.change_mm,
-        "change_rad": result.change_rad,
-    }
+    return FrameFigures(
+        calibration=record.identifier,
+        created=record.created.isoformat(),
+        expires=record.expires.isoformat(),
+        frame=record.tool,
+        poses=len(fit.used),
+        outliers=int((~fit.used).sum()),
+        validation_poses=len(result.misses_mm),
+        tool_from_marker=record.tool_from_marker,
+        flange_from_marker=fit.flange_from_marker.tolist(),
+        error_mm=fit.error_mm,
+        error_rad=fit.error_rad,
+        arm_error_mm=result.arm_error_mm,
+        stated_error_mm=record.stated_error_mm,
+        scatter_mm=fit.scatter_mm,
+        scatter_rad=fit.scatter_rad,
+        validation_mm=_rms(result.misses_mm.tolist()),
+        validation_rad=_rms(result.misses_rad.tolist()),
+        predicted_mm=result.predicted_mm,
+        predicted_rad=result.predicted_rad,
+        change_mm=result.change_mm,
+        change_rad=result.change_rad,
+    )
 
 
 def _rms(misses: list[list[float]]) -> float:
@@ -60,7 +60,6 @@ KIND = CalibrationKind(
     remarks=lambda case: case.get(ObservedFrame).result.remarks,
     compute=lambda looks, life: calibrate_frame(looks, life=life),
     records=records_of,
-    payload=payload_of,
-    figures=lambda payload: FrameFigures.model_validate(payload).figures(),
+    figures=figures_of,
     in_use=lambda given: valid_now(given, "tracker_frame", "tool_tip"),
 )

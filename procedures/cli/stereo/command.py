@@ -12,8 +12,8 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
-    from procedures.calibration import CheckResult
     from procedures.engine.engine import Engine
+    from procedures.reporting.calibration.stereo_head import HeadCheckFigures
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
@@ -87,18 +87,19 @@ def check(
     from procedures.cli.stereo import files
 
     then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
-    from procedures.cli.calibrating.files import write_payload
     from procedures.cli.calibrating.running import new_folder, run_steps
+    from procedures.reporting.calibration.result_file import write_figures
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
     from procedures.steps.calibration.procedures import head_check
 
     folder = new_folder(asked.out, "check")
-    found: list[CheckResult] = []
+    found: list[HeadCheckFigures] = []
 
     def judge(engine: Engine) -> None:
         result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
-        write_payload(files.check_payload(result, then), folder)
-        found.append(result)
+        figures = files.check_figures(result, then)
+        write_figures(figures, folder)
+        found.append(figures)
         result.require()
 
     with leaving_report(folder, with_truth=False):
@@ -107,13 +108,13 @@ def check(
             with terminal.progress_bar("measuring the ball") as bar:
                 run_steps(theatre, folder, head_check(then, visits), bar, title=title, judge=judge)
         finally:
-            for result in found:
+            for figures in found:
                 if asked.as_json:
-                    terminal.print_json(files.check_payload(result, then))
+                    terminal.print_json(figures.as_json())
                 else:
                     from procedures.cli.stereo.display import print_check
 
-                    print_check(result)
+                    print_check(figures)
 
 
 @app.command()
@@ -152,10 +153,10 @@ def measure(
             from ronna_hw.records import write_whole
 
             write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
-        from procedures.cli.calibrating.files import write_payload
         from procedures.cli.stereo.display import show_look
+        from procedures.reporting.calibration.result_file import write_figures
 
-        write_payload(show_look(seen, as_json=asked.as_json), folder)
+        write_figures(show_look(seen, as_json=asked.as_json), folder)
 
 
 def main() -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from procedures.calibration import CheckResult
-from procedures.relocalization import SphereImage, StereoPoint
+from procedures.relocalization import SphereImage
 from procedures.relocalization.errors import NoSphere, NotTrusted
+from procedures.reporting.calibration.ball import BallFigures, OutlineFigures
+from procedures.reporting.calibration.stereo_head import HeadCheckFigures
 from procedures.workcell.stereo_look import Look
 from ronna_hw.command_line import terminal
 
 
-def print_check(result: CheckResult) -> None:
+def print_check(figures: HeadCheckFigures) -> None:
     """The three tests of a check."""
     rows = [
         [
@@ -22,32 +21,38 @@ def print_check(result: CheckResult) -> None:
             f"{sign.limit:.1f}",
             "CHANGED" if sign.sounds else "unchanged",
         ]
-        for sign in result.signs
+        for sign in figures.signs
     ]
     terminal.print_table(
-        f"{result.looks} measurements; arm repeatability {1000 * result.repeatability_mm:.0f} um per axis",
+        f"{figures.looks} measurements; arm repeatability {1000 * figures.repeatability_mm:.0f} um per axis",
         ["test", "change", "standard error", "chi-square", "limit", ""],
         rows,
     )
 
 
-def show_look(seen: Look, *, as_json: bool) -> dict[str, Any]:
-    """The ball in both images and in the tool frame, as it is shown as JSON.
+def show_look(seen: Look, *, as_json: bool) -> BallFigures:
+    """Print the ball in both images and in the tool frame; returns the figures.
 
     Raises what kept the look from giving a point.
     """
     point = seen.point
     if seen.left is None or seen.right is None:
         raise seen.problem or NoSphere("no ball was measured in this image pair")
-    sides = {"left": seen.left, "right": seen.right}
     if not as_json:
-        _print_outlines(sides)
+        _print_outlines({"left": seen.left, "right": seen.right})
     if point is None:
         raise seen.problem or NotTrusted("no ball was measured in this image pair")
-    payload = {**_point_payload(point), **{side: _outline_payload(one) for side, one in sides.items()}}
+    figures = BallFigures(
+        position_mm=point.position_mm.tolist(),
+        covariance_mm2=point.covariance_mm2.tolist(),
+        ray_gap_mm=point.ray_gap_mm,
+        radius_mm=point.radius_mm,
+        left=OutlineFigures.model_validate(seen.left),
+        right=OutlineFigures.model_validate(seen.right),
+    )
     if as_json:
-        terminal.print_json(payload)
-        return payload
+        terminal.print_json(figures.as_json())
+        return figures
     terminal.print_table(
         "the ball in the tool frame",
         ["x y z mm", "standard error um", "ray gap um", "radius mm"],
@@ -60,7 +65,7 @@ def show_look(seen: Look, *, as_json: bool) -> dict[str, Any]:
             ]
         ],
     )
-    return payload
+    return figures
 
 
 def _print_outlines(sides: dict[str, SphereImage]) -> None:
@@ -82,24 +87,3 @@ def _print_outlines(sides: dict[str, SphereImage]) -> None:
         ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality", ""],
         rows,
     )
-
-
-def _point_payload(point: StereoPoint) -> dict[str, Any]:
-    return {
-        "position_mm": point.position_mm.tolist(),
-        "covariance_mm2": point.covariance_mm2.tolist(),
-        "ray_gap_mm": float(point.ray_gap_mm),
-        "radius_mm": float(point.radius_mm),
-    }
-
-
-def _outline_payload(outline: SphereImage) -> dict[str, Any]:
-    return {
-        "centre_px": list(outline.centre_px),
-        "axes_px": list(outline.axes_px),
-        "quality": outline.quality,
-        "status": str(outline.status),
-        "rim_fraction": outline.rim_fraction,
-        "scatter_px": outline.scatter_px,
-        "blur_px": outline.blur_px,
-    }

@@ -5,19 +5,17 @@ OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronn
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet, calibrate_head
-from procedures.calibration.bundle import REPEATABILITY_MM
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.cli.calibrating.running import valid_now
-from procedures.reporting.calibration import HeadFigures
+from procedures.reporting.calibration.stereo_head import HeadCheckFigures, HeadFigures, SignFigures
 from procedures.steps.calibration.ball_observation import ObservedBall
 from ronna_hw.records import write_whole
 
@@ -41,62 +39,41 @@ def records_of(result: HeadResult) -> dict[str, Any]:
     return records
 
 
-def payload_of(result: HeadResult) -> dict[str, Any]:
-    """The figures of a calibration as plain numbers."""
+def figures_of(result: HeadResult) -> HeadFigures:
+    """The figures of a calibration."""
     fit, head = result.fit, result.stereo_head
-    return {
-        "calibration": head.identifier,
-        "created": head.created.isoformat(),
-        "expires": head.expires.isoformat(),
-        "serials": [head.left.serial, head.right.serial],
-        "poses": len(fit.used),
-        "outliers": np.flatnonzero(~fit.used).tolist(),
-        "image_sigma_px": fit.image_sigma_px,
-        "arm_error_mm": fit.arm_error_mm,
-        "arm_scatter_mm": fit.arm_scatter_mm,
-        "stated_error_mm": head.stated_error_mm,
-        "tool_covariance_mm2": result.tool_covariance_mm2.tolist(),
-        "tool_shift_mm": result.tool_shift_mm,
-        "frame_misfit_mm": result.frame_misfit_mm,
-        "ball_mm": fit.ball_mm.tolist(),
-        "flange_from_tool": head.flange_from_tool.model_dump(mode="json"),
-        "residuals_px": fit.residuals_px.tolist(),
-        "shifts_mm": fit.shifts_mm.tolist(),
-    }
+    return HeadFigures(
+        calibration=head.identifier,
+        created=head.created.isoformat(),
+        expires=head.expires.isoformat(),
+        serials=(head.left.serial, head.right.serial),
+        poses=len(fit.used),
+        outliers=tuple(np.flatnonzero(~fit.used).tolist()),
+        image_sigma_px=fit.image_sigma_px,
+        arm_error_mm=fit.arm_error_mm,
+        arm_scatter_mm=fit.arm_scatter_mm,
+        stated_error_mm=head.stated_error_mm,
+        tool_covariance_mm2=result.tool_covariance_mm2.tolist(),
+        tool_shift_mm=result.tool_shift_mm,
+        frame_misfit_mm=result.frame_misfit_mm,
+        ball_mm=fit.ball_mm.tolist(),
+        flange_from_tool=head.flange_from_tool,
+        residuals_px=fit.residuals_px.tolist(),
+        shifts_mm=fit.shifts_mm.tolist(),
+    )
 
 
-def check_payload(result: CheckResult, baseline: Baseline) -> dict[str, Any]:
-    """The figures of a check as plain numbers."""
-    return {
-        "calibration": baseline.stereo_head.identifier,
-        "baseline_created": baseline.created.isoformat(),
-        "passed": result.passed,
-        "looks": result.looks,
-        "repeatability_mm": result.repeatability_mm,
-        "ball_moved_mm": list(result.ball_moved_mm),
-        "signs": [
-            {
-                "name": sign.name,
-                "unit": sign.unit,
-                "value": list(sign.value),
-                "sigma": list(sign.sigma),
-                "statistic": sign.statistic,
-                "limit": sign.limit,
-                "sounds": sign.sounds,
-            }
-            for sign in result.signs
-        ],
-    }
-
-
-def warnings_of(payload: dict[str, Any]) -> Iterator[str]:
-    """When the arm that carried the head was worse than it repeats."""
-    if payload["arm_error_mm"] > REPEATABILITY_MM:
-        yield (
-            f"the arm error over these poses, {payload['arm_error_mm']:.2f} mm per axis, exceeds its "
-            f"repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
-            "adds to the tool centre; calibrate the arm before using a strategy that rotates the tool"
-        )
+def check_figures(result: CheckResult, baseline: Baseline) -> HeadCheckFigures:
+    """The figures of a check."""
+    return HeadCheckFigures(
+        calibration=baseline.stereo_head.identifier,
+        baseline_created=baseline.created.isoformat(),
+        passed=result.passed,
+        looks=result.looks,
+        repeatability_mm=result.repeatability_mm,
+        ball_moved_mm=result.ball_moved_mm,
+        signs=tuple(map(SignFigures.model_validate, result.signs)),
+    )
 
 
 KIND = CalibrationKind(
@@ -109,9 +86,7 @@ KIND = CalibrationKind(
     remarks=lambda case: case.get(ObservedBall).result.remarks,
     compute=lambda looks, life: calibrate_head(looks, life=life),
     records=records_of,
-    payload=payload_of,
-    figures=lambda payload: HeadFigures.model_validate(payload).figures(),
+    figures=figures_of,
     in_use=valid_now,
     keep=write_baseline,
-    warnings=warnings_of,
 )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import pytest
 
 from procedures.cli.calibrating.calibration import show
+from procedures.reporting.calibration.figures import Figure, RecordFigures
 
-KIND = cast("Any", SimpleNamespace(figures=lambda _payload: (), warnings=lambda _payload: ()))
+
+class NoFigures(RecordFigures):
+    def quality(self) -> Iterator[Figure]:
+        yield from ()
 
 
 @pytest.mark.parametrize(
@@ -19,7 +22,8 @@ KIND = cast("Any", SimpleNamespace(figures=lambda _payload: (), warnings=lambda 
 def test_the_message_names_the_written_file_or_how_to_write_one(
     written: Path | None, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    show(KIND, {"calibration": "tool-tip"}, Path("out"), written=written, as_json=False)
+    figures = NoFigures(calibration="tool-tip", created="", expires="")
+    show(figures, Path("out"), written=written, as_json=False)
     said = capsys.readouterr().err
     assert told in said
     assert ("--write" in said) is (written is None)

@@ -10,7 +10,7 @@ import pytest
 from clinical_case import ClinicalCell
 from prepared_results import imported_ct
 
-from procedures.reporting.calibration import RESULT_FILE
+from procedures.reporting.calibration.result_file import KINDS, RESULT_FILE
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 
@@ -20,6 +20,7 @@ HEAD: dict[str, Any] = {
     "created": "2026-01-01T10:00:00+00:00",
     "expires": "2026-01-31T10:00:00+00:00",
     "serials": ["1", "2"],
+    "poses": 2,
     "outliers": [1],
     "image_sigma_px": 0.007,
     "arm_error_mm": 0.305,
@@ -28,11 +29,15 @@ HEAD: dict[str, Any] = {
     "tool_covariance_mm2": COVARIANCE,
     "tool_shift_mm": 0.123,
     "frame_misfit_mm": 0.007,
-    "flange_from_tool": {"translation_mm": [217.574, 1.788, 62.461]},
+    "ball_mm": [500.0, 0.0, 300.0],
+    "flange_from_tool": {"translation_mm": [217.574, 1.788, 62.461], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]},
     "residuals_px": [[0.1, 0.1, 0.1, 0.1], [3.0, 3.0, 3.0, 3.0]],
+    "shifts_mm": [[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]],
 }
 CHECK: dict[str, Any] = {
     "calibration": "stereo-head-7",
+    "baseline_created": "2026-01-01T10:00:00+00:00",
+    "passed": False,
     "looks": 24,
     "repeatability_mm": 0.011,
     "ball_moved_mm": [0.0, 0.0, 0.1],
@@ -41,11 +46,22 @@ CHECK: dict[str, Any] = {
         | {"statistic": 851.0, "limit": 10.8, "sounds": True}
     ],
 }
+OUTLINE: dict[str, Any] = {
+    "centre_px": [1024.0, 544.0],
+    "axes_px": [260.0, 259.0],
+    "quality": 0.9,
+    "status": "OK",
+    "rim_fraction": 1.0,
+    "scatter_px": 0.05,
+    "blur_px": 1.2,
+}
 LOOK: dict[str, Any] = {
     "position_mm": [-0.3526, 0.9668, -0.1895],
     "covariance_mm2": COVARIANCE,
     "ray_gap_mm": 0.0036,
     "radius_mm": 5.749,
+    "left": OUTLINE,
+    "right": OUTLINE,
 }
 
 
@@ -66,6 +82,12 @@ def test_every_figure_is_shown_next_to_its_spread(
     assert f'<td class="free">{value}</td><td>{spread}</td>' in page(cell, json.dumps(figures))
 
 
+def test_the_key_that_identifies_a_kind_of_figures_is_always_in_it_and_never_in_another() -> None:
+    owners = {key: [kind for kind in KINDS.values() if key in kind.model_fields] for key in KINDS}
+    assert owners == {key: [kind] for key, kind in KINDS.items()}
+    assert all(kind.model_fields[key].is_required() for key, kind in KINDS.items())
+
+
 def test_excluded_acquisitions_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:
     page(cell, json.dumps(HEAD))
     rows = list(csv.DictReader((cell.folder / "report" / "looks.csv").read_text().splitlines()))
@@ -79,7 +101,7 @@ def test_a_check_that_found_a_change_is_reported_as_failed(cell: ClinicalCell) -
     assert "<strong>Failed.</strong> Every step was done, but the stereo head has changed (CAL-006)" in text
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"position_mm": [NaN, 0, 0]}'])
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"position_mm": [NaN, 0, 0]}'])
 def test_unreadable_figures_do_not_keep_the_rest_of_the_report_from_being_shown(
     cell: ClinicalCell, content: str
 ) -> None:
