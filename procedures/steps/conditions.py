@@ -63,6 +63,6 @@ def inserted(context: StepContext) -> tuple[str, ...]:
 def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry, or came back from it and went nowhere else."""
     workcell = context.workcell
-    if workcell.insertion is None and workcell.withdrawn_from == context.trajectory:
+    if workcell.insertion is None and workcell.history.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from procedures.workcell.insertion import Insertion
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Motion, RobotArm
 from ronna_hw.devices.readings import ArmReading
+
+
+class MotionName(StrEnum):
+    """A kind of motion, as the journal calls it."""
+
+    GO = "go"
+    HOME = "home"
+    BACK = "back"
+    STEP = "step"
+    SETTLE = "settle"
+    LINE = "line"
+    INSERT = "insert"
+    WITHDRAW = "withdraw"
 
 
 @dataclass(frozen=True)
@@ -17,7 +31,7 @@ class CellMotion:
     If the first is not clear, `otherwise` is driven in place of all, if there is any.
     """
 
-    what: str  # as the journal calls it
+    what: MotionName
     moves: str  # such as `the guide`
     to: tuple[float, ...]  # joints in rad, or the tool's position in mm
     legs: tuple[Motion, ...]

@@ -2,45 +2,43 @@
 
 from __future__ import annotations
 
-from procedures.journal.journal import Entry, Journal
+from dataclasses import replace
+
+from procedures.journal.journal import Entry
+from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.errors import InstrumentInGuide
 from procedures.workcell.worked_stages import WorkedStages
-from ronna_hw.clock import Clock
 
 
 class Instrument:
     """The journal records an insertion before it begins, and a removal once someone has confirmed it."""
 
-    def __init__(self, journal: Journal, clock: Clock) -> None:
-        self._journal = journal
-        self._clock = clock
-        self._inside: str | None = None
-        self.stages = WorkedStages(journal, clock)  # of the work with it
+    def __init__(self, log: ArmLog) -> None:
+        self._log = log
+        self.stages = WorkedStages(log)  # of the work with it
 
     @property
     def inside(self) -> str | None:
         """The trajectory, or the gauge, in which it is or may be; None while it is out."""
-        return self._inside
+        return self._log.history.instrument_in
 
     def goes_in(self, trajectory: str) -> None:
         """From here on it counts as inside."""
-        self._journal.write(Entry.INSTRUMENT, self._clock.now_s(), trajectory=trajectory, inside=True)
-        self._inside = trajectory
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
 
     def is_out(self) -> None:
-        """Somebody confirmed that it is out."""
-        if self._inside is not None:
-            self._journal.write(Entry.INSTRUMENT, self._clock.now_s(), trajectory=self._inside, inside=False)
-            self._inside = None
+        """Someone confirmed that it is out."""
+        if self.inside is not None:
+            self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
 
-    def take_up(self, trajectory: str | None) -> None:
-        """Restore the state in which a resumed run left it."""
-        self._inside = trajectory
+    def assume_inside(self, trajectory: str) -> None:
+        """It may be inside, although the journal does not say so."""
+        self._log.history = replace(self._log.history, instrument_in=trajectory)
 
     def require_out(self, what: str) -> None:
         """Raises TOOL-001 while it is inside."""
-        if self._inside is not None:
+        if self.inside is not None:
             raise InstrumentInGuide(
-                f"{what}: an instrument is in the guide, and in {self._inside}",
+                f"{what}: an instrument is in the guide, and in {self.inside}",
                 expected="the instrument removed, and confirmed to be out",
             )

@@ -9,46 +9,40 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
-from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.arm_log import ArmLog
+from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.motion_facts import motion_facts
-from ronna_hw.clock import Clock
 from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import RonnaError
 
 IN_WORDS = {
-    "go": "to the next pose, via home if necessary",
-    "home": "home",
-    "back": "back the way the arm came",
-    "step": "directly to the next pose",
-    "settle": "to the next pose, each joint arriving from its own side",
-    "line": "in a straight line",
-    "insert": "along the axis to where the guide is held",
-    "withdraw": "out along the axis",
+    MotionName.GO: "to the next pose, via home if necessary",
+    MotionName.HOME: "home",
+    MotionName.BACK: "back the way the arm came",
+    MotionName.STEP: "directly to the next pose",
+    MotionName.SETTLE: "to the next pose, each joint arriving from its own side",
+    MotionName.LINE: "in a straight line",
+    MotionName.INSERT: "along the axis to where the guide is held",
+    MotionName.WITHDRAW: "out along the axis",
 }
 
 
 class SupervisedMotion:
     """Carries motions of one arm out one after the other, numbered as they are in the journal."""
 
-    def __init__(self, journal: Journal, clock: Clock, arm: Callable[[], RobotArm]) -> None:
-        self._journal = journal
-        self._clock = clock
+    def __init__(self, log: ArmLog, arm: Callable[[], RobotArm]) -> None:
+        self._log = log
         self._arm = arm
-        self._count = 0
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
-
-    def count_from(self, count: int) -> None:
-        """Number the motions of a run that is resumed after those that it made before."""
-        self._count = count
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """From now on every motion meets that checkpoint, and the first one is asked about."""
@@ -94,9 +88,9 @@ class SupervisedMotion:
         checkpoint = self._checkpoint
         if checkpoint is None:
             raise NotConfirmed(
-                f"nobody can confirm the motion {motion.what!r}", expected="a case that is open"
+                f"nobody can confirm the motion '{motion.what}'", expected="a case that is open"
             )
-        named = f"the motion {motion.what!r} ({IN_WORDS[motion.what]})"
+        named = f"the motion '{motion.what}' ({IN_WORDS[motion.what]})"
 
         def drive() -> ArmReading:
             with checkpoint.watching(named, True):
@@ -122,20 +116,17 @@ class SupervisedMotion:
 
     def _recorded(self, motion: CellMotion, drive: Callable[[], ArmReading]) -> ArmReading:
         """The last reading of a motion that is written down before and after."""
-        self._count += 1
-        number = self._count
+        number = self._log.history.motions + 1
         intent: dict[str, JournalValue] = {"number": number, "what": motion.what, "to": list(motion.to)}
         intent["trajectory"] = motion.trajectory
         if motion.axis is not None:
             intent["axis"] = motion.axis.as_plain()
-        self._journal.write(Entry.MOTION, self._clock.now_s(), **intent)
+        self._log.write(Entry.MOTION, **intent)
         try:
             reached = drive()
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
-            self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=code)
+            self._log.note(Entry.MOVED, number=number, error=code)
             raise
-        self._journal.note(
-            Entry.MOVED, self._clock.now_s(), number=number, joints_rad=list(reached.joints_rad)
-        )
+        self._log.note(Entry.MOVED, number=number, joints_rad=list(reached.joints_rad))
         return reached

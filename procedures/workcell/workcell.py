@@ -14,10 +14,11 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
-from procedures.workcell.arm_as_left import ArmAsLeft
+from procedures.workcell.arm_history import ArmHistory
+from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
-from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.instrument import Instrument
@@ -66,15 +67,16 @@ class Workcell:
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
-        self.supervised = SupervisedMotion(journal, theatre.clock, lambda: self._arm)
+        self._log = ArmLog(journal, theatre.clock)
+        self.supervised = SupervisedMotion(self._log, lambda: self._arm)
         self._way_home = WayHome(
-            self.joints_rad, lambda what, to_rad: self._move(self._joint_motion(what, JointMove(to_rad)))
+            self.joints_rad,
+            lambda: self._log.history.trail,
+            lambda what, to_rad: self._move(self._joint_motion(what, JointMove(to_rad))),
         )
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
-        self.instrument = Instrument(journal, theatre.clock)
-        self._insertion: Insertion | None = None
-        self._withdrawn_from: str | None = None
+        self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as the arm was last told
         self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
@@ -181,30 +183,37 @@ class Workcell:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
         return self._way_home.set_home()
 
-    def take_up(self, left: ArmAsLeft, home_rad: JointVector) -> None:
-        """Take for true how a run that is taken up again left the arm. Moves nothing."""
-        self._way_home.take_up(home_rad, left.trail)
-        self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
-        self.instrument.take_up(left.instrument_in)
-        self.instrument.stages.take_up(left.stages, left.stops)
-        self.supervised.count_from(left.motions)
+    def take_up(self, history: ArmHistory, home_rad: JointVector) -> None:
+        """Restore how a run that is resumed left the arm. Moves nothing."""
+        self._way_home.take_up(home_rad)
+        self._log.history = history
+
+    def take_up_hands(self, history: ArmHistory) -> None:
+        """Restore what the hands at the guide had done; where the arm is stays as known."""
+        self._log.history = replace(
+            self._log.history,
+            instrument_in=history.instrument_in,
+            instrument_out=history.instrument_out,
+            stages=history.stages,
+            stops=history.stops,
+        )
 
     # Moving
 
     @property
+    def history(self) -> ArmHistory:
+        """What the arm and the hands at it have done so far, as the journal has it."""
+        return self._log.history
+
+    @property
     def insertion(self) -> Insertion | None:
         """The axis on which the guide is held, or on its way there."""
-        return self._insertion
+        return self._log.history.insertion
 
     @property
     def away(self) -> bool:
         """Whether the arm was led away from home and is not back. Raises what the arm raises."""
-        return self._insertion is not None or self._way_home.away
-
-    @property
-    def withdrawn_from(self) -> str | None:
-        """The trajectory from which the guide came last, if it is on none."""
-        return self._withdrawn_from
+        return self.insertion is not None or (self._log.history.left_home and not self.at_home)
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
@@ -218,20 +227,20 @@ class Workcell:
 
     def going(self, joints_rad: JointVector) -> CellMotion:
         """The motion that `go` makes."""
-        return self._joint_motion("go", JointMove(joints_rad), by_home=True)
+        return self._joint_motion(MotionName.GO, JointMove(joints_rad), by_home=True)
 
     def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> CellMotion:
         """The motion that `settle` makes."""
         onto = JointMove(joints_rad)
         if arriving is None:
-            return self._joint_motion("step", onto)
+            return self._joint_motion(MotionName.STEP, onto)
         A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
         back = JointMove((A[0], A[1], A[2], A[3], A[4], A[5]))
-        return self._joint_motion("settle", back, onto, by_home=from_afar)
+        return self._joint_motion(MotionName.SETTLE, back, onto, by_home=from_afar)
 
     def returning_home(self) -> CellMotion:
         """All that `return_home` does."""
-        home = self._joint_motion("home", JointMove(self.home_rad))
+        home = self._joint_motion(MotionName.HOME, JointMove(self.home_rad))
         back = tuple(JointMove(joints_rad) for joints_rad in self._way_home.back_rad)
         return replace(home, otherwise=back and (*back, *home.legs), detour="back the way the arm came")
 
@@ -240,18 +249,18 @@ class Workcell:
     ) -> CellMotion:
         """The motion that `line_to` makes, in the branch of `near_rad` or else of where the arm is."""
         told = self._told(pose, arriving, near_rad)
-        return self._line_motion("line", pose, LineMove(told @ self.flange_from_tool.inverse()))
+        return self._line_motion(MotionName.LINE, pose, LineMove(told @ self.flange_from_tool.inverse()))
 
     def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
         """The motion that `insert` makes; `near_rad` as for `straight`."""
         told = self._told(insertion.held, insertion.arriving, near_rad)
         line = LineMove(told, self.flange_from_tool, AXIAL_SPEED_FRACTION)
-        return self._line_motion("insert", insertion.held, line, insertion)
+        return self._line_motion(MotionName.INSERT, insertion.held, line, insertion)
 
     def withdrawing(self, insertion: Insertion) -> CellMotion:
         """The motion that `withdraw` makes."""
         line = LineMove(self._told(insertion.standoff, insertion.arriving), self.flange_from_tool)
-        return self._line_motion("withdraw", insertion.standoff, line, insertion)
+        return self._line_motion(MotionName.WITHDRAW, insertion.standoff, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
@@ -281,10 +290,9 @@ class Workcell:
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
-        self._require_outside("insert")
+        self._require_outside(MotionName.INSERT)
         self.check_mounted(MountedTool.GUIDE)
         insertion.check_on_axis(self.tool_pose())
-        self._insertion, self._withdrawn_from = insertion, None
         return self._keep_to(insertion, self.inserting(insertion))
 
     def hold(self) -> None:
@@ -298,14 +306,12 @@ class Workcell:
         Raises PRO-014 when the guide is not on that trajectory, PRO-015 when it is beside its axis, TOOL-001
         while an instrument is in it.
         """
-        insertion = self._insertion
+        insertion = self.insertion
         if insertion is None or insertion.trajectory != trajectory:
             on = "no trajectory" if insertion is None else insertion.trajectory
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         insertion.check_on_axis(self.tool_pose())
-        reached = self._keep_to(insertion, self.withdrawing(insertion))
-        self._insertion, self._withdrawn_from = None, trajectory
-        return reached
+        return self._keep_to(insertion, self.withdrawing(insertion))
 
     def recover(self, role: str, by: str) -> None:
         """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
@@ -313,7 +319,7 @@ class Workcell:
         device.recover(by)
         if device is self._arm:
             self.supervised.begin_anew()
-            if self._insertion is None:  # what is on an axis is the guide
+            if self.insertion is None:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
@@ -344,22 +350,20 @@ class Workcell:
 
     def _move(self, motion: CellMotion) -> ArmReading:
         self._require_outside(motion.what)
-        reached = self.supervised.carry_out(motion)
-        self._way_home.came_by(reached.joints_rad)
-        return reached
+        return self.supervised.carry_out(motion)
 
     def _keep_to(self, insertion: Insertion, motion: CellMotion) -> ArmReading:
         """Along the axis while the guide is on it; after a stop someone may have pushed it aside."""
         self.instrument.require_out(motion.what)
         return self.supervised.carry_out(motion, lambda: insertion.check_on_axis(self.tool_pose()))
 
-    def _joint_motion(self, what: str, *legs: JointMove, by_home: bool = False) -> CellMotion:
+    def _joint_motion(self, what: MotionName, *legs: JointMove, by_home: bool = False) -> CellMotion:
         home_rad = self._way_home.known_rad if by_home else None
         otherwise = () if home_rad is None else (JointMove(home_rad), *legs)
         return CellMotion(what, f"the {self.tool}", legs[-1].target_rad, legs, otherwise)
 
     def _line_motion(
-        self, what: str, pose: Transform, line: LineMove, axis: Insertion | None = None
+        self, what: MotionName, pose: Transform, line: LineMove, axis: Insertion | None = None
     ) -> CellMotion:
         return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
 
@@ -368,8 +372,8 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        if self._insertion is not None:
+        if self.insertion is not None:
             raise InstrumentInside(
-                f"{what}: the guide is held in front of the entry of {self._insertion.trajectory}",
-                expected=f"a retreat along {self._insertion.trajectory}",
+                f"{what}: the guide is held in front of the entry of {self.insertion.trajectory}",
+                expected=f"a retreat along {self.insertion.trajectory}",
             )

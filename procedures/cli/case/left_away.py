@@ -7,7 +7,7 @@ from pathlib import Path
 
 from procedures.cli.case.request_file import read_request
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.workcell.arm_as_left import arm_as_left
+from procedures.workcell.arm_history import arm_history
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
@@ -20,7 +20,7 @@ def left_away(last: Path | None) -> str | None:
     if last is None:
         return None
     try:
-        if not arm_as_left(read_chain(last / JOURNAL_FILE).lines).away:
+        if not arm_history(read_chain(last / JOURNAL_FILE).lines).left_home:
             return None
     except (RonnaError, OSError):
         return (

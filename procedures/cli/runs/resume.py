@@ -23,7 +23,7 @@ from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
-from procedures.workcell.arm_as_left import arm_as_left
+from procedures.workcell.arm_history import arm_history
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
@@ -103,7 +103,7 @@ def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: b
 def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
     """Whether only the last line is missing: what ends a case that runs would have ended this one."""
     order = order_of_case(request, left.run.path)
-    return Course(order, left.restored(order)).over and not arm_as_left(left.run.journal).away
+    return Course(order, left.restored(order)).over and not arm_history(left.run.journal).left_home
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

@@ -26,7 +26,7 @@ from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
 from procedures.workcell import Workcell
-from procedures.workcell.arm_as_left import ArmAsLeft, arm_as_left
+from procedures.workcell.arm_history import arm_history
 from ronna_hw.clock import Clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device, Lifecycle
@@ -101,7 +101,8 @@ class _Replay:
         records = {record.identifier: record for record in self._run.records}
         for begin, line, following in self._sections():
             self._answers.begin(begin)
-            self._as_hands_left(arm_as_left(self._run.journal[:begin]))
+            # A step that was killed is not run here, and one that a guard ended may go farther than it did.
+            self._engine.setting.workcell.take_up_hands(arm_history(self._run.journal[:begin]))
             self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
             end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)
@@ -139,12 +140,6 @@ class _Replay:
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
 
-    def _as_hands_left(self, arm: ArmAsLeft) -> None:
-        """A step that was killed is not run here, and one that a guard ended may go farther than it did."""
-        instrument = self._engine.setting.workcell.instrument
-        instrument.take_up(arm.instrument_in)
-        instrument.stages.take_up(arm.stages, arm.stops)
-
     def _void(self, key: StepKey) -> None:
         """A watch or a guard saw what ended that result; where the step saw it itself, it is gone already."""
         self._engine.course.void(key)
@@ -162,7 +157,7 @@ class _Replay:
         workcell = self._engine.setting.workcell
         self._engine.setting.memory.clear()
         with suppress(StepRefused):  # it had no home yet, and had not moved
-            workcell.take_up(arm_as_left(self._run.journal[:line]), workcell.home_rad)
+            workcell.take_up(arm_history(self._run.journal[:line]), workcell.home_rad)
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
         """Each line that something begins with, after its number, and the lines up to the next such one."""

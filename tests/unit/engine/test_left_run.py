@@ -1,6 +1,5 @@
 """A run that broke off is read back in its last state and continues in the same journal."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 
@@ -17,7 +16,6 @@ from procedures.engine.step import Outcome, StepKey
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
-from procedures.workcell.arm_as_left import arm_as_left
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.errors import JournalCorrupt
@@ -185,9 +183,3 @@ def test_only_one_program_at_a_time_can_hold_a_run(tmp_path: Path) -> None:
         pass
     with held_run(tmp_path):
         pass
-
-
-def test_a_motion_entry_without_the_instrument_position_is_refused() -> None:
-    line = {"entry": "motion", "sequence": 4, "what": "insert", "trajectory": "T1", "to": [0, 0, 0]}
-    with pytest.raises(JournalCorrupt, match="PRO-011"):
-        arm_as_left([json.loads(json.dumps(line))])

@@ -194,7 +194,7 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     recorded = Recorded(tmp_path, localization=goes_in)
     recorded.run(*CASE[:2])
     restarted(recorded)
-    recorded.cell.workcell.instrument.take_up("T1")
+    recorded.cell.workcell.instrument.assume_inside("T1")
     recorded.engine.have_instrument_out()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}

@@ -1,0 +1,151 @@
+"""The history of an arm: the same while a case runs and when its journal is read again."""
+
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+
+import pytest
+from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
+
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
+from procedures.strategies.orientation import back_along_axis
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LinkTimeout
+from ronna_hw.evidence.errors import JournalCorrupt
+
+WAY_MM = 60.0
+AWAY: JointVector = (HOME[0] + 0.1, *HOME[1:])
+FARTHER: JointVector = (HOME[0] + 0.2, *HOME[1:])
+
+
+@pytest.fixture
+def cell(cell: RecordingCell) -> RecordingCell:
+    """With the guide mounted, at home."""
+    cell.arm.mounted = GUIDE
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.set_home()
+    return cell
+
+
+def compared(history: ArmHistory) -> tuple[ArmHistory, object]:
+    """With the axis in plain numbers: a pose has no equality."""
+    axis = None if history.insertion is None else history.insertion.as_plain()
+    return replace(history, insertion=None), axis
+
+
+def ahead(cell: RecordingCell) -> Insertion:
+    """A trajectory whose stand-off is where the guide is now."""
+    held = back_along_axis(tool_pose(cell.arm.joints_rad, cell), -WAY_MM)
+    return Insertion("T1", held, WAY_MM, (1, -1) * 3)
+
+
+def nothing(_cell: RecordingCell) -> None:
+    pass
+
+
+def away(cell: RecordingCell) -> None:
+    cell.workcell.go(AWAY)
+    cell.workcell.settle(FARTHER, (1,) * 6)
+
+
+def inserted(cell: RecordingCell) -> None:
+    cell.workcell.go(AWAY)
+    cell.workcell.insert(ahead(cell))
+
+
+def worked(cell: RecordingCell) -> None:
+    inserted(cell)
+    instrument = cell.workcell.instrument
+    instrument.stages.stop_is_set("T1", {"mm": 120.5})
+    instrument.stages.begins("T1", "drill")
+    instrument.goes_in("T1")
+    instrument.stages.is_done("T1", "drill")
+    instrument.stages.begins("T1", "insert")
+
+
+def withdrawn(cell: RecordingCell) -> None:
+    worked(cell)
+    cell.workcell.instrument.is_out()
+    cell.workcell.withdraw("T1")
+
+
+def home_again(cell: RecordingCell) -> None:
+    withdrawn(cell)
+    cell.workcell.return_home()
+
+
+def failed(cell: RecordingCell) -> None:
+    cell.arm.failing = LinkTimeout("telegrams ceased")
+    with pytest.raises(LinkTimeout):
+        cell.workcell.go(AWAY)
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("made", [nothing, away, inserted, worked, withdrawn, home_again, failed])
+def test_the_journal_tells_a_resumed_case_what_the_running_one_knew(
+    cell: RecordingCell, made: Callable[[RecordingCell], None]
+) -> None:
+    made(cell)
+    read_again = arm_history(read_journal(cell.folder / JOURNAL_FILE))
+    assert compared(read_again) == compared(cell.workcell.history)
+
+
+@pytest.mark.parametrize(
+    ("made", "is_away"),
+    [(nothing, False), (away, True), (inserted, True), (withdrawn, True), (home_again, False)],
+)
+def test_the_arm_is_away_from_when_it_leaves_home_until_it_is_back(
+    cell: RecordingCell, made: Callable[[RecordingCell], None], is_away: bool
+) -> None:
+    made(cell)
+    assert cell.workcell.away is is_away
+    assert cell.workcell.history.left_home is is_away
+
+
+@pytest.mark.hazard(5)
+def test_a_first_motion_that_failed_on_its_way_leaves_the_arm_away(cell: RecordingCell) -> None:
+    failed(cell)
+    cell.arm.joints_rad = AWAY
+    assert cell.workcell.away
+
+
+def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: RecordingCell) -> None:
+    cell.workcell.go(AWAY)
+    cell.workcell.go(HOME)
+    assert not cell.workcell.away
+
+
+def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
+    cell.workcell.go(AWAY)
+    declining = RecordingOperator(Topic.FIRST_MOTION).ask
+    cell.workcell.supervised.begin_anew()
+    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
+    cell.workcell.supervised.ask_before(resting, declining)
+    with pytest.raises(NotConfirmed, match="PRO-002"):
+        cell.workcell.insert(ahead(cell))
+    assert cell.workcell.insertion is None
+
+
+def test_only_the_last_positions_of_a_long_way_are_kept() -> None:
+    line = {"entry": Entry.MOVED, "joints_rad": list(HOME)}
+    assert len(arm_history([line] * (TRAIL + 1)).trail) == TRAIL
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        {"entry": "motion", "what": "insert", "trajectory": "T1", "to": [0, 0, 0]},
+        {"entry": "moved", "joints_rad": 5},
+        {"entry": "instrument"},
+        {"entry": "stage", "trajectory": "T1"},
+    ],
+    ids=lambda line: line["entry"],
+)
+def test_a_line_that_is_not_ours_is_refused(line: dict[str, object]) -> None:
+    with pytest.raises(JournalCorrupt, match=r"PRO-011.*line 4"):
+        arm_history([{"sequence": 4, **line}])  # type: ignore[dict-item]
