@@ -9,7 +9,8 @@ from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.contest import contest, cpu_of
 from benchmarks.figures import Figure, compared
-from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.link_state import Choice
+from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import sweep_path

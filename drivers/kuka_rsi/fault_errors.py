@@ -25,7 +25,7 @@ from drivers.kuka_rsi.realtime.strangers import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -119,13 +119,13 @@ def error_of_wait(
 
 def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:
     what = f"{where} the monitor stopped the arm: {state.violation_kind} of"
-    if state.violation_kind not in (CLEARANCE, ZONE_SPEED):
+    if state.violation_kind not in (ViolationKind.CLEARANCE, ViolationKind.ZONE_SPEED):
         return MotionTripped(
             f"{what} A{state.violation_axis}",
             limit=f"{degrees(state.violation_limit):.4f} deg",
             got=f"{degrees(state.violation_value):.4f} deg",
         )
-    unit = "mm" if state.violation_kind == CLEARANCE else "mm/s"
+    unit = "mm" if state.violation_kind == ViolationKind.CLEARANCE else "mm/s"
     names = "its bodies"
     if state.violation_axis < len(bodies.pairs):
         names = "{} and {}".format(*bodies.names(bodies.pairs[state.violation_axis]))

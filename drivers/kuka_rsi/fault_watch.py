@@ -21,7 +21,7 @@ from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
-from ronna_hw.arm.monitor import FOLLOWING_ERROR
+from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
@@ -196,4 +196,4 @@ class FaultWatch:
 
 
 def _no_longer_follows(state: LinkState) -> bool:
-    return state.fault is Fault.MONITOR and state.violation_kind == FOLLOWING_ERROR
+    return state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR

@@ -15,7 +15,6 @@ from dataclasses import replace
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
 from drivers.kuka_rsi.realtime.link_state import (
-    CHOICES,
     Command,
     CommandKind,
     LinkState,
@@ -163,13 +162,13 @@ class LinkClient:
         """The last cycles, oldest first; frozen while a fault is latched."""
         return tuple(
             RecordedCycle(
-                r.cycle,
-                r.IPOC,
-                r.received_ns,
-                r.turnaround_us,
-                CHOICES[r.choice],
-                r.measured_rad,
-                r.sent_rad,
+                cycle=r.cycle,
+                IPOC=r.IPOC,
+                received_ns=r.received_ns,
+                turnaround_us=r.turnaround_us,
+                choice=r.choice.name.lower(),
+                measured_rad=r.measured_rad,
+                sent_rad=r.sent_rad,
             )
             for r in self._mailbox.records()
         )

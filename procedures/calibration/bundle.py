@@ -29,6 +29,7 @@ from procedures.calibration.observations import Observation
 from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
@@ -52,7 +53,6 @@ DERIVATIVE_STEP = 1e-6  # rad, mm or px: all parameters are of the order of one
 HUBER = 2.0  # sigmas
 OUTLIER_CHI2 = 18.5  # exceeded by 0.1 % of good views, with four degrees of freedom
 MOST_OUTLIERS = 0.2
-MAD_TO_SIGMA = 1.4826
 
 
 @dataclass(frozen=True)
@@ -281,8 +281,8 @@ def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, 
     """Robust sizes of the arm's error per axis, and of the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
-    arm = MAD_TO_SIGMA * float(np.median(np.abs(shifts[used]))) / freedom
-    image = MAD_TO_SIGMA * float(np.median(np.abs(gaps[used]))) / freedom
+    arm = robust_sigma(shifts[used]) / freedom
+    image = robust_sigma(gaps[used]) / freedom
     return max(arm, LEAST_ARM_ERROR_MM), max(image, 1.0)
 
 

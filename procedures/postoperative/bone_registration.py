@@ -17,6 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.postoperative.errors import HeadsDiffer, NoBone
+from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -160,7 +161,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
         gradient, there, inside = _sampled(target, turned + centre)
         residuals = (there - values)[inside]
         gradient, lever = gradient[inside], turned[inside]
-        scale = 1.4826 * float(np.median(np.abs(residuals))) + 1.0
+        scale = robust_sigma(residuals) + 1.0
         weights = 1.0 / (1.0 + (residuals / (2.385 * scale)) ** 2)
         jacobian = np.hstack([np.cross(lever, gradient), gradient])
         weighted = jacobian * weights[:, None]
@@ -192,5 +193,5 @@ def _judged(points: Array, values: Array, target: _Level, pose: RigidTransform) 
     if np.count_nonzero(inside) < LEAST_POINTS // 2:
         return 0.0, overlap, float("inf")
     correlation = float(np.corrcoef(there[inside], values[inside])[0, 1])
-    residual = 1.4826 * float(np.median(np.abs(there[inside] - values[inside])))
+    residual = robust_sigma(there[inside] - values[inside])
     return correlation, overlap, residual

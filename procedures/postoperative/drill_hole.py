@@ -22,8 +22,9 @@ from procedures.postoperative.bone_registration import (
     bone_at,
     finely_at,
 )
-from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound, spread_of
+from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
 from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
+from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -91,7 +92,7 @@ def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle:
     quality = FitQuality(
         found.success,
         not at_bound(found.x, LOW, HIGH)[:PLACED].any(),
-        spread_of(residuals(found.x)),
+        robust_sigma(residuals(found.x)),
         float(radius_mm),
     )
     return FoundHole(middle_mm, -inwards / np.linalg.norm(inwards), quality)

@@ -56,8 +56,3 @@ def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Which parameters (n,) ended at a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))
-
-
-def spread_of(residuals: Array) -> float:
-    """A robust standard deviation."""
-    return 1.4826 * float(np.median(np.abs(residuals)))

@@ -17,8 +17,9 @@ from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
 from procedures.postoperative.bone_registration import bone_at
-from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound, spread_of
+from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
 from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
+from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
     first = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=LEAST_SCALE_HU * 3)
-    scale = max(LEAST_SCALE_HU, spread_of(residuals(first.x)))
+    scale = max(LEAST_SCALE_HU, robust_sigma(residuals(first.x)))
     found = least_squares(residuals, first.x, bounds=(low, high), loss="soft_l1", f_scale=2.0 * scale)
     tip_u, tip_v, end_u, end_v, depth_mm = found.x[:PLACED]
     share = depth_mm / outside_mm  # the line continues beyond the coarse tip
@@ -105,7 +106,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     quality = FitQuality(
         found.success,
         not at_bound(found.x, low, high)[:PLACED].any(),
-        spread_of(residuals(found.x)),
+        robust_sigma(residuals(found.x)),
         float(found.x[6]),
     )
     return FoundRod(tip, outwards, quality)

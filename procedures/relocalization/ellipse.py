@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.robust_scale import robust_sigma
+
 Array = NDArray[np.float64]
 
 START_ITERATIONS = 3
@@ -20,7 +22,6 @@ AGREEMENT_PX = 0.6  # the outline of a sphere in a corner of the image deviates 
 SEED = 20250711
 ITERATIONS = 12
 TUKEY = 4.685  # 95 % efficiency for normal errors
-MAD_TO_SIGMA = 1.4826
 SIGMA_FLOOR_PX = 0.01  # smaller residuals come from the model, not from noise
 STEP_END_PX = 1e-4
 LEAST_POINTS = 10
@@ -138,7 +139,7 @@ def _agreeing(points_px: Array) -> NDArray[np.bool_]:
 
 
 def _tukey(residual: Array) -> tuple[Array, float]:
-    sigma = max(MAD_TO_SIGMA * float(np.median(np.abs(residual))), SIGMA_FLOOR_PX)
+    sigma = max(robust_sigma(residual), SIGMA_FLOOR_PX)
     ratio = np.minimum(np.abs(residual) / (TUKEY * sigma), 1.0)
     return np.asarray((1.0 - ratio**2) ** 2), sigma
 

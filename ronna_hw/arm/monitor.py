@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from enum import StrEnum
 from math import degrees, radians
 from typing import NamedTuple
 
@@ -21,31 +22,39 @@ ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
 FOLLOWING_TIME_S = 0.25  # how late an arm may be at a set-point: dead time and servo lag stay below 0.1 s
 FOLLOWING_RAD = radians(0.1)  # off the range of set-points of that time; servo overshoot is not published
-FOLLOWING_ERROR = "following error"  # the kind of violation that a stop by the controller causes too
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
-
-CLEARANCE, ZONE_SPEED = "clearance", "speed near the head"  # kinds that concern bodies rather than axes
-
-
 History = tuple[JointVector, JointVector, JointVector, JointVector]
+
+
+class ViolationKind(StrEnum):
+    """The limit that was exceeded; `CLEARANCE` and `ZONE_SPEED` are of two bodies, the others of an axis."""
+
+    RANGE = "range"
+    TOTAL_CORRECTION = "total correction"
+    STEP = "step"
+    ACCELERATION = "acceleration"
+    JERK = "jerk"
+    FOLLOWING_ERROR = "following error"  # a stop by the controller causes it too
+    CLEARANCE = "clearance"
+    ZONE_SPEED = "speed near the head"
 
 
 class Violation(NamedTuple):
     """What was exceeded, on which axis (from 1), the value and its limit; angles in rad.
 
-    For the kinds `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Bodies.pairs`.
+    For `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Bodies.pairs`.
     """
 
-    kind: str
+    kind: ViolationKind
     axis: int
     value: float
     limit: float
 
     def __str__(self) -> str:
-        if self.kind == CLEARANCE:
+        if self.kind is ViolationKind.CLEARANCE:
             return f"{self.kind} of pair {self.axis}: {self.value:.2f} under {self.limit:.2f} mm"
-        if self.kind == ZONE_SPEED:
+        if self.kind is ViolationKind.ZONE_SPEED:
             return f"{self.kind} of pair {self.axis}: {self.value:.1f} over {self.limit:.1f} mm/s"
         return (
             f"{self.kind} of axis {self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
@@ -136,30 +145,31 @@ class Monitor:
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
             if not low <= angle <= high:  # NaN fails here
-                return Violation("range", i + 1, angle, limits.upper_rad[i] if angle > 0 else low)
+                return Violation(ViolationKind.RANGE, i + 1, angle, limits.upper_rad[i] if angle > 0 else low)
             total = angle - self._start[i]
             if not (
                 limits.correction_lower_rad[i] - RANGE_ROUNDING_RAD
                 <= total
                 <= limits.correction_upper_rad[i] + RANGE_ROUNDING_RAD
             ):
-                return Violation("total correction", i + 1, total, limits.correction_upper_rad[i])
+                return Violation(ViolationKind.TOTAL_CORRECTION, i + 1, total, limits.correction_upper_rad[i])
             step = angle - one[i]
             if abs(step) > limits.step_rad[i]:
-                return Violation("step", i + 1, step, limits.step_rad[i])
+                return Violation(ViolationKind.STEP, i + 1, step, limits.step_rad[i])
             before = one[i] - two[i]
             bend = step - before
             if abs(bend) > limits.second_difference_rad[i]:
-                return Violation("acceleration", i + 1, bend, limits.second_difference_rad[i])
+                return Violation(ViolationKind.ACCELERATION, i + 1, bend, limits.second_difference_rad[i])
             twist = bend - before + two[i] - three[i]
             if abs(twist) > limits.third_difference_rad[i]:
-                return Violation("jerk", i + 1, twist, limits.third_difference_rad[i])
+                return Violation(ViolationKind.JERK, i + 1, twist, limits.third_difference_rad[i])
         if self._watch is None:
             return None
         met = self._watch.check(joints_rad)
         if met is None:
             return None
-        return Violation(ZONE_SPEED if met.is_speed else CLEARANCE, met.pair, met.value, met.limit)
+        kind = ViolationKind.ZONE_SPEED if met.is_speed else ViolationKind.CLEARANCE
+        return Violation(kind, met.pair, met.value, met.limit)
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record that this set-point was sent."""
@@ -176,7 +186,7 @@ class Monitor:
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
             if not abs(step) <= self.limits.step_rad[i]:
-                return Violation("step", i + 1, step, self.limits.step_rad[i])
+                return Violation(ViolationKind.STEP, i + 1, step, self.limits.step_rad[i])
         return None
 
     def sent_again(self) -> None:
@@ -207,5 +217,5 @@ class Monitor:
             low, high = min(turned), max(turned)
             if not low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:  # NaN fails here
                 error = angle - (high if angle > high else low)
-                return Violation(FOLLOWING_ERROR, i + 1, error, FOLLOWING_RAD)
+                return Violation(ViolationKind.FOLLOWING_ERROR, i + 1, error, FOLLOWING_RAD)
         return None

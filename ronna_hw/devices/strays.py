@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from ronna_hw.devices.errors import BadStrays
 from ronna_hw.devices.readings import TrackerFrame, Validity, Vector3
+from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
 LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
 OUTLIER_SIGMAS = 5.0  # from the median, in units of the median absolute deviation
-MAD_TO_SIGMA = 1.4826  # for normal noise
 LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be its own outlier
 
 
@@ -132,7 +132,7 @@ def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[i
 def _average(group: _Growing) -> StrayGroup:
     readings = np.array(group.readings)
     from_median = np.linalg.norm(readings - np.median(readings, axis=0), axis=1)
-    sigma = max(MAD_TO_SIGMA * float(np.median(from_median)), LEAST_SIGMA_MM)
+    sigma = max(robust_sigma(from_median), LEAST_SIGMA_MM)
     kept = readings[from_median <= OUTLIER_SIGMAS * sigma]
     mean = kept.mean(axis=0)
     covariance = np.cov(kept.T) if len(kept) > 1 else np.zeros((3, 3))

@@ -6,7 +6,7 @@ from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.monitor import CLEARANCE, FOLLOWING_ERROR, ZONE_SPEED
+from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
@@ -73,14 +73,17 @@ class Result(IntEnum):
     REFUSED_STOP = 8  # a stop was ordered after the motion was planned
 
 
-VIOLATIONS = (
-    *("", "range", "total correction", "step", "acceleration", "jerk"),
-    *(FOLLOWING_ERROR, CLEARANCE, ZONE_SPEED),
-)
+class Choice(IntEnum):
+    """What a reply carries."""
+
+    GO = 0
+    STOP = 1
+    REPEAT = 2  # the last point again: it was not accepted, and the path waits for it
+    HOLD = 3  # the point that the controller holds: only correct after it has held it for some cycles
+
+
+VIOLATIONS = ("", *ViolationKind)
 NOTHING_AROUND = Surroundings()
-CHOICES = ("go", "stop", "repeat", "hold")
-
-
 STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
 STOP_KIND = (1 << STOP_KIND_BITS) - 1
 
@@ -179,4 +182,4 @@ class Record(NamedTuple):
     turnaround_us: Annotated[float, "d"]
     measured_rad: Annotated[JointVector, "6d"]
     sent_rad: Annotated[JointVector, "6d"]
-    choice: Annotated[int, "B"]
+    choice: Annotated[Choice, "B"]

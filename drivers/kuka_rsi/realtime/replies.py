@@ -5,7 +5,8 @@ from __future__ import annotations
 from math import degrees
 from typing import NamedTuple
 
-from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.link_state import Choice
+from drivers.kuka_rsi.realtime.set_points import SetPoints
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, ReplyWriter
 from ronna_hw.devices.readings import JointVector

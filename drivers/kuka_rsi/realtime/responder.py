@@ -18,6 +18,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     STOP_KIND,
     STOP_KIND_BITS,
+    Choice,
     Command,
     CommandKind,
     Fault,
@@ -29,7 +30,7 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.losses import Losses
 from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
-from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.set_points import SetPoints
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.strangers import Strangers
 from drivers.kuka_rsi.realtime.telegram import Telegram
@@ -237,34 +238,34 @@ class Responder:
         """For the mailbox."""
         violation = self.violation
         return LinkState(
-            self.cycles,
-            self._ipoc,
-            self._received_ns,
-            self.phase,
-            self.fault,
-            self.result,
-            self._losses.degraded,
-            self.moving,
-            self._settled_cycles >= SETTLE_CYCLES,
-            real_time,
-            locked,
-            self._command_number,
-            self._stop_word >> STOP_KIND_BITS,
-            self._losses.late,
-            self._losses.lost,
-            self.rejected,
-            self.dropped,
-            self.strangers.count,
-            self.strangers.host,
-            self.strangers.disagreeing,
-            self._measured,
-            self.sent_rad,
-            NO_STATE.base_rad if self._points is None else self._base_rad,
-            violation.kind if violation else "",
-            violation.axis if violation else 0,
-            violation.value if violation else 0.0,
-            violation.limit if violation else 0.0,
-            0,
+            cycles=self.cycles,
+            IPOC=self._ipoc,
+            received_ns=self._received_ns,
+            phase=self.phase,
+            fault=self.fault,
+            result=self.result,
+            degraded=self._losses.degraded,
+            moving=self.moving,
+            settled=self._settled_cycles >= SETTLE_CYCLES,
+            real_time=real_time,
+            locked=locked,
+            command_number=self._command_number,
+            stop_number=self._stop_word >> STOP_KIND_BITS,
+            late=self._losses.late,
+            lost=self._losses.lost,
+            rejected=self.rejected,
+            dropped=self.dropped,
+            foreign=self.strangers.count,
+            foreign_host=self.strangers.host,
+            disagreeing=self.strangers.disagreeing,
+            measured_rad=self._measured,
+            commanded_rad=self.sent_rad,
+            base_rad=NO_STATE.base_rad if self._points is None else self._base_rad,
+            violation_kind=violation.kind if violation else "",
+            violation_axis=violation.axis if violation else 0,
+            violation_value=violation.value if violation else 0.0,
+            violation_limit=violation.limit if violation else 0.0,
+            errno=0,
         )
 
     def _answer_loss(self, points: SetPoints) -> bytes:

@@ -6,8 +6,7 @@ what was actually sent replaces it: onwards along the arm's present motion.
 
 from __future__ import annotations
 
-from enum import IntEnum
-
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -18,15 +17,6 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
-
-
-class Choice(IntEnum):
-    """What a reply carries."""
-
-    GO = 0
-    STOP = 1
-    REPEAT = 2  # the last point again: it was not accepted, and the path waits for it
-    HOLD = 3  # the point that the controller holds: only correct after it has held it for some cycles
 
 
 class SetPoints:

@@ -147,9 +147,8 @@ def _start(pairs: PosePairs) -> tuple[Array, Array]:
         for one, other in zip(a, b, strict=True)
     ]
     null = np.linalg.svd(np.vstack(equations))[2][-1]
-    sign = np.sign(np.linalg.det(null[:9].reshape(3, 3)))
     x, z = np.eye(4), np.eye(4)
-    x[:3, :3], z[:3, :3] = (_nearest_rotation(sign * half.reshape(3, 3)) for half in (null[:9], null[9:]))
+    x[:3, :3], z[:3, :3] = (_rotation_along(half.reshape(3, 3)) for half in (null[:9], null[9:]))
     left = np.concatenate([a[:, :3, :3], np.tile(-unit, (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
     right = (np.einsum("ij,mj->mi", z[:3, :3], b[:, :3, 3]) - a[:, :3, 3]).ravel()
     solution = np.linalg.lstsq(left, right, rcond=None)[0]
@@ -157,9 +156,9 @@ def _start(pairs: PosePairs) -> tuple[Array, Array]:
     return x, z
 
 
-def _nearest_rotation(matrix: Array) -> Array:
-    left, _, right = np.linalg.svd(matrix)
-    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+def _rotation_along(matrix: Array) -> Array:
+    """The rotation nearest to a multiple of the matrix; the null vector's sign and length are arbitrary."""
+    return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 
 def _changed(pose: Array, change: Array) -> Array:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.region import Region
+from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -33,7 +34,6 @@ PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
 CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
-MAD_TO_SIGMA = 1.4826
 MIN_SCALE_MM = 1e-3
 MIN_RAYS = 24
 
@@ -177,7 +177,7 @@ def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array,
         offsets = points_mm - centre_mm
         distances = np.linalg.norm(offsets, axis=1)
         residuals = distances - radius_mm
-        scale = max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), MIN_SCALE_MM)
+        scale = max(robust_sigma(residuals), MIN_SCALE_MM)
         weights = 1.0 / (1.0 + (residuals / (CAUCHY * scale)) ** 2)
         jacobian = np.column_stack([-offsets / distances[:, None], -np.ones(len(offsets))])
         normal = jacobian.T @ (weights[:, None] * jacobian)

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.robust_scale import robust_sigma
+
 Array = NDArray[np.float64]
 Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,) and derivatives (n, m)
 
@@ -14,7 +16,6 @@ STEPS = 25
 DONE_MM = 5e-5
 CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
 FLAT_TO = 6.0  # standard deviations, at which the weight is a half
-MAD_TO_SIGMA = 1.4826
 MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
 MIN_GROWTH = 0.1
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
@@ -59,7 +60,7 @@ def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array]
 
 def scale(residuals: Array) -> float:
     """Robust standard deviation of the residuals."""
-    return max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), MIN_NOISE_HU)
+    return max(robust_sigma(residuals), MIN_NOISE_HU)
 
 
 def cauchy_weights(residuals: Array, noise: float) -> Array:

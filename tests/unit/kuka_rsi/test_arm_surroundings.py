@@ -10,16 +10,16 @@ import pytest
 from drivers.kuka_rsi.errors import MotionTripped
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Command, CommandKind, Fault
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Command, CommandKind, Fault
 from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox
-from drivers.kuka_rsi.realtime.set_points import Choice, SetPoints
+from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
@@ -100,7 +100,7 @@ def test_the_real_time_process_trips_on_an_obstacle_that_planning_missed() -> No
         points.commit(Choice.GO)
         points.prepare()
     assert points.violation is not None
-    assert points.violation.kind == CLEARANCE
+    assert points.violation.kind == ViolationKind.CLEARANCE
     before = points.last_rad[0]
     while points.moving:
         points.commit(Choice.STOP)
@@ -122,12 +122,12 @@ def _fault(kind: str, pair: int, value: float, limit: float) -> Any:
 def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
     bodies = Bodies(MODEL, _post_beside(15.0))
     pair = next(k for k, one in enumerate(bodies.pairs) if bodies.names(one) == ("hand", "drip stand"))
-    error = _fault(CLEARANCE, pair, 4.2, 5.0)
+    error = _fault(ViolationKind.CLEARANCE, pair, 4.2, 5.0)
     assert isinstance(error, MotionTripped)
     assert "clearance of hand and drip stand" in str(error)
     assert (error.limit, error.got) == ("5.0 mm", "4.2 mm")
-    assert _fault(ZONE_SPEED, pair, 80.0, 60.0).got == "80.0 mm/s"
-    assert "its bodies" in str(_fault(CLEARANCE, 255, 4.2, 5.0))
+    assert _fault(ViolationKind.ZONE_SPEED, pair, 80.0, 60.0).got == "80.0 mm/s"
+    assert "its bodies" in str(_fault(ViolationKind.CLEARANCE, 255, 4.2, 5.0))
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.monitor import FOLLOWING_ERROR
+from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
@@ -192,7 +192,9 @@ def test_a_link_process_that_dies_while_the_arm_is_parked_is_a_fault_at_once() -
     assert isinstance(watched.guard.fault, LinkProcessDied)
 
 
-NO_LONGER_FOLLOWS = MOVING._replace(phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=FOLLOWING_ERROR)
+NO_LONGER_FOLLOWS = MOVING._replace(
+    phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=ViolationKind.FOLLOWING_ERROR
+)
 
 
 @pytest.mark.hazard(38)

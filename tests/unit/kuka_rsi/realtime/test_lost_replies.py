@@ -17,6 +17,7 @@ from drivers.kuka_rsi.errors import LinkUnusable
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import (
+    Choice,
     Command,
     CommandKind,
     Fault,
@@ -26,7 +27,6 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.responder import Responder
-from drivers.kuka_rsi.realtime.set_points import Choice
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
