@@ -15,13 +15,13 @@ from procedures.calibration.observations import read_strict
 from procedures.cli.calibrating.files import finished_figures, write_records, write_theatre
 from procedures.cli.calibrating.running import new_folder, run_steps
 from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Resumption
 from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.engine.run_lock import held_run
 from procedures.reporting.calibration.figures import RecordFigures
 from procedures.reporting.calibration.result_file import write_figures
+from procedures.session.procedure import Resumption
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.calibration import Strict
 from ronna_hw.command_line import terminal

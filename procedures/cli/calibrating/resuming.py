@@ -12,12 +12,13 @@ from procedures.cli.calibrating.files import finished_figures
 from procedures.cli.calibrating.kinds import kind_of
 from procedures.cli.calibrating.running import opened_steps
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
-from procedures.cli.case.opening import Resumption, Watcher
+from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CalibrationRun
 from procedures.cli.runs.left_runs import close_left, make_ready, require_free_devices
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
+from procedures.session.procedure import Resumption
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import WritePrompt, write_prompt
 from procedures.cli.case.event_follower import EventFollower
-from procedures.cli.case.opening import Procedure, Resumption, Watcher, opened_engine
+from procedures.cli.case.opening import Watcher, opened_engine
 from procedures.cli.case.request import (
     CalibrationRun,
     TheatreRequest,
@@ -21,6 +21,7 @@ from procedures.cli.case.request import (
 )
 from procedures.cli.case.request_file import write_request
 from procedures.engine.events import Event, Progress
+from procedures.session.procedure import Procedure, Resumption
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

@@ -10,13 +10,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import error_of
-from procedures.cli.case.opening import Resumption, Watcher, opened_case
+from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.journal.journal import Entry, Line
 from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
+from procedures.session.procedure import Resumption
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:

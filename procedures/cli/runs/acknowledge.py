@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Resumption, Watcher
+from procedures.cli.case.opening import Watcher
 from procedures.cli.runs.left_runs import (
     held_left_run,
     make_ready,
@@ -19,6 +19,7 @@ from procedures.cli.runs.left_runs import (
     require_free_devices,
 )
 from procedures.engine.device_faults import acknowledged
+from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import on_terminal, print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError

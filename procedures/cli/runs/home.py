@@ -7,7 +7,6 @@ from pathlib import Path
 
 from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Resumption
 from procedures.cli.runs.left_runs import (
     held_left_run,
     make_ready,
@@ -17,6 +16,7 @@ from procedures.cli.runs.left_runs import (
 )
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import Entry
+from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import print_json
 
 

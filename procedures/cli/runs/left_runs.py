@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.cli.case.opening import Resumption, Watcher, opened_case
+from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.case.request_file import read_request
 from procedures.engine.closing import close_run
@@ -19,6 +19,7 @@ from procedures.engine.run_lock import held_run
 from procedures.engine.theatre_lock import require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
+from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.host.folder_walk import remove_folder, walk

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.case_inputs import clinical_input, order_of_case
 from procedures.cli.case.display import follow, show_outcome
 from procedures.cli.case.leaving_report import leave_report, seal_run
-from procedures.cli.case.opening import Resumption, Watcher
+from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.runs.left_runs import (
@@ -23,6 +23,7 @@ from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
+from procedures.session.procedure import Resumption
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell

@@ -9,13 +9,14 @@ import tomli_w
 from recording_cell import ENDPOINTS
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
-from procedures.cli.case.opening import Resumption, Watcher
+from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.who_answers import operator_of
 from procedures.engine.errors import AnswersUnfit
 from procedures.engine.left_run import LeftRun
 from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
+from procedures.session.procedure import Resumption
 from procedures.steps.answer_words import ANSWER_WORDS
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import named_scene

@@ -1,0 +1,32 @@
+"""The guards and watches of a session: what suspends a step, before and while the arm moves."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from procedures.engine.engine import Engine
+from procedures.engine.step import StepKey
+from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
+from procedures.recovery.moved_cart import MovedCart
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.validity.inputs import UnchangedInputs
+from procedures.steps.clinical.validity.moved_head import void_moved
+
+
+def guard(engine: Engine, *, only_leaving: bool = False) -> None:
+    """Every guard of a calibration or, if it has a patient, of a case.
+
+    With `only_leaving` the inputs are not compared: whatever has changed, the arm may go home.
+    """
+    setting, guards = engine.setting, engine.checkpoint.guards
+    workcell = setting.workcell
+    guards.extend(standing_guards(workcell, engine.case.folder, setting.clock, engine.find))
+    if setting.clinical is None:
+        return
+    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    if not only_leaving:
+        guards.append(UnchangedInputs(engine, setting.clinical))
+    void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
+    guards.append(sight_guard(engine, void))
+    guards.append(GuideStill(workcell, setting.clock, setting.memory))
+    engine.checkpoint.watching = patient_watch(engine, void).watching
