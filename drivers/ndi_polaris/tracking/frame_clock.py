@@ -28,7 +28,6 @@ class FrameClock:
     """Frame numbers of one run of tracking, unwrapped and fitted to theatre time."""
 
     def __init__(self) -> None:
-        self.jumps = 0  # detected resets of the counter
         self._begin()
 
     def _begin(self) -> None:
@@ -42,7 +41,6 @@ class FrameClock:
     def note(self, count: int, arrived_s: float) -> float:
         """Add a reply for frame `count`; returns the fitted theatre time of that frame."""
         if self._origin_s is not None and arrived_s < self._time_s(self._origin_s, count) - JUMP_S:
-            self.jumps += 1
             self._begin()
         window = count // WINDOW_FRAMES
         if window != self._window:

@@ -59,7 +59,7 @@ _ELSEWHERE: dict[int, str] = {
     19: "needs dedicated contexts: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
-    24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_program_run.py",
+    24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_axis_limits.py",
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
     32: "needs RSIPI: tests/system/test_kuka_link_rsipi.py",
     33: "needs RSIPI: tests/system/test_kuka_sim_rsipi.py; the C++ clients are not on the Python index",

@@ -7,7 +7,6 @@ towards the robot; the tracker views the head from above and the side.
 from __future__ import annotations
 
 from math import radians
-from typing import Literal
 
 import numpy as np
 
@@ -40,8 +39,6 @@ STAND_SPREAD_MM = 3.0
 DIVOT_MM = 0.005  # per axis: manufacturing tolerance of such stands
 DIALS_RAD = radians(1.0)
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
-
-SceneName = Literal["default", "mini", "bench", "bench-near"]
 
 
 def named_scene(

@@ -53,6 +53,15 @@ class Bench:
     controller: Controller
     published: list[ArmState] = field(default_factory=list)
 
+    @property
+    def A1_deg(self) -> float:
+        return self.controller.arm.axes_deg[0]
+
+    @property
+    def message_number(self) -> int:
+        assert self.controller.message is not None
+        return int(self.controller.message.number)
+
     def telegram(self) -> bytes:
         run = self.controller.run
         assert run is not None

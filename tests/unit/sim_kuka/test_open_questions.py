@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import open_questions
 import pytest
+from kuka_stage import on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
@@ -33,10 +34,6 @@ OF_THE_SIMULATION = {
     "line_turn_rad_s",
 }
 WIDE_DEG = (400.0,) * 6
-
-
-def on_a1(value: float) -> tuple[float, ...]:
-    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture

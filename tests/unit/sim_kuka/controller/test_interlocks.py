@@ -6,13 +6,10 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from kuka_stage import on_a1
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.controller_parameters import ControllerParameters
-
-
-def on_a1(value: float) -> tuple[float, ...]:
-    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.fixture

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from kuka_stage import on_a1
 
 from ronna_hw.wire.kuka_eki import AckCode, RsiState
 from sim.errors import BadFaultScript
@@ -28,10 +29,6 @@ NUMBERS = {
     "singularity": 1102,
 }
 ON_ITS_PATH = {"timeout", "rsi_bad", "monitor", "end_switch"}  # the arm brakes with its drives on
-
-
-def on_a1(value: float) -> tuple[float, ...]:
-    return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 def test_a_script_can_name_every_existing_message_and_no_other() -> None:

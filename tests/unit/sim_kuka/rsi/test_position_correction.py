@@ -12,11 +12,6 @@ from ronna_hw.wire.kuka_context import RsiContext
 from sim.world.scene.model import ArmTruth
 
 
-def message_of(bench: Any) -> int:
-    assert bench.controller.message is not None
-    return int(bench.controller.message.number)
-
-
 def position_bench(
     make_bench: Callable[..., Any],
     context_with: Callable[..., RsiContext],
@@ -61,7 +56,7 @@ def test_cartesian_corrections_are_clamped_and_monitored(
     assert bench.controller.run.correction_stats == (0, 0b11)
     with pytest.raises(AssertionError):
         bench.ramp((8.0, 5.0, 0.0, 0.0, 0.0, 0.0), from_deg=(8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    assert message_of(bench) == 29000
+    assert bench.message_number == 29000
 
 
 def test_a_cartesian_correction_through_a_singularity_raises_a_wrist_velocity_fault(
@@ -72,7 +67,7 @@ def test_a_cartesian_correction_through_a_singularity_raises_a_wrist_velocity_fa
     bench.enter_movecorr()
     with pytest.raises(AssertionError):
         bench.ramp((0.0, 0.0, 0.0, 2.0, 0.0, 0.0), steps=500)
-    assert message_of(bench) == 1102
+    assert bench.message_number == 1102
     assert "singularity" in bench.controller.message.text
     seen = np.array([state.joints_rad for state in bench.published])
     full_step_deg = [joint.full_speed_deg_s * 0.004 for joint in bench.controller.arm.description.joints]

@@ -1,0 +1,83 @@
+"""`acknowledge`: whose faults are acknowledged, by whom, and what is printed."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from recording_cell import RecordingCell
+from user_commands import in_this_process, one_error
+
+from procedures.cli.procedure import app
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.errors import (
+    EXIT_LINK_LOST,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    LinkTimeout,
+)
+from ronna_hw.theatre import Theatre
+
+
+@pytest.mark.parametrize("which", [(), ("RUN", "--config", "theatre.toml")])
+def test_acknowledge_requires_either_a_run_or_a_theatre(which: tuple[str, ...]) -> None:
+    refused = in_this_process(app, "acknowledge", *which)
+    assert refused.returncode == EXIT_USAGE
+    one_error(refused.stderr)
+
+
+@pytest.mark.parametrize("by", [(), ("--by", "007")])
+def test_acknowledge_without_a_persons_name_is_refused(run: Path, by: tuple[str, ...]) -> None:
+    refused = in_this_process(app, "acknowledge", run, *by)
+    assert refused.returncode == EXIT_REFUSED
+    assert one_error(refused.stderr)[0].startswith("DEV-006")
+
+
+def test_acknowledge_on_a_finished_run_writes_nothing(run: Path) -> None:
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    done = in_this_process(app, "acknowledge", run, "--by", "A. Nurse")
+    assert (done.returncode, done.stdout) == (0, "the run is finished\n")
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    for device in (cell.tracker, cell.stereo):
+        monkeypatch.setattr(device, "recover", lambda _by: None, raising=False)
+    monkeypatch.setattr(Theatre, "from_file", lambda _file: cell.opened)
+    done = in_this_process(app, "acknowledge", "--config", "theatre.toml", "--by", "A. Nurse")
+    assert "acknowledged by A. Nurse: robot.master: " in done.stdout
+
+
+def test_acknowledge_recovers_a_theatre_without_a_run_and_lists_unreachable_devices(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    cell = RecordingCell(tmp_path / "run")
+
+    def without_power(timeout_s: float = 10.0) -> Identity:
+        raise LinkTimeout("the tracker is silent")
+
+    def fails(timeout_s: float = 10.0) -> None:
+        cell.stereo.state = Lifecycle.FAULT
+        raise LinkTimeout("a camera is lost")
+
+    def recover_from_fault(_by: str) -> None:
+        if cell.stereo.state is not Lifecycle.FAULT:
+            raise WrongState("recover is not allowed now")
+        cell.stereo.state = Lifecycle.CONFIGURED
+
+    monkeypatch.setattr(cell.tracker, "connect", without_power)
+    monkeypatch.setattr(cell.stereo, "configure", fails)
+    monkeypatch.setattr(cell.stereo, "recover", recover_from_fault, raising=False)
+    monkeypatch.setattr(Theatre, "from_file", lambda _file: cell.opened)
+    done = in_this_process(app, "acknowledge", "--config", "theatre.toml", "--by", "A. Nurse", "--json")
+    assert done.returncode == EXIT_LINK_LOST
+    said = json.loads(done.stdout)
+    assert sorted(said["acknowledged"]) == ["robot.master", "stereo"]
+    assert list(said["unreached"]) == ["tracker"]
+    assert cell.arm.calls == ["recovered by A. Nurse"]  # a message; nothing else of it is asked
+    assert cell.arm.motions == []

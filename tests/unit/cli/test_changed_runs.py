@@ -1,0 +1,187 @@
+"""A run is left sealed, and every command names what has changed in it since."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from user_commands import in_this_process
+
+from procedures.cli.case.case_inputs import clinical_input
+from procedures.cli.case.leaving_report import seal_run
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import REQUEST_FILE
+from procedures.cli.procedure import app
+from procedures.cli.runs import report as runs_report
+from procedures.cli.runs.left_runs import close_left
+from procedures.cli.runs.report import make_report
+from procedures.engine.events import CaseState
+from procedures.engine.events.event_file import EVENTS_FILE, EventFile
+from procedures.engine.events.stream import EventStream
+from procedures.engine.left_run import read_left_run
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.reporting import report as written_report
+from procedures.reporting.files import keep_truth
+from procedures.reporting.outcome import TargetTruth, Truth
+from ronna_hw.errors import (
+    EXIT_REFUSED,
+)
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
+from ronna_hw.evidence.seal import SEAL_FILE
+
+
+def test_verify_reports_that_a_run_is_intact_or_names_the_changed_files(run: Path) -> None:
+    whole = in_this_process(app, "verify", run, "--json")
+    assert (whole.returncode, json.loads(whole.stdout)["whole"]) == (0, True)
+    (run / "records" / "01-image.json").write_text("{}")
+    (run / "note.txt").write_text("added")
+    changed = in_this_process(app, "verify", run, "--json")
+    assert changed.returncode == EXIT_REFUSED
+    files = {problem["file"] for problem in json.loads(changed.stdout)["problems"]}
+    assert files == {"records/01-image.json", "note.txt"}
+
+
+def foreign_record(run: Path) -> str:
+    (run / "records" / "01-image.json").write_bytes(
+        (run / "records" / "02-localization-T1.json").read_bytes()
+    )
+    return "records/01-image.json"
+
+
+def line_removed(run: Path) -> str:
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (run / "journal.jsonl").write_bytes(b"".join([*lines[:5], *lines[6:]]))
+    return "journal.jsonl"
+
+
+def record_gone(run: Path) -> str:
+    (run / "records" / "01-image.json").unlink()
+    return "records/01-image.json"
+
+
+def request_changed(run: Path) -> str:
+    path = run / REQUEST_FILE
+    path.write_text(path.read_text() + " ")
+    return REQUEST_FILE
+
+
+def file_added(run: Path) -> str:
+    (run / "note.txt").write_text("added")
+    return "note.txt"
+
+
+SPOILT = (foreign_record, line_removed, record_gone, request_changed, file_added)
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("spoil", SPOILT, ids=lambda spoil: spoil.__name__)
+def test_every_command_names_the_changed_file_of_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
+    name = spoil(run)
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay
+    for command in ("export", "resume", "lineage", "report", *["replay"] * relied_on):
+        refused = in_this_process(app, command, run)
+        assert (command, refused.returncode) == (command, EXIT_REFUSED)
+        assert f"PRO-033: {run.name} is not as it was left: {name}: " in refused.stderr
+        assert refused.stdout == ""
+    assert f"NOT AS THE RUN LEFT IT: {name}" in in_this_process(app, "show", run).stdout
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+    reported = in_this_process(app, "report", run, "--out", run.parent / "report")
+    assert name in reported.stderr
+    page = (run.parent / "report" / "report.html").read_text()
+    assert (
+        f"This folder is not as the run left it. Do not rely on anything below.</strong><ul><li>{name}"
+        in page
+    )
+
+
+@pytest.mark.hazard(39)
+def test_a_full_disk_while_sealing_a_run_loses_nothing(
+    run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (run / SEAL_FILE).unlink()
+    with monkeypatch.context() as full:
+        full.setattr(os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(errno.ENOSPC, "disk full")))
+        seal_run(run)
+    assert "the run could not be sealed" in capsys.readouterr().err
+    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    refused = in_this_process(app, "export", run)
+    assert refused.returncode == EXIT_REFUSED
+    assert "is not finished: seal.json: missing" in refused.stderr
+    seal_run(run)
+    assert inspected(run).problems == ()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("moment", ["write_report", "_take_over", "seal_run"])
+def test_an_interrupted_report_does_not_leave_the_run_changed(
+    run: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    where = written_report if moment == "write_report" else runs_report
+    original = getattr(where, moment)
+
+    def interrupted(*arguments: Any, **options: Any) -> None:
+        if moment != "seal_run":
+            original(*arguments, **options)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(where, moment, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            make_report(run)
+    assert inspected(run).changes == ()
+    assert make_report(run) == run / "report.html"
+    assert inspected(run).problems == ()
+
+
+def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path) -> None:
+    case, folder = tmp_path / "case", tmp_path / "run"
+    (case / "ct").mkdir(parents=True)
+    for name in ("ct/1.dcm", "plan.toml"):
+        (case / name).write_text("as it was")
+    cell = RecordingCell(folder)
+    cell.engine(plain_order()).run_to()
+    cell.journal.close()  # killed before its end
+    request = CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=case)
+    close_left(read_left_run(folder), clinical_input(request, folder))
+    assert inspected(folder).changes == ()
+    (case / "plan.toml").write_text("another")
+    assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]
+
+
+@pytest.mark.parametrize("seal", [True, False], ids=["sealed", "seal removed"])
+def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, seal: bool) -> None:
+    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),)))
+    seal_run(run)
+    (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    assert (row["max_application_error_mm"], row["problems"]) == (1.25, [])
+    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
+    if not seal:
+        (run / SEAL_FILE).unlink()
+    (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    what = "changed" if seal else "not confirmed by a seal"
+    assert (row["max_application_error_mm"], row["problems"]) == (None, [f"report/truth.json: {what}"])
+    table = in_this_process(app, "list", run.parent).stdout
+    assert "0.125" not in table
+    assert f"{run.name} is not reliable: report/truth.json: {what}" in table
+
+
+def test_watch_first_names_the_files_changed_since_the_run_finished(run: Path) -> None:
+    stream = EventStream()
+    file = EventFile(run, stream)
+    stream.publish(CaseState(state="finished"))
+    stream.end()
+    file.join()
+    seal_run(run)
+    assert "NOT AS THE RUN LEFT IT" not in in_this_process(app, "watch", run).stderr
+    events = run / EVENTS_FILE
+    events.write_bytes(events.read_bytes().replace(b"finished", b"recovery"))
+    told = in_this_process(app, "watch", run).stderr.splitlines()
+    assert told[0] == "NOT AS THE RUN LEFT IT: events.jsonl: changed"

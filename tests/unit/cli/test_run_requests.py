@@ -1,0 +1,121 @@
+"""What a run folder records of its request, and which folders its commands refuse."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+from user_commands import in_this_process, one_error
+
+from procedures.cli.calibrating.running import new_folder
+from procedures.cli.case import display, stepping
+from procedures.cli.case.display import follow_case
+from procedures.cli.case.request import CalibrationRun, CaseRequest, new_run_folder
+from procedures.cli.case.request_file import REQUEST_FILE, read_request
+from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.case.stepping import step_through
+from procedures.cli.procedure import app
+from procedures.cli.runs.commands import COMMANDS
+from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.run_lock import held_run
+from procedures.operator.errors import OperatorAborted
+from procedures.steps.calibration.recipe import Calibrated, Recipe
+from ronna_hw.errors import (
+    EXIT_FAILED,
+    EXIT_RECOVERY_NEEDED,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+)
+
+
+def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: Path) -> None:
+    asked = CaseRequest(
+        out=tmp_path, choice=SceneChoice("mini", 7, 4), strategy="nos", speed="1", faults=Path("/a/b.txt")
+    )
+    folder = new_run_folder(asked)
+    assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
+    assert read_request(folder) == asked
+
+
+def test_the_request_of_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
+    recipe = Recipe(of=Calibrated.TIP, looks=8, more=3, ball_mm=(500.0, 0.0, 200.0)).model_dump(mode="json")
+    asked = CalibrationRun(
+        choice=SceneChoice("mini", 7, first_day=True), recipe=recipe, days=30, write=Path("/a/tip.toml")
+    )
+    folder = new_folder(tmp_path, "tool-tip", asked)
+    assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
+    assert read_request(folder) == asked
+    refused = in_this_process(app, "resume", folder, "--accept", "--console")
+    assert refused.returncode == EXIT_USAGE
+    assert "--console operates cases" in one_error(refused.stderr)[0]
+
+
+@pytest.mark.hazard(2)
+def test_resume_refuses_a_run_of_another_version(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    path = folder / REQUEST_FILE
+    content = json.loads(path.read_text())
+    path.write_text(json.dumps(content | {"program": "0.0.1"}))
+    with pytest.raises(OtherProgram, match="PRO-031"):
+        read_request(folder)
+    refused = in_this_process(app, "resume", folder, "--accept")
+    assert refused.returncode == EXIT_RECOVERY_NEEDED
+    one_error(refused.stderr)
+
+
+@pytest.mark.parametrize("content", [None, "", '{"schema": 1}', "\0\0\0"])
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path, content: str | None) -> None:
+    if content is not None:
+        (tmp_path / REQUEST_FILE).write_text(content)
+    with pytest.raises(BadRequestFile, match="PRO-034"):
+        read_request(tmp_path)
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "list"])
+def test_every_command_on_a_run_refuses_other_folders_with_the_same_error(
+    tmp_path: Path, command: str
+) -> None:
+    for folder in (tmp_path, tmp_path / "none"):
+        refused = in_this_process(app, command, folder)
+        assert refused.returncode == EXIT_FAILED
+        assert f"CLI-005: {folder} is not the folder of a run" in one_error(refused.stderr)[0]
+
+
+@pytest.mark.hazard(42)
+@pytest.mark.parametrize("command", [("resume", "--accept"), ("report",)], ids=lambda command: command[0])
+def test_a_run_open_in_another_program_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    with held_run(folder):
+        refused = in_this_process(app, *command, folder)
+    assert refused.returncode == EXIT_REFUSED
+    assert "PRO-030" in refused.stderr
+
+
+@pytest.mark.hazard(42)
+@pytest.mark.parametrize(("lead", "options"), [(follow_case, {"as_json": False}), (step_through, {})])
+def test_a_command_that_drives_a_case_locks_its_run_before_opening_anything(
+    tmp_path: Path,
+    lead: Callable[..., None],
+    options: dict[str, bool],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    refused: list[int] = []
+
+    def opened(_request: CaseRequest, folder: Path, *_: object) -> NoReturn:
+        refused.append(in_this_process(app, "resume", folder, "--accept").returncode)
+        raise OperatorAborted("seen enough")
+
+    monkeypatch.setattr(display, "run_case", opened)
+    monkeypatch.setattr(stepping, "opened_case", opened)
+    with pytest.raises(OperatorAborted):
+        lead(CaseRequest(out=tmp_path), **options)
+    assert refused == [EXIT_REFUSED]
+
+
+def test_resume_refuses_the_accept_option_on_real_devices(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path))
+    refused = in_this_process(app, "resume", folder, "--accept")
+    assert refused.returncode == EXIT_USAGE
