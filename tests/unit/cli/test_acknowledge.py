@@ -45,6 +45,7 @@ def test_acknowledge_on_a_finished_run_writes_nothing(run: Path) -> None:
 def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # the theatre in use is marked next to its file
     cell = RecordingCell(tmp_path / "run")
     for device in (cell.tracker, cell.stereo):
         monkeypatch.setattr(device, "recover", lambda _by: None, raising=False)
@@ -56,6 +57,7 @@ def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
 def test_acknowledge_recovers_a_theatre_without_a_run_and_lists_unreachable_devices(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
+    monkeypatch.chdir(tmp_path)  # the theatre in use is marked next to its file
     cell = RecordingCell(tmp_path / "run")
 
     def without_power(timeout_s: float = 10.0) -> Identity:
