@@ -132,3 +132,13 @@ class BallAndDivotApart(DataError):
 
     code = "CAL-019"
     action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."
+
+
+class OfAnotherTheatre(RefusedError):
+    """The measurements were made with other records than those of the theatre file."""
+
+    code = "CAL-020"
+    action = (
+        "Name the folder of this theatre's measurements. If its records have changed since they were made, "
+        "calibrate again."
+    )

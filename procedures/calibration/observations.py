@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
@@ -9,9 +10,10 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import Field, ValidationError
 
 from procedures.calibration.errors import BadObservations
+from procedures.calibration.same_theatre import Measurements
 from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
+from ronna_hw.calibration import Dated, PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text.counting import counted
@@ -60,7 +62,7 @@ class Observation(Strict):
         return self.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
 
 
-class ObservationSet(Strict):
+class ObservationSet(Measurements):
     """All views of one calibration, and the records it started from."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
@@ -70,6 +72,11 @@ class ObservationSet(Strict):
     start: StereoHeadCalibration = Field(description="The record in use at the time.")
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     observations: tuple[Observation, ...] = Field(description="The views.")
+
+    @property
+    def records(self) -> Mapping[str, Dated | None]:
+        """As `Measurements.records`."""
+        return {"stereo_head": self.start, "tool_tip": self.tool_tip}
 
 
 def read_strict(kind: type[S], path: Path) -> S:

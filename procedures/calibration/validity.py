@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Set
 from datetime import datetime
 
 from ronna_hw.calibration import CalibrationExpired
@@ -17,13 +18,17 @@ MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
 DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only with it
 
 
-def require_valid(calibrations: Calibrations, moment: datetime, options: str = "") -> None:
+def require_valid(
+    calibrations: Calibrations, moment: datetime, options: str = "", starts: Set[str] = frozenset()
+) -> None:
     """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
-    `options` are the options that select this theatre for those commands.
+    `options` are the options that select this theatre for those commands; `starts` may have expired.
     """
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
+        if name in starts:
+            continue
         try:
             record.check_valid_at(moment)
         except CalibrationExpired as problem:

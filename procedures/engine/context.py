@@ -73,6 +73,7 @@ class CaseSetting:
     memory: CaseMemory = field(default_factory=CaseMemory)
     left_away: str | None = None  # what an earlier run says of where the arm is
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
+    starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
 
 

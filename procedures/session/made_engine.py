@@ -119,6 +119,7 @@ def made_engine(
             surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
             left_away=left_away if left is None else None,
+            starts=frozenset() if wanted.recipe is None else wanted.recipe.starts,
             began=began,
         ),
         journal,

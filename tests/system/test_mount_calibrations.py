@@ -19,7 +19,7 @@ from procedures.calibration.tool_tip.tip import LEAST_READINGS
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE
 from procedures.cli.procedure import app
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.scene.model import read_scene
+from sim.world.scene.model import Scene, read_scene
 from sim.world.scene.named_scenes import named_scene
 
 
@@ -46,13 +46,49 @@ def test_stored_looks_are_recomputed_into_a_record_for_the_theatre_file(looks: P
 
 
 def test_stored_looks_can_be_written_directly_into_the_theatre_file(looks: Path, tmp_path: Path) -> None:
-    theatre, written = tmp_path / "theatre.toml", tmp_path / "calibrated.toml"
-    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
-    run = ("calibrate", "tracker-frame", "--from", looks, "--config", theatre, "--write", written)
-    done = in_this_process(app, *run, "--out", tmp_path / "out", "--json")
+    scene = FrameCell.of(3, calibrated=True).scene
+    theatre, written = theatre_of(tmp_path, scene), tmp_path / "calibrated.toml"
+    run = ("calibrate", "tracker-frame", "--from", looks, "--out", tmp_path / "out", "--json")
+    done = in_this_process(app, *run, "--config", theatre, "--write", written)
     assert done.returncode == 0, done.stderr
     frame = tomllib.loads(written.read_text())["calibration"]["tracker_frame"]
     assert frame["identifier"] == json.loads(done.stdout)["calibration"]
+    again = in_this_process(app, *run, "--config", written, "--write", written)
+    assert again.returncode == 0, again.stderr
+
+
+def theatre_of(folder: Path, scene: Scene) -> Path:
+    file = folder / "theatre.toml"
+    write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), file)
+    return file
+
+
+@pytest.mark.hazard(3)
+@pytest.mark.parametrize(("stored", "command"), [("looks", "tracker-frame"), ("readings", "tool-tip")])
+def test_measurements_of_another_theatre_are_refused_and_nothing_is_written(
+    request: pytest.FixtureRequest, tmp_path: Path, stored: str, command: str
+) -> None:
+    theatre, written = theatre_of(tmp_path, named_scene("default", seed=4)), tmp_path / "calibrated.toml"
+    run = ("calibrate", command, "--from", request.getfixturevalue(stored), "--config", theatre)
+    done = in_this_process(app, *run, "--write", written, "--out", tmp_path / "out")
+    (error, *_) = one_error(done.stderr)
+    assert error.startswith("CAL-020")
+    assert "[calibration.stereo_head]" in error
+    assert "expected stereo-head-default-4, got stereo-head-default-3" in error
+    assert not written.exists()
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.hazard(3)
+def test_readings_of_a_tip_that_was_edited_since_are_refused(readings: Path, tmp_path: Path) -> None:
+    theatre = theatre_of(tmp_path, named_scene("default", seed=3))
+    stored = json.loads((readings / tip_looks.LOOKS_FILE).read_text())
+    stored["start"]["flange_from_tool"]["translation_mm"][0] += 30.0
+    (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
+    run = ("calibrate", "tool-tip", "--from", readings, "--config", theatre, "--out", tmp_path / "out")
+    done = in_this_process(app, *run, "--write", tmp_path / "calibrated.toml")
+    assert any(code in done.stderr for code in ("CAL-017", "CAL-020"))
+    assert not (tmp_path / "calibrated.toml").exists()
 
 
 def test_a_record_in_metres_is_recognized_by_its_magnitude_and_refused(looks: Path, tmp_path: Path) -> None:

@@ -23,7 +23,7 @@ from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.cli.stereo.command import app
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.reporting.report import REPORT_FILE
-from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
 from ronna_hw.evidence.inspection import inspected
@@ -76,15 +76,20 @@ def head() -> TrueHead:
     return true_head(seed=4)
 
 
-def recorded(head: TrueHead, folder: Path, plan: Sequence[PlannedLook] | None = None) -> Path:
+def recorded(
+    head: TrueHead,
+    folder: Path,
+    plan: Sequence[PlannedLook] | None = None,
+    tool_tip: ToolTipCalibration | None = None,
+) -> Path:
     """A folder with observations, as `calibrate` keeps it."""
     generator = np.random.default_rng(4)
     if plan is None:
         checks = check_looks(TOOL_DOWN, BALL_MM)
         plan = [*calibration_looks(TOOL_DOWN, BALL_MM, 60), *checks, *checks, *checks]
     looks: list[Observation] = [head.observe(look, BALL_MM, generator) for look in plan]
-    content = observation_set(head, looks).model_dump_json(by_alias=True)
-    (folder / OBSERVATIONS_FILE).write_text(content)
+    observed = observation_set(head, looks).model_copy(update={"tool_tip": tool_tip})
+    (folder / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
     return folder
 
 
@@ -109,12 +114,14 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:
     theatre = theatre_file(head, tmp_path)
+    before = read_theatre_file(theatre).calibration
+    assert before is not None
     new = tmp_path / "theatre.calibrated.toml"
     said = stereo(
         *(
             "calibrate",
             "--from",
-            recorded(head, tmp_path),
+            recorded(head, tmp_path, tool_tip=before.tool_tip),
             "--out",
             tmp_path / "out",
             "--days",
@@ -136,7 +143,24 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     assert calibrations is not None
     assert calibrations.stereo_head.identifier == said.content["calibration"]
     assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
-    assert calibrations.tracker_frame == read_theatre_file(theatre).calibration.tracker_frame
+    assert calibrations.tracker_frame == before.tracker_frame
+    assert calibrations.tool_tip.expires == before.tool_tip.expires
+    assert calibrations.tool_tip.flange_from_tool != before.tool_tip.flange_from_tool  # it shares the mount
+
+
+@pytest.mark.hazard(3)
+def test_observations_with_another_tip_are_refused_and_nothing_is_written(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    theatre = theatre_file(head, tmp_path)
+    before = read_theatre_file(theatre).calibration
+    assert before is not None
+    other = before.tool_tip.model_copy(update={"identifier": "tool-tip-of-another-guide"})
+    run = ("calibrate", "--from", recorded(head, tmp_path, tool_tip=other), "--out", tmp_path / "out")
+    said = stereo(*run, "--config", theatre, "--write", tmp_path / "new.toml")
+    assert said.errors.startswith("CAL-020")
+    assert f"expected {before.tool_tip.identifier}, got tool-tip-of-another-guide" in said.errors
+    assert not (tmp_path / "new.toml").exists()
 
 
 def _tuples(value):
@@ -293,6 +317,9 @@ def test_over_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetr
     assert calibrated.said["tool_shift_mm"] > 0.5
     assert truth.tool_centre_error_mm(record) <= GOAL_MM
     assert calibrated.said["stated_error_mm"] <= GOAL_MM
+    in_use = read_theatre_file(calibrated.folder / "theatre" / "theatre.toml").calibration
+    assert in_use is not None
+    assert records["tool_tip"]["expires"] == in_use.tool_tip.expires
 
 
 @pytest.mark.slow

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Annotated, Literal
@@ -12,8 +12,16 @@ from numpy.typing import NDArray
 from pydantic import Field, field_validator
 
 from procedures.calibration.observations import Joints
+from procedures.calibration.same_theatre import Measurements
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.calibration import ArmCalibration, Numbers3, StereoHeadCalibration, Strict, ToolTipCalibration
+from ronna_hw.calibration import (
+    ArmCalibration,
+    Dated,
+    Numbers3,
+    StereoHeadCalibration,
+    Strict,
+    ToolTipCalibration,
+)
 
 Array = NDArray[np.float64]
 
@@ -33,7 +41,7 @@ class SphereLook(Strict):
     validation: bool = Field(description="Held out from the identification, for validation.")
 
 
-class ArmLooks(Strict):
+class ArmLooks(Measurements):
     """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
@@ -44,6 +52,11 @@ class ArmLooks(Strict):
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
     looks: tuple[SphereLook, ...] = Field(description="The measurements.")
+
+    @property
+    def records(self) -> Mapping[str, Dated | None]:
+        """As `Measurements.records`."""
+        return {"stereo_head": self.stereo_head, "tool_tip": self.tool_tip}
 
     @field_validator("arm")
     @classmethod

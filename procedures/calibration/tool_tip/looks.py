@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from datetime import datetime
 from typing import Literal
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.calibration.observations import Joints
+from procedures.calibration.same_theatre import Measurements
 from ronna_hw.calibration import (
     ArmCalibration,
+    Dated,
     Numbers3,
     PoseRecord,
     StereoHeadCalibration,
@@ -48,7 +50,7 @@ class DivotReading(Strict):
     dials_mm: Numbers3 = Field(description="Offset of the divot from the ball's centre, robot axes.")
 
 
-class TipLooks(Strict):
+class TipLooks(Measurements):
     """All views and readings of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
@@ -60,6 +62,11 @@ class TipLooks(Strict):
     looks: tuple[BallLook, ...] = Field(description="The measurements of the ball, in order.")
     readings: tuple[DivotReading, ...] = Field(description="The readings, at most one for each measurement.")
     validation: tuple[int, ...] = Field(description="Numbers of the measurements held out for validation.")
+
+    @property
+    def records(self) -> Mapping[str, Dated | None]:
+        """As `Measurements.records`."""
+        return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
 
 
 def kept_apart(count: int, validation: int) -> tuple[int, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
@@ -13,8 +13,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.calibration.observations import Joints
+from procedures.calibration.same_theatre import Measurements
 from ronna_hw.calibration import (
     ArmCalibration,
+    Dated,
     PoseRecord,
     StereoHeadCalibration,
     Strict,
@@ -47,7 +49,7 @@ class FrameLook(Strict):
     frames: Annotated[int, Field(ge=1)] = Field(description="Measurements that show the frame.")
 
 
-class FrameLooks(Strict):
+class FrameLooks(Measurements):
     """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
@@ -57,6 +59,11 @@ class FrameLooks(Strict):
     start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
     looks: tuple[FrameLook, ...] = Field(description="The measurements, in order.")
+
+    @property
+    def records(self) -> Mapping[str, Dated | None]:
+        """As `Measurements.records`."""
+        return {"stereo_head": self.stereo_head, "tracker_frame": self.start, "arm": self.arm_record}
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from procedures.calibration.observations import read_strict
+from procedures.calibration.same_theatre import Measurements, require_same_theatre
 from procedures.cli.calibrating.files import finished_figures, write_records, write_theatre
 from procedures.cli.calibrating.running import new_folder, run_steps
 from procedures.cli.case.leaving_report import leaving_report
@@ -23,12 +24,13 @@ from procedures.reporting.calibration.figures import RecordFigures
 from procedures.reporting.calibration.result_file import write_figures
 from procedures.session.procedure import Resumption
 from procedures.steps.calibration.recipe import Recipe
-from ronna_hw.calibration import Strict
 from ronna_hw.command_line import terminal
-from ronna_hw.config import Calibrations
+from ronna_hw.config import Calibrations, read_theatre_file
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.records import write_whole
 
-Looks = TypeVar("Looks", bound=Strict)
+Looks = TypeVar("Looks", bound=Measurements)
 Result = TypeVar("Result")
 
 
@@ -54,8 +56,13 @@ class CalibrationKind(Generic[Looks, Result]):
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
 
     def read_looks(self, path: Path) -> Looks:
-        """Stored looks, from their file or folder. Raises CAL-005."""
-        return read_strict(self.looks_type, path / self.looks_file if path.is_dir() else path)
+        """Stored looks, from their file or folder. Raises CAL-005, PRO-033 if their run was changed."""
+        file = path / self.looks_file if path.is_dir() else path
+        looks = read_strict(self.looks_type, file)
+        if (file.parent / JOURNAL_FILE).exists():
+            run = inspected(file.parent, every_file=False).require_unchanged()
+            run.require_content(file.name, file.read_bytes())
+        return looks
 
     def write_looks(self, looks: Looks, folder: Path) -> None:
         """Keep the looks, before anything is computed from them."""
@@ -88,8 +95,10 @@ def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: Cal
     )
     if request.recorded is not None:
         recorded = kind.read_looks(request.recorded)
+        result = computed(kind, run, recorded)
         folder = new_folder(request.out, kind.name)
-        conclude(kind, run, recorded, folder)
+        kind.write_looks(recorded, folder)
+        leave(kind, run, recorded, result, folder)
     else:
         folder = new_folder(request.out, kind.name, run)
         with held_run(folder), leaving_report(folder, with_truth=False):
@@ -109,9 +118,23 @@ def looked(
 
 
 def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks, folder: Path) -> None:
-    """Compute and leave the files, the looks first. Raises what the computation raises."""
+    """Compute and leave the files, the looks first. Raises what `computed` raises."""
     kind.write_looks(looks, folder)
+    leave(kind, run, looks, computed(kind, run, looks), folder)
+
+
+def computed(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks) -> Result:
+    """What the looks yield. Raises CAL-020 for looks of another theatre, and what the computation raises."""
     result = kind.compute(looks, timedelta(days=run.days))
+    if run.config is not None and (theatre := read_theatre_file(run.config).calibration) is not None:
+        require_same_theatre(looks, kind.records(result), theatre)
+    return result
+
+
+def leave(
+    kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks, result: Result, folder: Path
+) -> None:
+    """Leave the files of a calibration, and the theatre file with its records."""
     kind.keep(looks, result, folder)
     write_records(kind.records(result), folder)
     write_figures(kind.figures(result), folder)

@@ -31,8 +31,6 @@ if TYPE_CHECKING:
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 
-NEVER = datetime(9999, 1, 1, tzinfo=UTC)  # when a record that only serves as a start expires
-
 
 def new_folder(out: Path, what: str, request: CalibrationRun | None = None) -> Path:
     """Make `OUT/<what>-<id>`; the id is the moment and four random hex digits.
@@ -131,14 +129,3 @@ def opened_steps(
         request, folder, procedure, watcher, answers=request.answers, resumption=resumption
     ) as engine:
         yield engine
-
-
-def valid_now(calibrations: Calibrations, *names: str) -> Calibrations:
-    """The same records; those named, or else all, only serve as a start, and their age does not matter."""
-    return calibrations.model_copy(
-        update={
-            name: record.model_copy(update={"expires": NEVER})
-            for name, record in calibrations.records.items()
-            if not names or name in names
-        }
-    )

@@ -8,7 +8,6 @@ from typing import Any
 from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
 from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.cli.calibrating.running import valid_now
 from procedures.reporting.calibration.mount import TipFigures
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
@@ -57,5 +56,4 @@ KIND = CalibrationKind(
     compute=lambda looks, life: calibrate_tip(looks, life=life),
     records=records_of,
     figures=figures_of,
-    in_use=lambda given: valid_now(given, "tool_tip", "tracker_frame"),
 )

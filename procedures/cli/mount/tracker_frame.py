@@ -8,7 +8,6 @@ from typing import Any
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE, FrameLooks
 from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.cli.calibrating.running import valid_now
 from procedures.reporting.calibration.mount import FrameFigures
 from procedures.steps.calibration.frame_looks import ObservedFrame
 
@@ -61,5 +60,4 @@ KIND = CalibrationKind(
     compute=lambda looks, life: calibrate_frame(looks, life=life),
     records=records_of,
     figures=figures_of,
-    in_use=lambda given: valid_now(given, "tracker_frame", "tool_tip"),
 )

@@ -84,9 +84,10 @@ def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:
         raise NotRecorded(
             "the run is a check or a single measurement of a calibration, which cannot be replayed"
         )
-    order = order_of(Recipe.read(calibration["recipe"]).steps, ())
+    recipe = Recipe.read(calibration["recipe"])
     records = Calibrations.model_validate_json(json.dumps(calibration["records"]))
-    return ReplayInput(order, None, read_theatre_file(theatre_file), records)
+    theatre = read_theatre_file(theatre_file)
+    return ReplayInput(order_of(recipe.steps, ()), None, theatre, records, recipe.starts)
 
 
 def _row(one: ReplayedRecord) -> tuple[str, str, str]:

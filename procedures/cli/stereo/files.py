@@ -14,7 +14,6 @@ from procedures.calibration import Baseline, CheckResult, HeadResult, Observatio
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.cli.calibrating.running import valid_now
 from procedures.reporting.calibration.stereo_head import HeadCheckFigures, HeadFigures, SignFigures
 from procedures.steps.calibration.ball_observation import ObservedBall
 from ronna_hw.records import write_whole
@@ -87,6 +86,5 @@ KIND = CalibrationKind(
     compute=lambda looks, life: calibrate_head(looks, life=life),
     records=records_of,
     figures=figures_of,
-    in_use=valid_now,
     keep=write_baseline,
 )

@@ -46,6 +46,7 @@ class ReplayInput:
     clinical: ClinicalInput | None  # of what is no calibration
     theatre: TheatreFile
     calibrations: Calibrations | None = None  # those in use, where they were not the theatre file's
+    starts: frozenset[str] = frozenset()  # of a calibration: the records that it only starts from
 
 
 def replay(
@@ -90,6 +91,7 @@ class _Replay:
             settings=given.theatre.procedure,
             surroundings=given.theatre.cell_with_tools,
             clinical=given.clinical,
+            starts=given.starts,
             today=lambda: began,
             began=datetime.fromisoformat(str(answers.opening.get("began", began))),
         )

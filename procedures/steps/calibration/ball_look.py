@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-
 from pydantic import Field
 
 from procedures.calibration import Outline
@@ -34,7 +32,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
     """A look without motion: only the cameras are connected. Raises CAL-001, STE-010."""
     workcell = context.workcell
     head, stereo = workcell.calibrations.stereo_head, workcell.stereo
-    head.check_valid_at(datetime.now(UTC))
+    head.check_valid_at(context.setting.today())
     stereo.connect()
     for camera, serial in zip((head.left, head.right), stereo.serials, strict=True):
         check_serial(camera, serial)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from pydantic import Field
 
@@ -43,7 +42,7 @@ class BaselineVisit:
         workcell, head = context.workcell, self.baseline.stereo_head
         for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
             check_serial(camera, serial)
-        head.check_valid_at(datetime.now(UTC))
+        head.check_valid_at(context.setting.today())
         arm = workcell.arm.kinematics.name
         if self.baseline.arm_variant != arm:
             raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)

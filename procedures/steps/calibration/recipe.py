@@ -10,7 +10,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
 from procedures.steps.calibration.procedures import arm_looks, frame_looks, head_calibration, tip_readings
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.config import describe_mistakes
+from ronna_hw.config import Calibrations, describe_mistakes
 
 
 class Calibrated(StrEnum):
@@ -44,6 +44,17 @@ class Recipe(Strict):
                 return frame_looks(self.looks, self.more)
             case Calibrated.TIP:
                 return tip_readings(self.looks, self.more, self.ball_mm)
+
+    @property
+    def starts(self) -> frozenset[str]:
+        """The records that this calibration only starts from, by their names: they may have expired."""
+        match self.of:
+            case Calibrated.HEAD:
+                return frozenset(Calibrations.model_fields)
+            case Calibrated.ARM:
+                return frozenset()
+            case Calibrated.FRAME | Calibrated.TIP:
+                return frozenset({"tracker_frame", "tool_tip"})
 
     @classmethod
     def read(cls, plain: object) -> Recipe:

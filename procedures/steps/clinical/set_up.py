@@ -57,7 +57,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     the arm in is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
-    require_valid(calibrations, context.setting.today())
+    require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}

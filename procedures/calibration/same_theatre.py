@@ -1,0 +1,65 @@
+"""Whether measurements belong to the theatre whose records they are to replace."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from procedures.calibration.errors import OfAnotherTheatre
+from ronna_hw.calibration import Dated, Strict
+from ronna_hw.config import Calibrations
+
+SAME = 1e-6  # mm, or without unit: what writing and reading a number may change, far below any calibration
+DATES = {"created", "expires", "made_by"}  # a record that only served as a start may have other ones
+
+
+class Measurements(Strict, ABC):
+    """What a calibration stores of what it measured."""
+
+    @property
+    @abstractmethod
+    def records(self) -> Mapping[str, Dated | None]:
+        """The calibration records in use, by their names in the theatre file; None if there was none."""
+
+
+def require_same_theatre(measured: Measurements, found: Mapping[str, Any], theatre: Calibrations) -> None:
+    """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
+
+    A calibration says where something is relative to what its records say of the rest: with another head, or
+    another mount, it is wrong by their difference.
+    """
+    for name, then in measured.records.items():
+        now = getattr(theatre, name)
+        if now is None and then is None:
+            continue
+        in_theatre, with_these = _content(now), _content(then)
+        if not any(_alike(in_theatre, one) for one in (with_these, _without_dates(found.get(name)))):
+            raise OfAnotherTheatre(
+                f"the measurements were made with another [calibration.{name}] than the theatre file's",
+                expected=_named(now),
+                got=_named(then) if _named(then) != _named(now) else f"{_named(then)} with other numbers",
+            )
+
+
+def _named(record: Dated | None) -> str:
+    return "none" if record is None else record.identifier
+
+
+def _content(record: Dated | None) -> Any:
+    return None if record is None else _without_dates(record.model_dump())
+
+
+def _without_dates(plain: Any) -> Any:
+    return {key: value for key, value in plain.items() if key not in DATES} if plain else None
+
+
+def _alike(one: Any, other: Any) -> bool:
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=0.0, abs_tol=SAME)
+    return bool(one == other)
