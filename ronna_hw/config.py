@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 
 from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
 from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
@@ -281,7 +282,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     With the validated model, an unknown key is reported with the known ones at its place.
     """
     lines = []
-    found = error.errors(include_url=False)
+    found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
         where = _place(item["loc"])
         message = item["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
@@ -299,6 +300,20 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     if len(found) > MISTAKES_SHOWN:
         lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
     return lines
+
+
+def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
+    """Every mistake, without the lists that are only too short because of the mistakes in their items."""
+    return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
+
+
+def _is_only_emptied(item: ErrorDetails) -> bool:
+    given = item["input"]
+    return (
+        item["type"] == "too_short"
+        and isinstance(given, Sequence)
+        and len(given) >= item.get("ctx", {}).get("min_length", 0)
+    )
 
 
 def _count_wrong(limits: Mapping[str, Any]) -> str:

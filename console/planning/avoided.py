@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from console.planning.draft import Draft
 from procedures.imaging.volume import VoxelGeometry
-from procedures.planning.errors import PlanMistakes
+from procedures.planning.errors import PlanMistakes, raise_together
 from procedures.planning.head.structure_check import read_structure
 from procedures.planning.head.structures import (
     MOST_POINTS_TOGETHER,
@@ -19,6 +19,7 @@ from procedures.planning.head.structures import (
     Structure,
     structure_of,
 )
+from procedures.planning.plan.units import structure_in_another_unit
 from procedures.strategies.trajectory import Point
 from ronna_hw.config import describe_mistakes
 
@@ -54,9 +55,9 @@ def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
     if known is None:
         return draft
     with _mistakes_told():
-        return draft.with_structure(
-            Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
-        )
+        changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
+    raise_together(structure_in_another_unit(changed), "the structure")
+    return draft.with_structure(changed)
 
 
 def free_name(draft: Draft) -> str:

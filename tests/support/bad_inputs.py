@@ -13,7 +13,7 @@ from typing import Any
 
 import tomli_w
 import typer
-from plan_toml import PLAN
+from plan_toml import PLAN, VESSEL
 
 from ronna_hw.errors import EXIT_USAGE
 from sim.world.scene.named_scenes import named_scene
@@ -155,6 +155,15 @@ def _files() -> dict[str, str | bytes]:
         "comma.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10,5, -50.0, 60.0]"),
         "date.toml": THEATRE + "expires = 21.12.2026\n",
         "margin_metres.toml": PLAN.replace("margin_mm = 1.5", "margin_mm = 0.002"),
+        "structure_metres.toml": PLAN + VESSEL.replace("margin_mm = 3.0", "margin_mm = 0.003"),
+        "structure_points.toml": PLAN
+        + VESSEL.replace("[9.0, -20.0, 20.0]", "[0.009, -0.02, 0.02], [0.01, -0.03, 0.03]"),
+        "structure_within.toml": PLAN + VESSEL.replace("margin_mm", "within_mm = 1e300\nmargin_mm"),
+        "structure_negative.toml": PLAN + VESSEL.replace("margin_mm = 3.0", "margin_mm = -3.0"),
+        "plan_metres.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[0.01, -0.05, 0.06]").replace(
+            "[5.0, -20.0, 20.0]", "[0.005, -0.02, 0.02]"
+        ),
+        "near.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[5.0, -20.0, 20.1]"),
         "length_cm.toml": PLAN.replace("instrument_length_mm = 250.0", "instrument_length_mm = 25.0"),
         "short.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10.0, -50.0]"),
         "tool.toml": TOOL,

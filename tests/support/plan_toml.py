@@ -1,4 +1,4 @@
-"""A plan as a file holds it: one trajectory, and a second one to put behind it."""
+"""A plan as in a file: one trajectory; a second one and a structure to put behind it."""
 
 from painted_ct import SERIES_UID
 
@@ -24,4 +24,10 @@ entry_mm = [-20, -40, 70]
 target_mm = [-15.5, -10.0, 25.0]
 free_angle_deg = 30.0
 margin_mm = 2.0
+"""
+VESSEL = """
+[[structures]]
+name = "vessel"
+margin_mm = 3.0
+points_mm = [[9.0, -20.0, 20.0]]
 """

@@ -15,7 +15,7 @@ import pytest
 import tomli_w
 from painted_ct import SERIES_UID as SERIES
 from painted_ct import write_series
-from plan_toml import PLAN
+from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
@@ -311,12 +311,11 @@ def test_a_non_finite_head_position_is_a_usage_error(case, theatre, value):
 
 
 def test_a_structure_near_a_trajectory_is_listed_or_refuses_the_plan(case):
-    vessel = '\n[[structures]]\nname = "vessel"\nmargin_mm = {}\npoints_mm = [[9.0, -20.0, 20.0]]\n'
-    case[0].write_text(PLAN + vessel.format(3.0))
+    case[0].write_text(PLAN + VESSEL)
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert done.returncode == 0, done.stderr
     assert "vessel\tT1\t4.0\t3.0" in done.stdout
-    case[0].write_text(PLAN + vessel.format(5.0))
+    case[0].write_text(PLAN + VESSEL.replace("margin_mm = 3.0", "margin_mm = 5.0"))
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-027")
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import parse_points
 from procedures.planning.errors import NearStructure, OutsideField, StructureUnreadable
+from procedures.planning.head.metres import NOT_METRES, in_metres, span
 from procedures.planning.head.structures import Structure, StructureDistance, structure_of, widest_gap_mm
 from ronna_hw.errors import RonnaError
 
@@ -32,6 +33,10 @@ def read_structure(
         points_mm = parse_points(content, file_name)
     except PicksUnreadable as refused:
         raise StructureUnreadable(refused.what, expected=refused.expected, got=refused.got) from refused
+    if in_metres(points_mm):
+        raise StructureUnreadable(
+            f"the points in {file_name} are within {span(points_mm):.3g} mm of each other: {NOT_METRES}"
+        )
     if (outside := _outside(points_mm, geometry)) > MOST_OUTSIDE:
         raise OutsideField(f"{outside:.0%} of the points in {file_name} are outside the CT")
     return structure_of(name, margin_mm, points_mm)

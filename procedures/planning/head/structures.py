@@ -21,6 +21,7 @@ Array = NDArray[np.float64]
 MOST_STRUCTURES = 20
 MOST_POINTS = 1000  # of one structure; a denser cloud is thinned, and the loss of accuracy recorded
 MOST_POINTS_TOGETHER = 3000  # as many as a plan file has room for
+LEAST_MARGIN_MM = 0.4  # half the thickness of the thinnest depth electrode
 LARGEST_MARGIN_MM = 30.0
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$"

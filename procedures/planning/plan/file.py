@@ -21,13 +21,14 @@ from procedures.planning.errors import (
 )
 from procedures.planning.plan.model import Plan
 from procedures.planning.plan.seal import require_unaltered
+from procedures.planning.plan.units import in_another_unit
 from ronna_hw.bounded_input import read_toml, toml_of
-from ronna_hw.config import describe_mistakes
+from ronna_hw.config import describe_mistakes, mistakes_in
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import printable
 
-LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
-LEAST_MARGIN_MM = 0.05  # a third of the smallest predicted error
+# What an item of a list is called, and the key with its name.
+NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
 # What plans of earlier versions lack, and what to write.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
@@ -65,7 +66,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         plan = Plan.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
         lines = describe_mistakes(error, Plan)
-        for mistake, line in zip(error.errors(include_url=False), lines, strict=False):
+        for mistake, line in zip(mistakes_in(error), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
             told = _named(line, mistake["loc"], content) + _to_add(mistake)
             found.append(kind(told))
@@ -74,7 +75,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         for identifier, count in _ids(content).items()
         if count > 1
     ]
-    found += [] if plan is None else _in_another_unit(plan)
+    found += [] if plan is None else in_another_unit(plan)
     if len(found) == 1:
         raise type(found[0])(f"{name}: {found[0].what}")
     raise_together(found, name)
@@ -97,44 +98,15 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
         raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
 
 
-def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
-    """Mistakes typical of a plan in metres or centimetres, unusable in any case. Not checked for a record."""
-    found = [
-        PlanMistakes(
-            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
-            f"give millimetres, not metres, and at least {LEAST_MARGIN_MM:g}"
-        )
-        for one in plan.trajectories
-        if one.margin_mm < LEAST_MARGIN_MM
-    ]
-    if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
-        found.append(
-            PlanMistakes(
-                f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: "
-                "give millimetres, not metres"
-            )
-        )
-    deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
-    needed_mm = deepest.depth_mm + plan.standoff_mm
-    if plan.instrument_length_mm < needed_mm:
-        found.append(
-            PlanMistakes(
-                f"instrument_length_mm is {plan.instrument_length_mm:g}, but {deepest.id} needs more than "
-                f"{needed_mm:.1f} mm: {deepest.depth_mm:.1f} mm from entry to target, {plan.standoff_mm:g} "
-                "mm of stand-off, and the guide; give millimetres, not centimetres"
-            )
-        )
-    return found
-
-
 def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
-    """The line naming the trajectory by its id, if it has one; otherwise by its number."""
+    """The line naming the trajectory or the structure, if it has a name; otherwise by its number."""
     match place:
-        case ("trajectories", int(index), *_):
-            row = content["trajectories"][index]
-            name = row.get("id") if isinstance(row, dict) else None
-            known = f"trajectory {name}" if isinstance(name, str) and name else f"trajectory {index + 1}"
-            return line.replace(f"trajectories {index + 1}", known, 1)
+        case ("trajectories" | "structures" as table, int(index), *_):
+            kind, key = NAMED[table]
+            row = content[table][index]
+            name = row.get(key) if isinstance(row, dict) else None
+            known = f"{kind} {printable(name)}" if isinstance(name, str) and name else f"{kind} {index + 1}"
+            return line.replace(f"{table} {index + 1}", known, 1)
     return line
 
 

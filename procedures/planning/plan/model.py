@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from procedures.planning.head.metres import NOT_METRES, in_metres
 from procedures.planning.head.structures import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
@@ -80,7 +81,15 @@ class PlannedTrajectory(Strict):
     @model_validator(mode="after")
     def _has_a_way(self) -> PlannedTrajectory:
         if self.depth_mm < LEAST_DEPTH_MM:
-            raise PydanticCustomError("trajectory_geometry", "entry and target are the same point")
+            raise PydanticCustomError(
+                "trajectory_geometry",
+                "entry and target are {depth} mm apart, expected at least {limit} mm{unit}",
+                {
+                    "depth": f"{self.depth_mm:.3g}",
+                    "limit": f"{LEAST_DEPTH_MM:g}",
+                    "unit": f": {NOT_METRES}" if in_metres((self.entry_mm, self.target_mm)) else "",
+                },
+            )
         if self.depth_mm > MOST_DEPTH_MM:
             raise PydanticCustomError(
                 "trajectory_geometry",
@@ -101,7 +110,7 @@ class PlannedTrajectory(Strict):
 
 
 def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
-    # Not a length constraint on the field: that would also complain when every trajectory is invalid.
+    # Not a length constraint on the field, whose message would suspect a decimal comma.
     if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
         raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, got {len(trajectories)}")
     return trajectories

@@ -40,8 +40,11 @@ def test_an_invalid_structure_name_is_refused(name: str) -> None:
         drawn(Draft("HFS", 4), name, (0.0, 0.0, 0.0), None)
 
 
-@pytest.mark.parametrize("margin_mm", [-1.0, 31.0, math.inf])
-def test_an_invalid_margin_is_refused(margin_mm: float) -> None:
+@pytest.mark.parametrize(
+    ("margin_mm", "said"),
+    [(-1.0, "-1"), (31.0, "31"), (math.inf, "inf"), (0.003, r"vessel\.margin_mm: 0\.003 mm .* not metres")],
+)
+def test_an_invalid_margin_is_refused(margin_mm: float, said: str) -> None:
     draft = drawn(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
-    with pytest.raises(PlanMistakes, match="PLAN-002"):
+    with pytest.raises(PlanMistakes, match=f"PLAN-002.*{said}"):
         with_margin(draft, "vessel", margin_mm)

@@ -114,8 +114,8 @@ def test_a_plan_without_trajectories_is_a_mistake(trajectories, plan_text, plan_
         read_plan(plan_path(head + trajectories))
 
 
-def test_entry_and_target_must_differ(plan_text, plan_path):
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*the same point"):
+def test_entry_and_target_must_be_apart(plan_text, plan_path):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*0\.2 mm apart"):
         read_plan(
             plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60.2]"))
         )

@@ -134,6 +134,13 @@ def test_a_file_without_points_is_refused_with_the_accepted_formats(
         read_structure(content, "vessel.csv", "vessel", 3.0, make_volume().geometry)
 
 
+def test_a_file_with_points_in_metres_is_refused(make_volume: Callable[..., Volume]) -> None:
+    with pytest.raises(StructureUnreadable, match=r"PLAN-028.*vessel\.csv.*millimetres, not metres"):
+        read_structure(
+            b"0.009,-0.02,0.02\n0.01,-0.03,0.03\n", "vessel.csv", "vessel", 3.0, make_volume().geometry
+        )
+
+
 def test_a_file_with_points_outside_the_ct_field_is_refused(make_volume: Callable[..., Volume]) -> None:
     with pytest.raises(OutsideField, match=r"PLAN-006.*100% of the points in vessel\.csv"):
         read_structure(b"0,0,900\n", "vessel.csv", "vessel", 3.0, make_volume().geometry)
