@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -68,7 +69,8 @@ class SphereLooks:
         workcell = context.workcell
         if self.count == 0:
             require_record(workcell.calibrations.arm)
-        places = _places(context.result(GlobalLocalization).points_mm, workcell)
+        remarks: list[str] = []
+        places = _places(context.result(GlobalLocalization).points_mm, workcell, remarks)
         head = workcell.calibrations.stereo_head
         model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
         plan = self._plan(model, places, workcell)
@@ -79,7 +81,6 @@ class SphereLooks:
             f"{len(plan)} measurements",
         )
         seen: list[SphereLook] = []
-        remarks: list[str] = []
         for number, place in enumerate(places):
             mine = [one for one in plan if one.look.sphere == number]
             seen += self._looks_at(context, place, mine, len(seen) / len(plan), remarks)
@@ -108,15 +109,16 @@ class SphereLooks:
             for order, look in enumerate(centred_looks(place.reference, place.ball_mm, CANDIDATES))
             if (joints := _joints(workcell, look)) is not None
         ]
-        if len(reached) < SPARE * self.count + self.validation:
+        telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
+        if len(reached) < telling_count + judging_count:
             raise PosesOutOfReach(
                 "too few poses around the spheres are reachable",
-                expected=f"{round(SPARE * self.count) + self.validation} poses",
+                expected=f"{telling_count + judging_count} poses",
                 got=f"{len(reached)} of {CANDIDATES * len(places)}",
             )
-        telling = most_telling(model, arrays_of([one.look for one in reached]), round(SPARE * self.count))
+        telling = most_telling(model, arrays_of([one.look for one in reached]), telling_count)
         rest = sorted(set(range(len(reached))) - set(telling.tolist()))
-        judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, self.validation)]
+        judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, judging_count)]
         judged = [
             _Planned(one.pose, one.look.model_copy(update={"validation": True}))
             for one in (reached[number] for number in judging)
@@ -137,12 +139,10 @@ class SphereLooks:
         workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
         workcell.start(cameras=True)
         workcell.sensors.read_whole()
-        x, y, z = place.ball_mm
-        named = f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
         try:
             context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
-        except SphereNotInView as error:
-            remarks.append(f"{named} was left out: {error.what}")
+        except (NotClear, SphereNotInView) as error:
+            remarks.append(f"{_named(place)} was left out: {error.what}")
             return []
         seen: list[SphereLook] = []
         by_pose = {id(one.pose): one.look for one in plan}
@@ -164,7 +164,7 @@ class SphereLooks:
             )
         if watcher.rejected:
             remarks.append(
-                f"{watcher.rejected.total()} measurements of {named} failed: {watcher.why_rejected()}"
+                f"{watcher.rejected.total()} measurements of {_named(place)} failed: {watcher.why_rejected()}"
             )
         return seen
 
@@ -190,14 +190,24 @@ def flanks_of(number: int) -> Flanks:
     return (a, b, c, d, e, f)
 
 
-def _places(points_mm: NDArray[np.float64], workcell: Workcell) -> tuple[BallPlace, ...]:
-    """Isolated spheres, the nearest to the head first."""
+def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
+    """Isolated spheres within reach, the nearest to the head first."""
     alone = standing_alone(points_mm)
     if not alone:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.tool_pose().translation_mm
     near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
-    return tuple(BallPlace.among(points_mm, number) for number in near[:MOST_SPHERES])
+    places = [BallPlace.among(points_mm, number) for number in near]
+    reached = [place for place in places if _joints(workcell, place.first_look) is not None]
+    remarks += [f"{_named(one)} was left out: it is out of reach" for one in places if one not in reached]
+    if not reached:
+        raise NoBall("no isolated sphere is within reach", got=", ".join(map(_named, places)))
+    return tuple(reached[:MOST_SPHERES])
+
+
+def _named(place: BallPlace) -> str:
+    x, y, z = place.ball_mm
+    return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 
 
 def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:

@@ -1,0 +1,54 @@
+"""An arm is calibrated by the spheres that it can measure; the others are named and left out."""
+
+import numpy as np
+import pytest
+from clinical_case import ClinicalCell
+from prepared_results import checked_set_up, global_localization
+
+from procedures.calibration.errors import NoBall
+from procedures.steps.calibration.sphere_looks import ObservedSpheres, looks_step
+from procedures.workcell import MountedTool
+from ronna_hw.calibration import Numbers3
+
+NEAR_MM, SECOND_MM = (720.0, -10.0, 310.0), (810.0, -10.0, 310.0)
+OUT_OF_REACH_MM = (870.0, 373.0, 1063.0)  # such as a reflection that the tracker took for a sphere
+IDENTIFYING, JUDGING = 60, 12
+
+
+def observed(cell: ClinicalCell, *spheres_mm: Numbers3) -> ObservedSpheres:
+    cell.workcell.spheres_mm = np.array(spheres_mm)
+    cell.carrying(MountedTool.STEREO_HEAD)
+    return cell.run(
+        checked_set_up(cell), global_localization(np.array(spheres_mm)), looks_step(IDENTIFYING, JUDGING)
+    ).result
+
+
+def test_a_sphere_out_of_reach_is_named_and_the_others_are_measured(cell: ClinicalCell) -> None:
+    done = observed(cell, OUT_OF_REACH_MM, NEAR_MM, SECOND_MM)
+    assert done.remarks == ("the sphere at 870 373 1063 mm was left out: it is out of reach",)
+    assert {one.sphere for one in done.observed.looks} == {0, 1}
+
+
+def test_without_a_sphere_within_reach_nothing_moves(cell: ClinicalCell) -> None:
+    with pytest.raises(NoBall, match="no isolated sphere is within reach"):
+        observed(cell, OUT_OF_REACH_MM)
+    assert cell.arm.motions == []
+
+
+def test_a_sphere_whose_way_is_not_clear_is_left_out(cell: ClinicalCell) -> None:
+    seen = [0]
+
+    def blocked(_start: object, target: object) -> bool:
+        seen[0] += 1
+        return seen[0] <= 2  # straight and by home, to the first sphere only
+
+    cell.arm.blocked = blocked
+    done = observed(cell, NEAR_MM, SECOND_MM)
+    (remark,) = done.remarks
+    assert "was left out: the way is not clear" in remark
+    assert len({one.sphere for one in done.observed.looks}) == 1
+
+
+def test_more_measurements_are_planned_than_the_judgement_needs(cell: ClinicalCell) -> None:
+    done = observed(cell, NEAR_MM, SECOND_MM)
+    assert sum(one.validation for one in done.observed.looks) > JUDGING
