@@ -7,6 +7,7 @@ another, not even for one with the same content.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -95,7 +96,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
     """Write a file so that it is never seen half written, not even after a crash.
 
     With `exclusive` an existing file is never replaced: raises FileExistsError. A file that is worthless
-    without others need not be `flushed` to the disk. A system error names the file.
+    without others need not be `flushed` to the disk. A system error names the file, or its missing folder.
     """
     temporary = path.with_name(f".{path.name}{PARTIAL}")
     try:
@@ -110,9 +111,11 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
         else:
             temporary.replace(path)
     except BaseException as problem:  # even an interrupted flush leaves nothing half written
-        temporary.unlink(missing_ok=True)
-        if isinstance(problem, OSError) and problem.filename is None:
-            problem.filename = str(path)
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        if isinstance(problem, OSError):
+            no_folder = isinstance(problem, FileNotFoundError | NotADirectoryError)
+            problem.filename, problem.filename2 = str(path.parent if no_folder else path), None
         raise
 
 

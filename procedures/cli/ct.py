@@ -15,6 +15,7 @@ import typer
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_folder_of
 
 if TYPE_CHECKING:
     from procedures.imaging import Candidate, Localization, Marker, PatientIdentity
@@ -126,6 +127,7 @@ def localize(
     from procedures.imaging.errors import MarkerCountWrong
 
     check_names(write or ())
+    require_folder_of(*(write or ()))
     if pick is not None and method is not Method.COMBINED:
         raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)
@@ -216,7 +218,9 @@ def view(
     import procedures.imaging as imaging
     from procedures.imaging.errors import MarkerCountWrong
     from procedures.imaging.page.ct_page import ct_page
+    from ronna_hw.records import write_whole
 
+    require_folder_of(out)
     with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         markers: Sequence[Marker] = ()
@@ -229,7 +233,7 @@ def view(
         rejected = sum(not one.accepted for one in likely)
         outcome = f"{len(markers)} markers found, {rejected} other candidates examined."
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
-    out.write_text(page, encoding="utf-8")
+    write_whole(out, page.encode())
     terminal.tell(f"{outcome} Page {out}")
 
 

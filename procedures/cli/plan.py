@@ -16,6 +16,7 @@ from procedures.cli.plan_open import open_plan
 from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, read_ct, theatre_of
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_new
 
 if TYPE_CHECKING:
     from procedures.planning.plan.check import PlanCheck
@@ -136,8 +137,7 @@ def template(
 
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
-    if out.exists():
-        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file.")
+    require_new(out)
     if scene is not None:
         found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
     else:

@@ -13,6 +13,7 @@ from procedures.planning.plan.file import read_plan
 from procedures.reporting.marker_picture import marker_picture
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_new
 from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:
@@ -34,9 +35,7 @@ def propose(
     picture = out.with_suffix(".png")
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
-    for file in (out, picture):
-        if file.exists():
-            raise UsageMistake(f"{file} exists and was not changed", action="Name a new file.")
+    require_new(out, picture)
     plan = read_plan(plan_file)
     trajectories = [one.trajectory for one in plan.trajectories]
     volume: Volume | None = None

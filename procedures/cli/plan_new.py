@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_new
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the spheres
 
@@ -27,8 +27,7 @@ def new(
     from procedures.planning.plan.new import new_plan
     from ronna_hw.records import write_whole
 
-    if out.exists():
-        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file with --out.")
+    require_new(out)
     with terminal.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
         found = localize(

@@ -12,6 +12,7 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_new
 
 if TYPE_CHECKING:
     from procedures.cli.new_theatre.searching import Found
@@ -88,8 +89,7 @@ def new_theatre(
             "new-theatre writes the file of real devices: give --hardware",
             action="For simulated ones run ronna-sim theatre, which writes its own.",
         )
-    if out.exists():
-        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file with --out.")
+    require_new(out)
     from procedures.cli.new_theatre import searching, taken_over, writing
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.discovery import Search
@@ -98,6 +98,7 @@ def new_theatre(
     from ronna_hw.registry import finders
     from ronna_hw.theatre_kind import is_simulated
 
+    tables = {} if records is None else taken_over.read_tables(records)
     search = Search(
         interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
@@ -105,7 +106,6 @@ def new_theatre(
         stream=None if stream is None else searching.stream(stream),
     )
     searching.clock(clock)
-    tables = {} if records is None else taken_over.read_tables(records)
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
     if records is not None:

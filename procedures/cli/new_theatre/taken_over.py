@@ -28,7 +28,10 @@ def read_tables(source: Path) -> dict[str, Any]:
     try:
         content = read_toml(source, BadTheatreFile)
     except OSError as error:
-        raise BadTheatreFile(f"cannot read {source}: {error.strerror}") from error
+        raise BadTheatreFile(
+            f"cannot read {source}: {error.strerror}",
+            action="Give --records an existing theatre file, or the calibration.toml of a calibration.",
+        ) from error
     found = {name: content[name] for name in ("flange", *TAKEN_OVER) if name in content}
     if not found:
         raise BadTheatreFile(f"{source} has none of the tables", expected=", ".join(TAKEN_OVER))

@@ -93,7 +93,9 @@ def _root(path: Path) -> ElementTree.Element:
     try:
         root = parse_xml(read_bounded(path, LARGEST_FILE_BYTES), LARGEST_FILE_BYTES)
     except OSError as error:
-        raise EthernetFileInvalid(f"cannot read {path.name}: {error.strerror}") from error
+        raise EthernetFileInvalid(
+            f"cannot read {path.name}: {error.strerror}", action="Give the path of an RSI Ethernet file."
+        ) from error
     except InputRefused as error:
         raise EthernetFileInvalid(f"{path.name} is not XML: {error.summary}") from error
     if root.tag != "ROOT" or root.find("CONFIG") is None:

@@ -75,6 +75,23 @@ def test_a_failed_write_leaves_no_temporary_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [target]
 
 
+def test_a_failed_write_names_the_missing_folder_or_the_file_never_the_temporary_one(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    (tmp_path / "folder").mkdir()
+    for path, named in (
+        ("absent/a.json", "absent"),
+        ("file/a.json", "file"),
+        ("folder", "folder"),
+        (f"{'a' * 300}.json", f"{'a' * 300}.json"),
+    ):
+        with pytest.raises(OSError) as refused:  # noqa: PT011 - which one depends on the case
+            write_whole(tmp_path / path, b"{}")
+        assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / named), None)
+    with pytest.raises(FileExistsError) as refused:
+        write_whole(tmp_path / "file", b"{}", exclusive=True)
+    assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / "file"), None)
+
+
 def test_an_interrupted_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(_file: int) -> None:
         raise KeyboardInterrupt
