@@ -32,7 +32,7 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.text.counting import counted
-from ronna_hw.tool_record import ToolRecord
+from ronna_hw.tool_record import ToolRecord, tip_in_head_mm
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
@@ -121,6 +121,11 @@ class Calibrations(Strict):
     arm: ArmCalibration | None = Field(
         default=None, description="Deviations of the arm; without it the arm is taken as nominal."
     )
+
+    @property
+    def tip_in_head_mm(self) -> Numbers3:
+        """Position of the guide's tip in the frame of the stereo head."""
+        return tip_in_head_mm(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
 
     @property
     def records(self) -> dict[str, DatedRecord]:

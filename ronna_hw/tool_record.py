@@ -91,6 +91,15 @@ class ToolFrame(Strict):
     tip_from_frame: PoseRecord = Field(description="Pose of the frame in the tool's tip frame.")
 
 
+def tip_in_head_mm(flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Numbers3:
+    """Position of a tip in the frame of the stereo head, which a calibration of the head leaves as it is."""
+    from ronna_hw.frames import Frame
+
+    head = flange_from_head.transform(Frame.FLANGE, Frame.TOOL)
+    x, y, z = head.inverse().apply(flange_from_tip.translation_mm).tolist()
+    return x, y, z
+
+
 class ToolRecord(Dated):
     """One tool: identity, purpose, mass, clearance bodies, and its tip or bore."""
 
@@ -111,6 +120,10 @@ class ToolRecord(Dated):
         default=(), description="Bodies for clearance checks, in the tip frame; default: those of `[cell]`."
     )
     tip: str | None = Field(default=None, description="Identifier of the calibration record of the tip.")
+    tip_in_head_mm: Numbers3 | None = Field(
+        default=None,
+        description="Where that record has the tip, in the frame of the stereo head, as the gauge was read.",
+    )
     bore: GuideBore | None = Field(default=None, description="Bore, for a guide.")
     gauge: Gauge | None = Field(default=None, description="Check after mounting.")
     frame: ToolFrame | None = Field(

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
 
 from procedures.workcell.errors import ForeignTool, NoToolRecord
 from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
-from ronna_hw.calibration import ToolTipCalibration
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 
+SAME_TIP_MM = 0.001  # far below the error of any tip; writing a number changes less
+RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
 GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 
@@ -68,7 +70,7 @@ class ToolRecords:
                 )
         guide = self.guide.record
         if not self.calibrating:
-            check_tip(guide, calibrations.tool_tip)
+            check_tip(guide, calibrations)
 
 
 def check_flange(record: ToolRecord, flange: str) -> None:
@@ -81,13 +83,25 @@ def check_flange(record: ToolRecord, flange: str) -> None:
         )
 
 
-def check_tip(record: ToolRecord, tip: ToolTipCalibration) -> None:
-    """Raises TOOL-003 unless a tool's record refers to that calibration of its tip."""
+def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
+    """Raises TOOL-003 unless a tool's record refers to this calibration of its tip, with these numbers."""
+    tip = calibrations.tool_tip
     if record.tip != tip.identifier:
         raise ForeignTool(
             f"tool record {record.identifier} refers to another calibration of its tip",
             expected=tip.identifier,
             got=record.tip or "none",
-            action="Read the gauge with this tool, then run ronna-tool renew, which updates the "
-            "record for that tip.",
+            action=RENEW,
+        )
+    if record.tip_in_head_mm is None:  # written by hand, or by a version that did not know it
+        return
+    moved_mm = math.dist(record.tip_in_head_mm, calibrations.tip_in_head_mm)
+    if moved_mm > SAME_TIP_MM:
+        raise ForeignTool(
+            f"{tip.identifier} has other numbers than when the gauge of {record.identifier} was read: "
+            "its tip is elsewhere relative to the stereo head",
+            limit=f"{SAME_TIP_MM:g} mm",
+            got=f"{moved_mm:.3f} mm",
+            action=f"Restore [calibration.tool_tip] and [calibration.stereo_head]. If they are right: "
+            f"{RENEW}",
         )

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ronna_hw.calibration import PoseRecord
+from ronna_hw.tool_record import tip_in_head_mm
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.model import Scene
 
@@ -18,7 +19,14 @@ GAUGE_BASE_MM = 60.0
 
 def refer_to_tip(content: dict[str, Any]) -> None:
     """Make the guide's record in a theatre file refer to the calibration of its tip in it."""
-    content["tools"]["guide"]["tip"] = content["calibration"]["tool_tip"]["identifier"]
+    guide, records = content["tools"]["guide"], content["calibration"]
+    guide["tip"] = records["tool_tip"]["identifier"]
+    head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
+    guide["tip_in_head_mm"] = list(tip_in_head_mm(head, tip))
+
+
+def _pose(plain: dict[str, Any]) -> PoseRecord:
+    return PoseRecord.model_validate({key: tuple(value) for key, value in plain.items()})
 
 
 def tool_records(

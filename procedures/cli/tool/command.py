@@ -120,10 +120,12 @@ def renew(
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
     whose tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
     """
-    from procedures.cli.tool.records import renewed
+    from procedures.cli.tool.records import renewed, tip_moved_mm
 
     _require_another_file(config, write)
     record = renewed(config, name, _signed(name, by, days), gauge_mm)
+    if (moved_mm := tip_moved_mm(config, name)) is not None:
+        terminal.tell(f"the tip is {moved_mm:.3f} mm from where the former record of {name} has it")
     _write(config, write, name, record, as_json=as_json)
 
 

@@ -13,7 +13,14 @@ from procedures.workcell.errors import NoToolRecord
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import MASTER, BadTheatreFile, TheatreFile, parse_theatre, read_theatre_file
+from ronna_hw.config import (
+    MASTER,
+    BadTheatreFile,
+    Calibrations,
+    TheatreFile,
+    parse_theatre,
+    read_theatre_file,
+)
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
 from ronna_hw.tool_record import WITH_TIP, Gauge, ToolRecord
@@ -25,17 +32,21 @@ def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
     Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach.
     """
     theatre = read_theatre_file(config)
-    tip = None if theatre.calibration is None else theatre.calibration.tool_tip.identifier
     record = {key: value for key, value in given.items() if value not in (None, {})}
     record.setdefault("flange", theatre.flange)
-    if given["purpose"] in {one.value for one in WITH_TIP} and tip is not None:
-        record["tip"] = tip
+    if given["purpose"] in {one.value for one in WITH_TIP} and theatre.calibration is not None:
+        record |= _tip_of(theatre.calibration)
     content = read_toml(config, BadTheatreFile)
     content["tools"] = {**content.get("tools", {}), name: record}
     gauge = parse_theatre(content, f"{config.name} with tool {name}").tools[name].gauge
     if gauge is not None:
         _require_within_axes(gauge, theatre)
     return record
+
+
+def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
+    """What a record says of its tip: which calibration, and where that has it."""
+    return {"tip": calibrations.tool_tip.identifier, "tip_in_head_mm": list(calibrations.tip_in_head_mm)}
 
 
 def _require_within_axes(gauge: Gauge, theatre: TheatreFile) -> None:
@@ -85,11 +96,19 @@ def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[
     kept = content["tools"][name]
     x, y, z, upper_x, upper_y = gauge_mm
     read = {"reading_mm": [x, y, z], "upper_reading_mm": [upper_x, upper_y]}
-    tip = theatre.calibration.tool_tip.identifier
-    new = {**kept, **signed, "tip": tip, "gauge": {**kept["gauge"], **read}}
+    new = {**kept, **signed, **_tip_of(theatre.calibration), "gauge": {**kept["gauge"], **read}}
     content["tools"][name] = new
     parse_theatre(content, f"{config.name} with tool {name}")
     return new
+
+
+def tip_moved_mm(config: Path, name: str) -> float | None:
+    """How far the file's tip is from where the tool's record has it; None if the record does not say."""
+    theatre = read_theatre_file(config)
+    recorded_mm = theatre.tools[name].tip_in_head_mm
+    if recorded_mm is None or theatre.calibration is None:
+        return None
+    return math.dist(recorded_mm, theatre.calibration.tip_in_head_mm)
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:

@@ -127,9 +127,27 @@ def test_a_renewed_record_has_the_new_tip_and_the_gauge_readings(theatre: Path) 
     assert in_this_process(app, "check", "--config", last).returncode == 0
 
 
+@pytest.mark.hazard(3)
+def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_how_far_it_is(
+    theatre: Path,
+) -> None:
+    content = tomllib.loads(theatre.read_text())
+    content["calibration"]["tool_tip"]["flange_from_tool"]["translation_mm"][2] += 30.0
+    edited, last = theatre.with_name("edited.toml"), theatre.with_name("last.toml")
+    edited.write_text(tomli_w.dumps(content))
+    refused = in_this_process(app, "check", "--config", edited)
+    assert refused.returncode == 3
+    assert "TOOL-003" in refused.stderr
+    assert "limit 0.001 mm, got 30.000 mm" in refused.stderr
+    options = ("--config", edited, "--write", last, "--by", "A. Nurse", "--gauge-mm", *"00000")
+    done = in_this_process(app, "renew", "guide", *options)
+    assert "the tip is 30.000 mm from where the former record of guide has it" in done.stderr
+
+
 def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(theatre: Path) -> None:
     content = tomllib.loads(theatre.read_text())
     pose = content["calibration"]["tool_tip"]["flange_from_tool"]
+    del content["tools"]["guide"]["tip_in_head_mm"]  # a record written by hand
     (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
     pose["translation_mm"] = [place_mm / 10 for place_mm in pose["translation_mm"]]
     (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))

@@ -153,6 +153,11 @@ UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
         ForeignTool,
         "TOOL-003: .*another calibration of its tip",
     ),
+    "the same tip with other numbers": (
+        lambda cell: records(cell, tip_in_head_mm=(0.0, 0.0, 0.0)),
+        ForeignTool,
+        "TOOL-003: tool-tip-mini-3 has other numbers .* limit 0.001 mm",
+    ),
     "another number": (lambda cell: records(cell, number=5), NoToolRecord, "TOOL-002: .*expected 2, got 5"),
     "no guide": (
         lambda cell: records(cell, purpose=ToolPurpose.GRIPPER),
