@@ -14,6 +14,7 @@ from procedures.imaging.volume import Volume
 from procedures.studies.errors import MethodAnswerWrong
 from procedures.studies.own.calling import called
 from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.numbers import real_numbers
 
 Array = NDArray[np.float64]
 
@@ -39,10 +40,10 @@ class OwnLocalizer:
         except MarkerCountWrong:  # how our localizer says that there are none
             return np.empty((0, 3))
         try:
-            centres_mm = np.asarray(answer, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise self._wrong(type(answer).__name__) from None
-        if answer is not None and centres_mm.size == 0:
+            centres_mm = real_numbers(answer)
+        except ValueError as error:
+            raise self._wrong(str(error)) from None
+        if centres_mm.size == 0:
             return np.empty((0, 3))
         if centres_mm.ndim != 2 or centres_mm.shape[1] != 3:
             raise self._wrong(f"shape {centres_mm.shape}")

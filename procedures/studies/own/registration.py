@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.studies.errors import MethodAnswerWrong
 from procedures.studies.own.calling import called
 from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.numbers import real_numbers
 
 Array = NDArray[np.float64]
 
@@ -37,9 +38,9 @@ class OwnRegistration:
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
         try:
-            matrix = np.asarray(answer, dtype=float)
-        except (TypeError, ValueError, OverflowError):
-            raise self._wrong(type(answer).__name__) from None
+            matrix = real_numbers(answer)
+        except ValueError as error:
+            raise self._wrong(str(error)) from None
         if matrix.shape != (4, 4):
             raise self._wrong(f"shape {matrix.shape}")
         if not np.isfinite(matrix).all():

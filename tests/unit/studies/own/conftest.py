@@ -71,6 +71,12 @@ def in_metres(image_mm, physical_mm, *, covariance_mm2):
 def lost(image_mm, physical_mm, *, covariance_mm2):
     return np.full((4, 4), np.nan)
 
+def strings(image_mm, physical_mm, *, covariance_mm2):
+    return register(image_mm, physical_mm).transform.as_matrix().astype(str).tolist()
+
+def imaginary(image_mm, physical_mm, *, covariance_mm2):
+    return register(image_mm, physical_mm).transform.as_matrix() + 1j
+
 def indices(volume):
     return [[500.0, 20.0, 30.0]]
 
@@ -79,6 +85,9 @@ def flat(volume):
 
 def nothing(volume):
     return None
+
+def words(volume):
+    return [["1.0", "2.0", "3.0"]]
 
 class Beside(OrientationCorrection):
     def localization_poses(self, along, fiducials_mm, robot_from_ct, arm):

@@ -82,13 +82,16 @@ def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
         (REGISTRATION, "mine:inverted", r"expected physical <- image, mm, got its inverse fits"),
         (REGISTRATION, "mine:in_metres", r"got it fits with the translation × 1000: metres"),
         (REGISTRATION, "mine:lost", "got numbers that are not finite"),
+        (REGISTRATION, "mine:strings", "did not return a rigid transform; .* got text"),
+        (REGISTRATION, "mine:imaginary", "did not return a rigid transform; .* got complex numbers"),
+        (LOCALIZER, "mine:words", "did not return centres; .* got text"),
         (
             LOCALIZER,
             "mine:indices",
             r"got \(500.0, 20.0, 30.0\), which is outside the volume",
         ),
         (LOCALIZER, "mine:flat", r"did not return centres; .* got shape \(2,\)"),
-        (LOCALIZER, "mine:nothing", r"did not return centres; .* got shape \(\)"),
+        (LOCALIZER, "mine:nothing", "did not return centres; .* got NoneType"),
         (
             STRATEGY,
             "mine:Beside",
