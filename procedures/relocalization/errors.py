@@ -65,7 +65,7 @@ class SphereNotInView(DataError):
     """The whole search pattern was covered without finding the sphere."""
 
     code = "STE-009"
-    action = "Check the global localization of this sphere; skip it if enough others remain."
+    action = "Put the ball there, in view of both cameras, or give its position with --ball X Y Z."
 
 
 class WrongCamera(DataError):

@@ -12,6 +12,7 @@ Array = NDArray[np.float64]
 
 RINGS = 3
 RING_STEP_MM = 5.0
+SEARCH_RADIUS_MM = RINGS * RING_STEP_MM
 LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so that looks stay about 5 mm apart
 
 

@@ -51,7 +51,15 @@ class StandBall:
             "the stand is screwed down and its ball is seated",
             f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
         )
-        watcher = bring_over_ball(context, place, f"{self.count} measurements of the stand's ball", 0)
+        watcher = bring_over_ball(
+            context,
+            place,
+            f"{self.count} measurements of the stand's ball",
+            0,
+            ball="the stand's ball",
+            if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
+            "[procedure].",
+        )
         looks: list[BallLook] = []
         for planned in plan:
             if len(looks) == self.count:

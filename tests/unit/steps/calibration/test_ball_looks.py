@@ -20,7 +20,7 @@ from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, che
 from procedures.engine.step import StepSpec
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
-from procedures.relocalization.errors import NoSphere, WrongCamera
+from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall, look_step
@@ -123,6 +123,15 @@ def test_the_ball_is_not_observed_with_a_tool_other_than_the_stereo_head(
     cell.carrying(MountedTool.GUIDE)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
         cell.run(checked_set_up(cell), BallPlace(ball_mm=BALL_MM, others_mm=()), step)
+
+
+@pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
+def test_a_missing_ball_is_refused_with_its_position_and_the_option_that_states_it(
+    cell: ClinicalCell, step: StepSpec[StepResult]
+) -> None:
+    with pytest.raises(SphereNotInView, match=r"STE-009.*the ball .*15 mm of 720 50 310 mm") as refused:
+        over_ball(cell, step, at_mm=(720.0, 50.0, 310.0))
+    assert "--ball X Y Z" in refused.value.advice
 
 
 def test_one_acquisition_over_the_ball_measures_it_and_returns_home(cell: ClinicalCell) -> None:

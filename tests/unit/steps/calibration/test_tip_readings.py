@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clinical_case import ClinicalCell
+from clinical_case import IN_VIEW_MM, ClinicalCell
 from prepared_results import checked_set_up
 from recording_cell import GUIDE, RecordingOperator
 
@@ -13,6 +13,7 @@ from procedures.calibration.tool_tip.looks import TipLooks
 from procedures.calibration.tool_tip.record import calibrate_tip
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
+from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
 from procedures.steps.calibration.tip_readings import readings_step
@@ -96,6 +97,17 @@ def test_the_arm_stays_after_a_reading_until_hands_are_confirmed_clear(
         read(cell)
     assert motions == [len(cell.arm.motions)]
     assert "hands are clear" in cell.operator.asked[-1].subject
+
+
+def test_a_stand_without_its_ball_is_refused_with_its_position_and_the_keys_that_state_it(
+    cell: ClinicalCell,
+) -> None:
+    stand(cell)
+    cell.workcell.spheres_mm = np.array([BALL_MM]) + 10 * IN_VIEW_MM
+    with pytest.raises(SphereNotInView, match=r"STE-009.*stand's ball.*15 mm of 650 -200 250 mm") as refused:
+        read(cell)
+    for remedy in ("Seat the ball", "--ball X Y Z", "stand_mm in [procedure]"):
+        assert remedy in refused.value.advice
 
 
 @pytest.mark.hazard(37)
