@@ -198,3 +198,14 @@ def test_the_page_about_the_reference_frame_works(commands: Commands, tmp_path: 
     run_all(lines, commands, tmp_path)
     (folder,) = (tmp_path / "calibrations").iterdir()
     assert (folder / "report.html").is_file()
+
+
+def test_a_theatre_file_to_be_written_in_another_folder_is_refused_before_anything_is_measured(
+    tmp_path: Path,
+) -> None:
+    theatre = theatre_of(tmp_path, named_scene("mini", seed=3))
+    elsewhere = tmp_path / "elsewhere" / "new.toml"
+    run = ("calibrate", "tracker-frame", "--config", theatre, "--write", elsewhere)
+    done = in_this_process(app, *run, "--out", tmp_path / "out")
+    assert "is not in the folder of theatre.toml" in " ".join(one_error(done.stderr))
+    assert not (tmp_path / "out").exists()

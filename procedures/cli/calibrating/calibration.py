@@ -13,7 +13,12 @@ from typing import Any, Generic, TypeVar
 
 from procedures.calibration.observations import read_strict
 from procedures.calibration.same_theatre import Measurements, require_same_theatre
-from procedures.cli.calibrating.files import finished_figures, write_records, write_theatre
+from procedures.cli.calibrating.files import (
+    finished_figures,
+    require_same_folder,
+    write_records,
+    write_theatre,
+)
 from procedures.cli.calibrating.running import new_folder, run_steps
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.request import CalibrationRun, TheatreRequest
@@ -85,6 +90,8 @@ class CalibrationRequest:
 def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: CalibrationRequest) -> None:
     """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-019."""
     theatre = request.theatre or TheatreRequest(config=request.config)
+    if request.write is not None and theatre.config is not None:
+        require_same_folder(theatre.config, request.write)  # before anything is measured
     run = CalibrationRun(
         config=theatre.config,
         choice=theatre.choice,

@@ -76,11 +76,16 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
     """The same with new entries in whichever tables."""
+    require_same_folder(source, target)
+    read_toml(source, BadTheatreFile)  # within bounds
+    text = with_tables(source.read_text(encoding="utf-8-sig"), tables)
+    write_whole(target, text.encode())
+
+
+def require_same_folder(source: Path, target: Path) -> None:
+    """Raise CAL-005 for a theatre file to be written elsewhere than next to the one it is made from."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, which its relative paths refer to",
             action="Name a file in the folder of the theatre file.",
         )
-    read_toml(source, BadTheatreFile)  # within bounds
-    text = with_tables(source.read_text(encoding="utf-8-sig"), tables)
-    write_whole(target, text.encode())
