@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
+from ronna_hw.plausible import FINEST_MM
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import Stain, drawn_stains
 from sim.basler.optics.foreground import Disturbance, Glare, Occluder
@@ -140,7 +141,7 @@ class Studio:
             created=now,
             expires=now + timedelta(days=1),
             made_by="the scene",
-            stated_error_mm=0.0,
+            stated_error_mm=FINEST_MM,
             flange_from_tool=identity,
             left=left,
             right=right,

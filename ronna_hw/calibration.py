@@ -21,6 +21,20 @@ from pydantic import (
 )
 
 from ronna_hw.errors import EXIT_REFUSED, DataError
+from ronna_hw.plausible import (
+    FARTHEST_ON_TOOL_MM,
+    SHORTEST_TRANSLATION_MM,
+    WIDEST_VIEW_DEG,
+    DeviationMm,
+    DeviationRad,
+    FocalPixels,
+    MountedError,
+    Scatter,
+    SensorPixels,
+    StatedError,
+    Words,
+    farther_than,
+)
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Frame, Transform
@@ -31,30 +45,7 @@ Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
 
 CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
-SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm in metres would be shorter
-SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera with some hundred pixels; 50 mm would be less
 AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: for a guide assumed to point as drawn, never measured
-SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, unlike 150 mm given in metres
-
-
-def _millimetres(length_mm: float) -> float:
-    if 0.0 < length_mm < SHORTEST_MM:
-        raise ValueError("give millimetres, not metres")
-    return length_mm
-
-
-Length = AfterValidator(_millimetres)  # of something large enough to tell metres from millimetres
-
-
-def farther_than(shortest_mm: float) -> AfterValidator:
-    """For a position that is this far from its origin, unless at it: in metres it would be closer."""
-
-    def in_millimetres(place_mm: Numbers3) -> Numbers3:
-        if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
-            raise ValueError(f"has length {length_mm:.3g}: give millimetres, not metres")
-        return place_mm
-
-    return AfterValidator(in_millimetres)
 
 
 def _whole_moment(value: object, info: ValidationInfo) -> object:
@@ -68,13 +59,8 @@ def _whole_moment(value: object, info: ValidationInfo) -> object:
 Moment = Annotated[AwareDatetime, BeforeValidator(_whole_moment)]
 
 
-def _pixels(focal_px: float) -> float:
-    if focal_px < SHORTEST_FOCAL_PX:
-        raise ValueError("give the focal length in pixels, not in millimetres or metres")
-    return focal_px
-
-
-FocalPixels = Annotated[float, Field(gt=0), AfterValidator(_pixels)]
+def _listed(pair: tuple[float, float]) -> str:
+    return "[{:g}, {:g}]".format(*pair)
 
 
 def _readable(moment: datetime) -> str:
@@ -119,6 +105,15 @@ class PoseRecord(Strict):
         )
 
 
+def _on_the_mount(pose: PoseRecord) -> PoseRecord:
+    if (length_mm := math.hypot(*pose.translation_mm)) > FARTHEST_ON_TOOL_MM:
+        raise ValueError(f"has length {length_mm:.3g}: expected at most {FARTHEST_ON_TOOL_MM:g} mm")
+    return pose
+
+
+OnTheMount = Annotated[PoseRecord, AfterValidator(_on_the_mount)]
+
+
 class CameraCalibration(Strict):
     """One camera of the stereo head: pinhole with radial and tangential distortion.
 
@@ -126,7 +121,7 @@ class CameraCalibration(Strict):
     to the camera frame (z along the optical axis, x along columns, y down the rows).
     """
 
-    serial: str = Field(description="Serial number, as read from the camera.")
+    serial: Words = Field(description="Serial number, as read from the camera.")
     focal_px: tuple[FocalPixels, FocalPixels] = Field(
         description="Focal length along columns and along rows."
     )
@@ -134,8 +129,28 @@ class CameraCalibration(Strict):
     distortion: tuple[float, float, float, float, float] = Field(
         default=(0.0, 0.0, 0.0, 0.0, 0.0), description="Distortion coefficients k1 k2 p1 p2 k3."
     )
-    sensor_px: tuple[int, int] = Field(default=(2048, 1088), description="Sensor size, columns and rows.")
+    sensor_px: tuple[SensorPixels, SensorPixels] = Field(
+        default=(2048, 1088), description="Sensor size, columns and rows."
+    )
     camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
+
+    @model_validator(mode="after")
+    def _of_this_sensor(self) -> Self:
+        """The principal point distinguishes columns from rows, the view a focal length in other pixels."""
+        for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
+            if not 0.25 * count < at_px < 0.75 * count:
+                raise ValueError(
+                    f"principal_point_px {_listed(self.principal_point_px)} is not in the middle half of "
+                    f"sensor_px {_listed(self.sensor_px)}: give columns first, then rows"
+                )
+        view_deg = 2.0 * math.degrees(math.atan2(0.5 * max(self.sensor_px), min(self.focal_px)))
+        if view_deg > WIDEST_VIEW_DEG:
+            raise ValueError(
+                f"focal_px {_listed(self.focal_px)} with sensor_px {_listed(self.sensor_px)} is a view of "
+                f"{view_deg:.0f} degrees, expected at most {WIDEST_VIEW_DEG:g}: give the focal length in "
+                "pixels of this sensor"
+            )
+        return self
 
 
 class Dated(Strict):
@@ -143,10 +158,18 @@ class Dated(Strict):
 
     what: ClassVar[str] = "calibration"  # its kind, in messages
 
-    identifier: str = Field(description="Name of the record.")
+    identifier: Words = Field(description="Name of the record.")
     created: Moment = Field(description="Time of measurement, with time zone.")
     expires: Moment = Field(description="Time of expiry, with time zone.")
-    made_by: str = Field(description="Person or program that measured it.")
+    made_by: Words = Field(description="Person or program that measured it.")
+
+    @model_validator(mode="after")
+    def _expires_after_creation(self) -> Self:
+        if self.expires < self.created:
+            raise ValueError(
+                f"expires {_readable(self.expires)}, before it was created, {_readable(self.created)}"
+            )
+        return self
 
     def check_valid_at(self, moment: datetime) -> None:
         """Raise CAL-001 if the record has expired at `moment`, or is dated after it.
@@ -170,15 +193,13 @@ class Dated(Strict):
 class DatedRecord(Dated):
     """Fields that all calibration records have in common."""
 
-    stated_error_mm: Annotated[float, Field(ge=0)] = Field(
-        description="Stated error, one standard deviation."
-    )
+    stated_error_mm: StatedError = Field(description="Stated error, one standard deviation.")
 
 
 class StereoHeadCalibration(DatedRecord):
     """Both cameras, and the nominal tool centre point of the head on the flange."""
 
-    flange_from_tool: PoseRecord = Field(description="Pose flange <- tool centre of the head.")
+    flange_from_tool: OnTheMount = Field(description="Pose flange <- tool centre of the head.")
     left: CameraCalibration = Field(description="The left camera.")
     right: CameraCalibration = Field(description="The right camera.")
 
@@ -186,10 +207,11 @@ class StereoHeadCalibration(DatedRecord):
 class ToolTipCalibration(DatedRecord):
     """A surgical guide: nominal pose of its tip on the flange, z along the guide's axis."""
 
+    stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
     tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
         description="Tool number reported by the controller's inputs."
     )
-    flange_from_tool: PoseRecord = Field(description="Pose flange <- tip, z along the guide.")
+    flange_from_tool: OnTheMount = Field(description="Pose flange <- tip, z along the guide.")
     stated_direction_error_rad: Annotated[float, Field(ge=0, lt=0.1)] = Field(
         default=AS_MACHINED_RAD,
         description="Angle between z and the bore, one standard deviation; default: as machined.",
@@ -199,30 +221,35 @@ class ToolTipCalibration(DatedRecord):
 class TrackerFrameCalibration(DatedRecord):
     """The reference frame M on the tool mount: the tool name of its definition file, and its pose."""
 
-    tool: str = Field(description="Name of the tool definition in the tracker's options.")
-    tool_from_marker: PoseRecord = Field(description="Pose tool centre <- reference frame.")
+    stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
+    tool: Words = Field(description="Name of the tool definition in the tracker's options.")
+    tool_from_marker: OnTheMount = Field(description="Pose tool centre <- reference frame.")
 
 
 class ArmCalibration(DatedRecord):
     """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
 
-    arm: str = Field(description="Name of the kinematic model to correct.")
-    scatter_mm: Annotated[float, Field(gt=0)] = Field(
+    arm: Words = Field(description="Name of the kinematic model to correct.")
+    scatter_mm: Scatter = Field(
         description="Random error per axis from pose to pose, one standard deviation."
     )
-    link_translation_mm: tuple[Numbers3, ...] = Field(
+    link_translation_mm: tuple[tuple[DeviationMm, DeviationMm, DeviationMm], ...] = Field(
         description="Displacement of each link's far end, in the frame that rotates with its joint."
     )
-    link_rotation_rad: tuple[Numbers3, ...] = Field(
+    link_rotation_rad: tuple[tuple[DeviationRad, DeviationRad, DeviationRad], ...] = Field(
         description="Rotation vector of each link's far end, same frame."
     )
-    joint_offset_rad: tuple[float, ...] = Field(description="Constant error of each joint.")
-    sine_rad: tuple[Numbers2, ...] = Field(
+    joint_offset_rad: tuple[DeviationRad, ...] = Field(description="Constant error of each joint.")
+    sine_rad: tuple[tuple[DeviationRad, DeviationRad], ...] = Field(
         description="Error coefficients of the sine of the joint angle and of twice the angle."
     )
-    cosine_rad: tuple[Numbers2, ...] = Field(description="The same for the cosines.")
-    sag_rad: tuple[float, ...] = Field(description="Sag under gravity, arm stretched out horizontally.")
-    backlash_rad: tuple[float, ...] = Field(description="Backlash; a joint rests half of it to either side.")
+    cosine_rad: tuple[tuple[DeviationRad, DeviationRad], ...] = Field(description="The same for the cosines.")
+    sag_rad: tuple[DeviationRad, ...] = Field(
+        description="Sag under gravity, arm stretched out horizontally."
+    )
+    backlash_rad: tuple[DeviationRad, ...] = Field(
+        description="Backlash; a joint rests half of it to either side."
+    )
 
     @model_validator(mode="after")
     def _of_one_arm(self) -> Self:

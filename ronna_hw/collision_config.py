@@ -18,11 +18,17 @@ from pydantic import Field, model_validator
 from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid
 from ronna_hw.arm.clearance.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibration import Length, Numbers3, Strict
+from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.plausible import FARTHEST_MM, Length, farther_than
 
 Millimetres = Annotated[float, Field(gt=0, le=5000), Length]
 NotNegative = Annotated[float, Field(ge=0, le=5000), Length]
 Speed = Annotated[float, Field(gt=0, le=2000)]
+Place = Annotated[Numbers3, farther_than(0.0, FARTHEST_MM)]
+
+# The largest values that still limit anything.
+LARGEST_CORRIDOR_MM = 15.0  # no burr hole is wider than 30 mm
+FASTEST_NEAR_HEAD_MM_S = 250.0  # the reduced speed of ISO 10218-1, with a person in reach
 
 SPHERE_POST_RADIUS_MM = 7.0  # an 11.5 mm marker on its post, plus the error of the coarse localization
 POST_MM = 14.0  # from the sphere's centre towards the head
@@ -40,8 +46,8 @@ class BodyConfig(Strict):
     """A capsule: the two ends of its axis, and its radius."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
-    start_mm: Numbers3 = Field(description="Start of the axis.")
-    end_mm: Numbers3 = Field(description="End of the axis.")
+    start_mm: Place = Field(description="Start of the axis.")
+    end_mm: Place = Field(description="End of the axis.")
     radius_mm: Millimetres = Field(description="Radius of the cylinder and of its rounded ends.")
 
     @property
@@ -78,7 +84,9 @@ class HeadZone(Strict):
     """Speed limit of all moving parts by their distance to the head, linear between two points."""
 
     near_mm: NotNegative = Field(default=20.0, description="Up to this distance, near_speed_mm_s applies.")
-    near_speed_mm_s: Speed = Field(default=60.0, description="Largest speed up to near_mm.")
+    near_speed_mm_s: Annotated[float, Field(gt=0, le=FASTEST_NEAR_HEAD_MM_S)] = Field(
+        default=60.0, description="Largest speed up to near_mm."
+    )
     far_mm: Millimetres = Field(default=400.0, description="From this distance on, far_speed_mm_s applies.")
     far_speed_mm_s: Speed = Field(default=1000.0, description="Largest speed from far_mm on.")
 
@@ -145,7 +153,7 @@ class CollisionConfig(Strict):
     live_margin_mm: NotNegative = Field(
         default=5.0, description="Smallest clearance of a set-point; below it the arm stops."
     )
-    corridor_mm: Millimetres = Field(
+    corridor_mm: Annotated[float, Field(gt=0, le=LARGEST_CORRIDOR_MM), Length] = Field(
         default=2.5, description="Radius of the needle corridor about a trajectory."
     )
     arm: ArmThickness = Field(default=ArmThickness(), description="Radii of the links of the arm.")

@@ -20,22 +20,31 @@ from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
     DatedRecord,
-    Length,
     Numbers3,
     StereoHeadCalibration,
     Strict,
     ToolTipCalibration,
     TrackerFrameCalibration,
-    farther_than,
 )
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.plausible import (
+    ArmError,
+    Length,
+    MountedError,
+    SeatingError,
+    SensorPixels,
+    farther_than,
+)
 from ronna_hw.text.counting import counted
 from ronna_hw.tool_record import ToolRecord, tip_in_head_mm
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
+FARTHEST_STANDOFF_MM = 500.0  # as the longest guide
+# Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
+LARGEST_COARSE_FINE_MM = 5.75
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
 
 
@@ -145,26 +154,26 @@ class WatchPatient(StrEnum):
 class ProcedureSettings(Strict):
     """Assumptions and settings of the procedure in this theatre."""
 
-    arm_error_mm: Annotated[float, Field(ge=0)] = Field(
+    arm_error_mm: ArmError = Field(
         default=0.15, description="Local error of the arm per axis, one standard deviation."
     )
-    tool_error_mm: Annotated[float, Field(ge=0)] = Field(
+    tool_error_mm: MountedError = Field(
         default=2.0,
         description="Error of the mount on the flange per axis, one standard deviation; the default is "
         "for a mount as designed.",
     )
-    seating_error_mm: Annotated[float, Field(ge=0)] = Field(
+    seating_error_mm: SeatingError = Field(
         default=0.05,
         description="Displacement of a sphere refitted after the CT from its CT position, per axis, one "
         "standard deviation.",
     )
-    servo_area_px: tuple[int, int] = Field(
+    servo_area_px: tuple[SensorPixels, SensorPixels] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor read by the visual servo."
     )
-    standoff_mm: Annotated[float, Field(gt=0), Length] = Field(
+    standoff_mm: Annotated[float, Field(gt=0, le=FARTHEST_STANDOFF_MM), Length] = Field(
         default=60.0, description="Distance outside the entry at which approach begins and retreat ends."
     )
-    coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
+    coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
         default=3.0,
         description="Largest difference between stereo head and tracker for the same sphere.",
     )

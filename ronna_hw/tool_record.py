@@ -11,18 +11,20 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.calibration import (
+from ronna_hw.calibration import Dated, Numbers3, OnTheMount, PoseRecord, Strict
+from ronna_hw.collision_config import ToolBody
+from ronna_hw.plausible import (
+    FARTHEST_ON_TOOL_MM,
+    LONGEST_TRAVEL_MM,
     SHORTEST_TRANSLATION_MM,
-    Dated,
+    DialReading,
+    JointDegrees,
     Length,
-    Numbers3,
-    PoseRecord,
-    Strict,
+    Words,
     farther_than,
 )
-from ronna_hw.collision_config import ToolBody
 
-Angles6 = tuple[float, float, float, float, float, float]
+Angles6 = tuple[JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees]
 
 
 class ToolPurpose(StrEnum):
@@ -61,16 +63,16 @@ class Gauge(Strict):
     """The pose in which the tool is checked, and the readings of the table gauge when it was measured."""
 
     joints_deg: Angles6 = Field(description="Joint angles of the arm with the mandrel in the gauge.")
-    reading_mm: Numbers3 = Field(
+    reading_mm: tuple[DialReading, DialReading, DialReading] = Field(
         default=(0.0, 0.0, 0.0), description="Readings of the dials at the end, along x, y and z of the tool."
     )
-    upper_reading_mm: tuple[float, float] = Field(
+    upper_reading_mm: tuple[DialReading, DialReading] = Field(
         default=(0.0, 0.0), description="Readings of the dials higher up on the mandrel, along x and y."
     )
     base_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
         default=60.0, description="Distance between both dial heights."
     )
-    travel_mm: Annotated[float, Field(gt=0, le=100), Length] = Field(
+    travel_mm: Annotated[float, Field(gt=0, le=LONGEST_TRAVEL_MM), Length] = Field(
         default=10.0,
         description="Travel of a dial, to either side; a reading beyond it is taken as a typing error.",
     )
@@ -85,10 +87,8 @@ class Gauge(Strict):
 class ToolFrame(Strict):
     """A frame of spheres on the tool itself, by which the tracker identifies it."""
 
-    tool: Annotated[str, Field(min_length=1)] = Field(
-        description="Name of the frame among the tracker's tools."
-    )
-    tip_from_frame: PoseRecord = Field(description="Pose of the frame in the tool's tip frame.")
+    tool: Words = Field(description="Name of the frame among the tracker's tools.")
+    tip_from_frame: OnTheMount = Field(description="Pose of the frame in the tool's tip frame.")
 
 
 def tip_in_head_mm(flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Numbers3:
@@ -109,12 +109,12 @@ class ToolRecord(Dated):
     number: Annotated[int, Field(ge=1, le=16)] = Field(
         description="Tool number reported by the controller's inputs."
     )
-    flange: Annotated[str, Field(min_length=1)] = Field(
+    flange: Words = Field(
         description="Name of the flange, or of the changer on it, on which it was measured."
     )
     mass_kg: Annotated[float, Field(gt=0, le=10)] = Field(description="Mass of everything below the changer.")
-    centre_of_gravity_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
-        description="Centre of gravity in the flange frame."
+    centre_of_gravity_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM, FARTHEST_ON_TOOL_MM)] = (
+        Field(description="Centre of gravity in the flange frame.")
     )
     bodies: tuple[ToolBody, ...] = Field(
         default=(), description="Bodies for clearance checks, in the tip frame; default: those of `[cell]`."

@@ -17,6 +17,7 @@ import numpy as np
 
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.calibration import PoseRecord
+from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_whole
 from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
@@ -90,8 +91,10 @@ def theatre_content(
             "servo_area_px": list(scene.servo_area_px),
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
             "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
-            "tool_error_mm": arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM,
-            "seating_error_mm": scene.head.seating_error_mm,
+            "tool_error_mm": _credible_mm(
+                arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM
+            ),
+            "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
         },
     }
     refer_to_tip(content)
@@ -143,7 +146,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     def record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
         return {
             **_dated(scene, name, created),
-            "stated_error_mm": stated_error_mm,
+            "stated_error_mm": _credible_mm(stated_error_mm),
             **more,
         }
 
@@ -182,6 +185,11 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
         ),
         **_arm(scene, record),
     }
+
+
+def _credible_mm(error_mm: float) -> float:
+    """An error as a laboratory can state it, also in a scene without one."""
+    return max(error_mm, FINEST_ON_ARM_MM)
 
 
 def _dated(scene: Scene, name: str, created: datetime) -> dict[str, Any]:

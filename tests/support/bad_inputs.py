@@ -74,7 +74,7 @@ STEREO = (
 STEREO_HEAD = """[calibration.stereo_head]
 identifier = "head-1"
 created = 2026-01-01T00:00:00Z
-expires = 2036-01-01T00:00:00Z
+expires = 2027-01-01T00:00:00Z
 made_by = "bench"
 stated_error_mm = 0.05
 flange_from_tool = { translation_mm = [0.0, 0.0, 300.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0] }
@@ -123,6 +123,7 @@ def _files() -> dict[str, str | bytes]:
         "noend.toml": THEATRE + '[tracker]\ndriver = "ndi_polaris"\n',
         "procedure.toml": THEATRE + "[procedure]\nstandof_mm = 60.0\n",
         "standoff.toml": THEATRE + "[procedure]\nstandoff_mm = 0.06\n",
+        "error_metres.toml": THEATRE + "[procedure]\ntool_error_mm = 0.002\n",
         "schema.toml": 'schema = 2\ntheatre = "lab"\n',
         "nothing.toml": "",
         "focal_record.toml": THEATRE + STEREO_HEAD,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import socket
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -39,6 +40,15 @@ def _replaced(old: str, new: str) -> Change:
     def change(text: str) -> str:
         assert old in text
         return text.replace(old, new)
+
+    return change
+
+
+def _in_millennium(digit: str) -> Change:
+    """With all records of another millennium: the first digit of each year."""
+
+    def change(text: str) -> str:
+        return re.sub(r"^(created|expires) = 2", rf"\1 = {digit}", text, flags=re.MULTILINE)
 
     return change
 
@@ -85,8 +95,8 @@ class Trouble:
 
 
 TROUBLES = {
-    "tool tip expired": Trouble("CAL-001", change=_replaced("expires = 2", "expires = 1")),
-    "dated in the future": Trouble("CAL-001", change=lambda text: text.replace("created = 2", "created = 9")),
+    "records expired": Trouble("CAL-001", change=_in_millennium("1")),
+    "dated in the future": Trouble("CAL-001", change=_in_millennium("9")),
     "no calibrations": Trouble("DEV-007", change=_without("calibration")),
     "record of another arm": Trouble("CAL-013", change=_with_a_record_of_another_arm),
     "records of other cameras": Trouble(

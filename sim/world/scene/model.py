@@ -14,8 +14,9 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_json_bytes, read_toml
-from ronna_hw.calibration import FocalPixels, Length, Numbers3, PoseRecord, Strict
+from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
+from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text.counting import counted
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene

@@ -15,6 +15,7 @@ from scipy.ndimage import binary_dilation, binary_erosion, gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
+from ronna_hw.plausible import FINEST_MM
 
 SENSOR = (2048, 1088)
 FOCAL_PX = 62.5e3 / 5.5  # principal distance 62.5 mm, pixels of 5.5 um
@@ -163,7 +164,7 @@ class Head:
             created=now,
             expires=now + timedelta(days=1),
             made_by="tests",
-            stated_error_mm=0.0,
+            stated_error_mm=FINEST_MM,
             flange_from_tool=PoseRecord(translation_mm=(0, 0, 0), quaternion_wxyz=(1, 0, 0, 0)),
             left=self._camera("left"),
             right=self._camera("right"),

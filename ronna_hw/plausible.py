@@ -1,0 +1,80 @@
+"""Bounds of the numbers in a theatre file: beyond them one is in another unit, or mistyped.
+
+Each is far from anything that is built or measured, so that whatever is refused was not meant.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import AfterValidator, Field
+
+SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm in metres would be shorter
+SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, unlike 150 mm given in metres
+FARTHEST_MM = 10_000.0  # of anything from anything else in a room
+FARTHEST_ON_TOOL_MM = 1000.0  # from the flange: more than the arm itself reaches
+SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera with some hundred pixels; 50 mm would be less
+LONGEST_FOCAL_PX = 1e6  # 1 m on pixels of 1 µm
+WIDEST_VIEW_DEG = 75.0  # a 6 mm lens on a 2/3 inch sensor has 72; wider ones do not follow this distortion
+# One standard deviation per axis of an arm that repeats to 0.02 mm (ISO 9283: mean plus three standard
+# deviations), the best of this size. Nothing on the mount, nor any sphere, is placed or known better.
+FINEST_ON_ARM_MM = 0.005
+FINEST_MM = 0.001  # of a mean over many poses; coordinate measuring machines are off by more
+FINEST_SCATTER_MM = 1e-4  # of any arm, from pose to pose; 0.02 mm in metres would be less
+LARGEST_ERROR_MM = 20.0  # no mount deviates this much from its drawing
+LARGEST_ARM_ERROR_MM = 1.0  # an arm of this size is off by 0.65 mm without any calibration
+LARGEST_SEATING_MM = 2.0  # a sphere farther off its place is not on the same post
+LARGEST_DEVIATION_MM, LARGEST_DEVIATION_RAD = 20.0, 0.1  # of one joint or link: fifty times what is usual
+LONGEST_TRAVEL_MM = 100.0  # of a dial gauge
+
+
+def not_in_metres(shortest_mm: float) -> AfterValidator:
+    """For a length that is 0 or at least this long; in metres it would be shorter."""
+
+    def in_millimetres(length_mm: float) -> float:
+        if 0.0 < length_mm < shortest_mm:
+            raise ValueError("give millimetres, not metres")
+        return length_mm
+
+    return AfterValidator(in_millimetres)
+
+
+def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
+    """For a position that is this far from its origin, unless at it: in metres it would be closer."""
+
+    def in_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+        if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
+            raise ValueError(f"has length {length_mm:.3g}: give millimetres, not metres")
+        if length_mm > farthest_mm:
+            raise ValueError(f"has length {length_mm:.3g}: expected at most {farthest_mm:g} mm")
+        return place_mm
+
+    return AfterValidator(in_millimetres)
+
+
+def _pixels(focal_px: float) -> float:
+    if focal_px < SHORTEST_FOCAL_PX:
+        raise ValueError("give the focal length in pixels, not in millimetres or metres")
+    return focal_px
+
+
+def _not_blank(text: str) -> str:
+    if not text.strip():
+        raise ValueError("is empty")
+    return text
+
+
+Words = Annotated[str, AfterValidator(_not_blank)]
+Length = not_in_metres(SHORTEST_MM)  # of something large enough to tell metres from millimetres
+FocalPixels = Annotated[float, Field(gt=0, le=LONGEST_FOCAL_PX), AfterValidator(_pixels)]
+SensorPixels = Annotated[int, Field(ge=16, le=65_535)]  # a GigE Vision image is no larger
+StatedError = Annotated[float, Field(gt=0, le=LARGEST_ERROR_MM), not_in_metres(FINEST_MM)]
+MountedError = Annotated[float, Field(gt=0, le=LARGEST_ERROR_MM), not_in_metres(FINEST_ON_ARM_MM)]
+Scatter = Annotated[float, Field(gt=0, le=LARGEST_ARM_ERROR_MM), not_in_metres(FINEST_SCATTER_MM)]
+ArmError = Annotated[float, Field(gt=0, le=LARGEST_ARM_ERROR_MM), not_in_metres(FINEST_ON_ARM_MM)]
+SeatingError = Annotated[float, Field(ge=0, le=LARGEST_SEATING_MM), not_in_metres(FINEST_ON_ARM_MM)]
+DeviationMm = Annotated[float, Field(ge=-LARGEST_DEVIATION_MM, le=LARGEST_DEVIATION_MM)]
+DeviationRad = Annotated[float, Field(ge=-LARGEST_DEVIATION_RAD, le=LARGEST_DEVIATION_RAD)]
+DialReading = Annotated[float, Field(ge=-LONGEST_TRAVEL_MM, le=LONGEST_TRAVEL_MM)]
+JointDegrees = Annotated[float, Field(ge=-720, le=720)]  # no axis turns twice; its own range is the arm's
