@@ -37,6 +37,7 @@ from ronna_hw.plausible import (
     SensorPixels,
     farther_than,
 )
+from ronna_hw.record_checks import require_expiry, require_outside_hand
 from ronna_hw.text.counting import counted
 from ronna_hw.tool_record import ToolRecord, tip_in_head_mm
 
@@ -230,6 +231,12 @@ class TheatreFile(Strict):
                     "as reported by the controller's inputs"
                 )
         return tools
+
+    @model_validator(mode="after")
+    def _records_are_plausible(self) -> Self:
+        require_expiry(self)
+        require_outside_hand(self)
+        return self
 
     @property
     def cell_with_tools(self) -> CollisionConfig:

@@ -6,6 +6,7 @@ Each is far from anything that is built or measured, so that whatever is refused
 from __future__ import annotations
 
 import math
+from datetime import timedelta
 from typing import Annotated
 
 from pydantic import AfterValidator, Field
@@ -27,6 +28,7 @@ LARGEST_ARM_ERROR_MM = 1.0  # an arm of this size is off by 0.65 mm without any 
 LARGEST_SEATING_MM = 2.0  # a sphere farther off its place is not on the same post
 LARGEST_DEVIATION_MM, LARGEST_DEVIATION_RAD = 20.0, 0.1  # of one joint or link: fifty times what is usual
 LONGEST_TRAVEL_MM = 100.0  # of a dial gauge
+LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibration accepts for --days
 
 
 def not_in_metres(shortest_mm: float) -> AfterValidator:

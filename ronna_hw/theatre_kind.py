@@ -8,10 +8,13 @@ is in shared memory.
 from __future__ import annotations
 
 import ipaddress
+from typing import TYPE_CHECKING
 
-from ronna_hw.config import TheatreFile
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import RefusedError
+
+if TYPE_CHECKING:
+    from ronna_hw.config import TheatreFile
 
 PSEUDO_TERMINALS = "/dev/pts/"
 LOCAL_NAME = "localhost"

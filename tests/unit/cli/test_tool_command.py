@@ -146,13 +146,12 @@ def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_h
 
 def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(theatre: Path) -> None:
     content = tomllib.loads(theatre.read_text())
-    pose = content["calibration"]["tool_tip"]["flange_from_tool"]
-    del content["tools"]["guide"]["tip_in_head_mm"]  # a record written by hand
+    guide = content["tools"]["guide"]
     (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
-    pose["translation_mm"] = [place_mm / 10 for place_mm in pose["translation_mm"]]
+    guide["centre_of_gravity_mm"] = [4.0 * place_mm for place_mm in guide["centre_of_gravity_mm"]]
     (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
     assert before.advice == ""
-    assert "its centre of gravity 114 mm: check [calibration.tool_tip]" in after.advice
+    assert "its centre of gravity 456 mm: check [calibration.tool_tip]" in after.advice
 
 
 @pytest.mark.parametrize(

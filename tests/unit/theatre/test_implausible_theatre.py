@@ -37,6 +37,7 @@ DATED = (
 )
 STATED = tuple(f"{table}.stated_error_mm" for table in DATED if table.startswith("calibration"))
 ASSUMED = tuple(f"procedure.{key}" for key in ("arm_error_mm", "tool_error_mm", "seating_error_mm"))
+ENDLESS = datetime(9999, 1, 1, tzinfo=UTC)
 
 
 @pytest.fixture
@@ -169,6 +170,39 @@ def test_a_record_without_a_name_or_an_author_is_refused(
     _change(content, f"{table}.{key}", lambda _: " ")
     with pytest.raises(BadTheatreFile, match=rf"{table}\.{key}: is empty \(found ' '\)"):
         parse_theatre(content)
+
+
+@pytest.mark.parametrize("table", ["stereo_head", "tool_tip"])
+def test_a_tool_inside_the_hand_that_holds_it_is_refused(content: dict[str, Any], table: str) -> None:
+    key = f"calibration.{table}.flange_from_tool.translation_mm"
+    _change(content, key, lambda place_mm: [at_mm / 10.0 for at_mm in place_mm])
+    said = rf"\[calibration\.{table}\] flange_from_tool.*: the tool is 2\d mm .*millimetres, not centimetres"
+    with pytest.raises(BadTheatreFile, match=said):
+        parse_theatre(content)
+
+
+def test_a_guide_that_passes_through_the_hand_is_refused_although_its_tip_is_outside(
+    content: dict[str, Any],
+) -> None:
+    _change(content, "calibration.tool_tip.flange_from_tool.translation_mm", lambda _: [0.0, 0.0, 60.0])
+    with pytest.raises(BadTheatreFile, match=r"\[calibration\.tool_tip\].*: the tool is 0 mm"):
+        parse_theatre(content)
+    del content["tools"]["guide"]
+    parse_theatre(content)
+
+
+@pytest.mark.parametrize("table", DATED)
+def test_a_record_of_a_real_theatre_expires_within_a_year(content: dict[str, Any], table: str) -> None:
+    _change(content, f"{table}.expires", lambda _: ENDLESS)
+    with pytest.raises(BadTheatreFile, match=rf"\[{table}\]: expected to expire at most 366 days after"):
+        parse_theatre(content)
+
+
+def test_a_record_of_a_simulated_theatre_need_not_expire() -> None:
+    content = _content(SIMULATED)
+    for table in DATED:
+        _change(content, f"{table}.expires", lambda _: ENDLESS)
+    parse_theatre(content)
 
 
 @pytest.mark.parametrize("table", DATED)
