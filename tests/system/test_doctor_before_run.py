@@ -152,6 +152,7 @@ def _refusal(file: Path, folder: Path) -> RonnaError | None:
             setting = SimpleNamespace(
                 today=lambda: datetime.now(UTC),
                 left_away=None,
+                starts=frozenset(),
                 settings=theatre.file.procedure,
                 surroundings=theatre.file.cell_with_tools,
             )
