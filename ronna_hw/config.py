@@ -39,7 +39,7 @@ from ronna_hw.plausible import (
 )
 from ronna_hw.record_checks import require_expiry, require_outside_hand
 from ronna_hw.text.counting import counted
-from ronna_hw.tool_record import ToolRecord, tip_in_head_mm
+from ronna_hw.tool_record import TipInHead, ToolRecord
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
@@ -133,9 +133,9 @@ class Calibrations(Strict):
     )
 
     @property
-    def tip_in_head_mm(self) -> Numbers3:
-        """Position of the guide's tip in the frame of the stereo head."""
-        return tip_in_head_mm(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
+    def tip_in_head(self) -> TipInHead:
+        """Pose of the guide's tip in the frame of the stereo head."""
+        return TipInHead.of(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
 
     @property
     def records(self) -> dict[str, DatedRecord]:

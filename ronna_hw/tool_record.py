@@ -6,12 +6,13 @@ calibration record that it refers to.
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.calibration import Dated, Numbers3, OnTheMount, PoseRecord, Strict
+from ronna_hw.calibration import Dated, Numbers3, Numbers4, OnTheMount, PoseRecord, Strict
 from ronna_hw.collision_config import ToolBody
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
@@ -91,13 +92,29 @@ class ToolFrame(Strict):
     tip_from_frame: OnTheMount = Field(description="Pose of the frame in the tool's tip frame.")
 
 
-def tip_in_head_mm(flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Numbers3:
-    """Position of a tip in the frame of the stereo head, which a calibration of the head leaves as it is."""
-    from ronna_hw.frames import Frame
+class TipInHead(Strict):
+    """Pose of a tool's tip in the frame of the stereo head; calibrations of head and arm do not change it."""
 
-    head = flange_from_head.transform(Frame.FLANGE, Frame.TOOL)
-    x, y, z = head.inverse().apply(flange_from_tip.translation_mm).tolist()
-    return x, y, z
+    translation_mm: Numbers3 = Field(description="Position of the tip.")
+    quaternion_wxyz: Numbers4 = Field(description="Rotation as a unit quaternion, scalar first.")
+
+    @classmethod
+    def of(cls, flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Self:
+        """From both records of the theatre file."""
+        from ronna_hw.frames import Frame
+
+        head = flange_from_head.transform(Frame.FLANGE, Frame.TOOL)
+        tip = head.rigid.inv() * flange_from_tip.transform(Frame.FLANGE, Frame.TOOL).rigid
+        x, y, z = tip.translation.tolist()
+        w, i, j, k = tip.rotation.as_quat(canonical=True, scalar_first=True).tolist()
+        return cls(translation_mm=(x, y, z), quaternion_wxyz=(w, i, j, k))
+
+    def off(self, other: TipInHead) -> tuple[float, float]:
+        """How far another pose is from this one, mm and rad."""
+        ours, theirs = self.quaternion_wxyz, other.quaternion_wxyz  # q and -q are one rotation
+        chord = min(math.dist(ours, theirs), math.dist(ours, [-number for number in theirs]))
+        turned_rad = 4.0 * math.asin(min(1.0, chord / 2.0))
+        return math.dist(self.translation_mm, other.translation_mm), turned_rad
 
 
 class ToolRecord(Dated):
@@ -120,7 +137,7 @@ class ToolRecord(Dated):
         default=(), description="Bodies for clearance checks, in the tip frame; default: those of `[cell]`."
     )
     tip: str | None = Field(default=None, description="Identifier of the calibration record of the tip.")
-    tip_in_head_mm: Numbers3 | None = Field(
+    tip_in_head: TipInHead | None = Field(
         default=None,
         description="Where that record has the tip, in the frame of the stereo head, as the gauge was read.",
     )

@@ -11,8 +11,8 @@ from procedures.calibration.errors import OfAnotherTheatre
 from ronna_hw.calibration import Dated, Strict
 from ronna_hw.config import Calibrations
 
-SAME = 1e-6  # mm, or without unit: what writing and reading a number may change, far below any calibration
-DATES = {"created", "expires", "made_by"}  # a record that only served as a start may have other ones
+SAME = 1e-6  # in any unit: more than writing a number changes, far below the error of any calibration
+NOT_MEASURED = {"created", "expires", "made_by"}
 
 
 class Measurements(Strict, ABC):
@@ -35,7 +35,7 @@ def require_same_theatre(measured: Measurements, found: Mapping[str, Any], theat
         if now is None and then is None:
             continue
         in_theatre, with_these = _content(now), _content(then)
-        if not any(_alike(in_theatre, one) for one in (with_these, _without_dates(found.get(name)))):
+        if not any(_alike(in_theatre, one) for one in (with_these, _measured(found.get(name)))):
             raise OfAnotherTheatre(
                 f"the measurements were made with another [calibration.{name}] than the theatre file's",
                 expected=_named(now),
@@ -48,11 +48,11 @@ def _named(record: Dated | None) -> str:
 
 
 def _content(record: Dated | None) -> Any:
-    return None if record is None else _without_dates(record.model_dump())
+    return None if record is None else _measured(record.model_dump())
 
 
-def _without_dates(plain: Any) -> Any:
-    return {key: value for key, value in plain.items() if key not in DATES} if plain else None
+def _measured(plain: Any) -> Any:
+    return {key: value for key, value in plain.items() if key not in NOT_MEASURED} if plain else None
 
 
 def _alike(one: Any, other: Any) -> bool:

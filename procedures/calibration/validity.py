@@ -27,14 +27,13 @@ def require_valid(
     """
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
-        if name in starts:
-            continue
         try:
             record.check_valid_at(moment)
         except CalibrationExpired as problem:
             if problem.limit is None:  # dated in the future: a clock is wrong, not a record
                 raise
-            expired[name] = problem
+            if name not in starts:
+                expired[name] = problem
     if not expired:
         return
     first = next(iter(expired.values()))

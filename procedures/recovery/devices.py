@@ -10,7 +10,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
-from ronna_hw.calibration import DatedRecord
+from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.errors import RonnaError
 
 FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
@@ -82,10 +82,11 @@ def _compare_calibrations(
             comparison.differs(f"calibration {name}", before, _dated(record))
             continue
         try:
-            if name not in engine.setting.starts:
-                record.check_valid_at(engine.setting.today())
-        except RonnaError as problem:
-            if only_leaving:
+            record.check_valid_at(engine.setting.today())
+        except CalibrationExpired as problem:
+            if name in engine.setting.starts and problem.limit is not None:  # not one dated in the future
+                comparison.same(f"calibration {record.identifier}")
+            elif only_leaving:
                 comparison.note(f"calibration {record.identifier}: {problem.summary}")
             else:
                 comparison.differs(f"calibration {record.identifier}", "a valid one", problem)

@@ -56,6 +56,8 @@ class ArmHistory:
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 return replace(self, instrument_in=inside, instrument_out=inside is None)
+            case Entry.RESTARTED if line.get("torn_bytes"):  # the lost lines may have put an instrument in
+                return replace(self, instrument_out=False)
             case Entry.STAGE:
                 return self._after_stage(line)
             case _:

@@ -33,7 +33,7 @@ class Instrument:
 
     def assume_inside(self, trajectory: str) -> None:
         """It may be inside, although the journal does not say so."""
-        self._log.history = replace(self._log.history, instrument_in=trajectory)
+        self._log.history = replace(self._log.history, instrument_in=trajectory, instrument_out=False)
 
     def require_out(self, what: str) -> None:
         """Raises TOOL-001 while it is inside."""

@@ -12,7 +12,9 @@ from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 
-SAME_TIP_MM = 0.001  # far below the error of any tip; writing a number changes less
+# Far below the error of any tip; what writing and reading a number changes is smaller still.
+SAME_TIP_MM = 0.001
+SAME_TIP_RAD = math.radians(0.001)
 RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
 GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
@@ -93,15 +95,15 @@ def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
             got=record.tip or "none",
             action=RENEW,
         )
-    if record.tip_in_head_mm is None:  # written by hand, or by a version that did not know it
+    if record.tip_in_head is None:  # written by hand, or by a version that did not know it
         return
-    moved_mm = math.dist(record.tip_in_head_mm, calibrations.tip_in_head_mm)
-    if moved_mm > SAME_TIP_MM:
+    off_mm, off_rad = record.tip_in_head.off(calibrations.tip_in_head)
+    if off_mm > SAME_TIP_MM or off_rad > SAME_TIP_RAD:
         raise ForeignTool(
             f"{tip.identifier} has other numbers than when the gauge of {record.identifier} was read: "
             "its tip is elsewhere relative to the stereo head",
-            limit=f"{SAME_TIP_MM:g} mm",
-            got=f"{moved_mm:.3f} mm",
+            limit=f"{SAME_TIP_MM:g} mm, {math.degrees(SAME_TIP_RAD):g} deg",
+            got=f"{off_mm:.3f} mm, {math.degrees(off_rad):.3f} deg",
             action=f"Restore [calibration.tool_tip] and [calibration.stereo_head]. If they are right: "
             f"{RENEW}",
         )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from ronna_hw.calibration import PoseRecord
-from ronna_hw.tool_record import tip_in_head_mm
+from ronna_hw.tool_record import TipInHead
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.model import Scene
 
@@ -22,7 +22,7 @@ def refer_to_tip(content: dict[str, Any]) -> None:
     guide, records = content["tools"]["guide"], content["calibration"]
     guide["tip"] = records["tool_tip"]["identifier"]
     head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
-    guide["tip_in_head_mm"] = list(tip_in_head_mm(head, tip))
+    guide["tip_in_head"] = TipInHead.of(head, tip).model_dump(mode="json")
 
 
 def _pose(plain: dict[str, Any]) -> PoseRecord:

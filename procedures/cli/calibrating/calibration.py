@@ -65,7 +65,7 @@ class CalibrationKind(Generic[Looks, Result]):
         file = path / self.looks_file if path.is_dir() else path
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():
-            run = inspected(file.parent, every_file=False).require_unchanged()
+            run = inspected(file.parent, every_file=False).require_account()
             run.require_content(file.name, file.read_bytes())
         return looks
 
@@ -88,7 +88,7 @@ class CalibrationRequest:
 
 
 def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: CalibrationRequest) -> None:
-    """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-019."""
+    """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-020, PRO-033."""
     theatre = request.theatre or TheatreRequest(config=request.config)
     if request.write is not None and theatre.config is not None:
         require_same_folder(theatre.config, request.write)  # before anything is measured

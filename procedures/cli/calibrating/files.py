@@ -61,9 +61,12 @@ def finished_figures(folder: Path) -> RecordFigures:
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     """The theatre file `source` with new calibration records, as `target`; comments stay.
 
-    Records of tools stay as they are: that a tool's gauge still fits its new tip, a person says.
+    A record that was only moved keeps its dates from `source`: it was not measured. Records of tools stay as
+    they are: that a tool's gauge still fits its new tip, a person says.
     """
-    write_theatre_tables(source, target, {"calibration": records})
+    former = read_toml(source, BadTheatreFile).get("calibration", {})
+    dated = {name: _dated_as(former.get(name, {}), record) for name, record in records.items()}
+    write_theatre_tables(source, target, {"calibration": dated})
     tip = records.get("tool_tip", {}).get("identifier")
     for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():
         if tip is not None and tool.get("tip", tip) != tip:
@@ -72,6 +75,12 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
                 f"read the gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
                 "--write FILE --by NAME --gauge-mm X Y Z UPPER_X UPPER_Y"
             )
+
+
+def _dated_as(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    if former.get("identifier") != record["identifier"]:
+        return record
+    return {**record, "created": former["created"], "expires": former["expires"]}
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:

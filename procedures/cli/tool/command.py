@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
@@ -120,12 +121,14 @@ def renew(
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
     whose tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
     """
-    from procedures.cli.tool.records import renewed, tip_moved_mm
+    from procedures.cli.tool.records import renewed, tip_moved
 
     _require_another_file(config, write)
     record = renewed(config, name, _signed(name, by, days), gauge_mm)
-    if (moved_mm := tip_moved_mm(config, name)) is not None:
-        terminal.tell(f"the tip is {moved_mm:.3f} mm from where the former record of {name} has it")
+    if (moved := tip_moved(config, name)) is not None:
+        off_mm, off_rad = moved
+        where = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
+        terminal.tell(f"the tip is {where} from where the former record of {name} has it")
     _write(config, write, name, record, as_json=as_json)
 
 

@@ -46,7 +46,10 @@ def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
 
 def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
     """What a record says of its tip: which calibration, and where that has it."""
-    return {"tip": calibrations.tool_tip.identifier, "tip_in_head_mm": list(calibrations.tip_in_head_mm)}
+    return {
+        "tip": calibrations.tool_tip.identifier,
+        "tip_in_head": calibrations.tip_in_head.model_dump(mode="json"),
+    }
 
 
 def _require_within_axes(gauge: Gauge, theatre: TheatreFile) -> None:
@@ -102,13 +105,13 @@ def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[
     return new
 
 
-def tip_moved_mm(config: Path, name: str) -> float | None:
-    """How far the file's tip is from where the tool's record has it; None if the record does not say."""
+def tip_moved(config: Path, name: str) -> tuple[float, float] | None:
+    """How far, mm and rad, the file's tip is from where the tool's record has it; None if it does not say."""
     theatre = read_theatre_file(config)
-    recorded_mm = theatre.tools[name].tip_in_head_mm
-    if recorded_mm is None or theatre.calibration is None:
+    recorded = theatre.tools[name].tip_in_head
+    if recorded is None or theatre.calibration is None:
         return None
-    return math.dist(recorded_mm, theatre.calibration.tip_in_head_mm)
+    return recorded.off(theatre.calibration.tip_in_head)
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:

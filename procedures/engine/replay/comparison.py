@@ -55,6 +55,8 @@ def _differences(was: object, now: object, where: str, field: str = "") -> Itera
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             inside = f"{where}.{name}" if where else str(name)
+            if was.get(name) is None and now.get(name) is None:
+                continue  # an optional field that one of both versions did not know
             if name not in was or name not in now:
                 yield _Difference(f"{inside}: {'recorded' if name in was else 'computed'} only")
             else:

@@ -84,7 +84,12 @@ class _Replay:
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
         setting = CaseSetting(
-            workcell=Workcell(theatre, journal, calibrations=given.calibrations),
+            workcell=Workcell(
+                theatre,
+                journal,
+                calibrations=given.calibrations,
+                calibrating=given.calibrations is not None,
+            ),
             clock=clock,
             operator=self._operator,
             room=self._room,

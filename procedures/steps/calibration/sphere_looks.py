@@ -30,6 +30,7 @@ from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
@@ -141,7 +142,9 @@ class SphereLooks:
         workcell.sensors.read_whole()
         try:
             context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
-        except (NotClear, SphereNotInView) as error:
+        except (LimitError, SphereNotInView) as error:
+            if workcell.arm.observe().state is not Lifecycle.ACTIVE:
+                raise  # not refused before it began: tripped
             remarks.append(f"{_named(place)} was left out: {error.what}")
             return []
         seen: list[SphereLook] = []

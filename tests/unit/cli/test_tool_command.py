@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import tomllib
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from typing import Any
 import pytest
 import tomli_w
 from recording_cell import ENDPOINTS
+from scipy.spatial.transform import Rotation
 from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.files import write_theatre
@@ -30,6 +32,8 @@ PLAIN = (
 )
 GAUGE = ("--gauge-deg", "-40", "-75", "99", "0", "66", "180")
 DEFINE = (*PLAIN, "--reach-mm", "80", "--bore-mm", "90", "--play-mm", "0.05", *GAUGE)
+
+TILT = Rotation.from_euler("x", 5.0, degrees=True)
 
 
 @pytest.fixture
@@ -127,21 +131,33 @@ def test_a_renewed_record_has_the_new_tip_and_the_gauge_readings(theatre: Path) 
     assert in_this_process(app, "check", "--config", last).returncode == 0
 
 
+def shifted(pose: dict[str, list[float]]) -> None:
+    pose["translation_mm"][2] += 30.0
+
+
+def turned(pose: dict[str, list[float]]) -> None:
+    tilted = Rotation.from_quat(pose["quaternion_wxyz"], scalar_first=True) * TILT
+    pose["quaternion_wxyz"] = tilted.as_quat(scalar_first=True).tolist()
+
+
 @pytest.mark.hazard(3)
+@pytest.mark.parametrize(
+    ("edit", "off"), [(shifted, "30.000 mm{} 0.000 deg"), (turned, "0.000 mm{} 5.000 deg")]
+)
 def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_how_far_it_is(
-    theatre: Path,
+    theatre: Path, edit: Callable[[dict[str, list[float]]], None], off: str
 ) -> None:
     content = tomllib.loads(theatre.read_text())
-    content["calibration"]["tool_tip"]["flange_from_tool"]["translation_mm"][2] += 30.0
+    edit(content["calibration"]["tool_tip"]["flange_from_tool"])
     edited, last = theatre.with_name("edited.toml"), theatre.with_name("last.toml")
     edited.write_text(tomli_w.dumps(content))
     refused = in_this_process(app, "check", "--config", edited)
     assert refused.returncode == 3
     assert "TOOL-003" in refused.stderr
-    assert "limit 0.001 mm, got 30.000 mm" in refused.stderr
+    assert f"limit 0.001 mm, 0.001 deg, got {off.format(',')}" in refused.stderr
     options = ("--config", edited, "--write", last, "--by", "A. Nurse", "--gauge-mm", *"00000")
     done = in_this_process(app, "renew", "guide", *options)
-    assert "the tip is 30.000 mm from where the former record of guide has it" in done.stderr
+    assert f"the tip is {off.format(' and')} from where the former record of guide has it" in done.stderr
 
 
 def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(theatre: Path) -> None:

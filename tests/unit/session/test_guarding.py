@@ -1,4 +1,4 @@
-"""Every run has the guards of its kind, and each of them holds the arm."""
+"""Every run has the guards and watches of its kind, and they hold the arm."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -47,7 +47,9 @@ def test_a_run_has_the_guards_of_its_kind(
     cell = ClinicalCell(tmp_path)
     setting = cell.setting() if clinical else replace(cell.setting(), clinical=None)
     engine = Engine(ORDER, cell.case, setting, cell.journal)
+    unwatched = engine.checkpoint.watching
     guard(engine, only_leaving=only_leaving)
+    assert (engine.checkpoint.watching is not unwatched) is clinical
     assert [type(one) for one in engine.checkpoint.guards] == expected
 
 

@@ -131,6 +131,24 @@ def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home
     assert cell.workcell.insertion is None
 
 
+@pytest.mark.hazard(2)
+def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a_second_restart(
+    cell: RecordingCell,
+) -> None:
+    worked(cell)
+    cell.workcell.instrument.is_out()
+    assert cell.workcell.history.instrument_out
+    restarted = {"entry": Entry.RESTARTED, "torn_bytes": 120}
+    assert not cell.workcell.history.after(restarted).instrument_out
+
+
+def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
+    withdrawn(cell)
+    cell.workcell.instrument.assume_inside("T1")
+    history = cell.workcell.history
+    assert (history.instrument_in, history.instrument_out) == ("T1", False)
+
+
 def test_only_the_last_positions_of_a_long_way_are_kept() -> None:
     line = {"entry": Entry.MOVED, "joints_rad": list(HOME)}
     assert len(arm_history([line] * (TRAIL + 1)).trail) == TRAIL

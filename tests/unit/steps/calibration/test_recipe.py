@@ -18,10 +18,13 @@ LAST_MONTH = datetime.now(UTC) - timedelta(days=31)
 
 
 def set_up_with_expired(folder: Path, name: str, of: Calibrated) -> CheckedSetUp:
+    return set_up_with(folder, name, of, created=LAST_MONTH - timedelta(days=30), expires=LAST_MONTH)
+
+
+def set_up_with(folder: Path, name: str, of: Calibrated, **dates: datetime) -> CheckedSetUp:
     cell = ClinicalCell(folder)
-    record = cell.calibrations.records[name]
-    old = record.model_copy(update={"created": LAST_MONTH - timedelta(days=30), "expires": LAST_MONTH})
-    cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={name: old}))
+    record = cell.calibrations.records[name].model_copy(update=dates)
+    cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={name: record}))
     setting = replace(cell.setting(), starts=Recipe(of=of, looks=1, more=1).starts)
     engine = Engine(order_of([set_up.STEP], ()), cell.case, setting, cell.journal)
     engine.run_to()
@@ -38,11 +41,17 @@ def set_up_with_expired(folder: Path, name: str, of: Calibrated) -> CheckedSetUp
         (Calibrated.TIP, "tool_tip"),
     ],
 )
-def test_a_calibration_may_start_from_an_expired_record_and_its_dates_stay(
+def test_a_calibration_may_start_from_an_expired_record_whose_dates_stay_in_the_set_up(
     tmp_path: Path, of: Calibrated, name: str
 ) -> None:
     done = set_up_with_expired(tmp_path, name, of)
     assert done.calibrations.records[name].expires == LAST_MONTH
+
+
+@pytest.mark.hazard(29)
+def test_a_calibration_does_not_start_from_a_record_dated_in_the_future(tmp_path: Path) -> None:
+    with pytest.raises(CalibrationExpired, match="in the future"):
+        set_up_with(tmp_path, "tool_tip", Calibrated.HEAD, created=datetime.now(UTC) + timedelta(days=400))
 
 
 @pytest.mark.hazard(26)

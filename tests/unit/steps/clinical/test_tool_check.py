@@ -23,7 +23,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.tool_record import ToolPurpose
+from ronna_hw.tool_record import TipInHead, ToolPurpose
 from ronna_hw.wire.room_tasks import GAUGE, OUT
 
 NOW = datetime(2031, 1, 1, tzinfo=UTC)
@@ -154,9 +154,11 @@ UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
         "TOOL-003: .*another calibration of its tip",
     ),
     "the same tip with other numbers": (
-        lambda cell: records(cell, tip_in_head_mm=(0.0, 0.0, 0.0)),
+        lambda cell: records(
+            cell, tip_in_head=TipInHead(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+        ),
         ForeignTool,
-        "TOOL-003: tool-tip-mini-3 has other numbers .* limit 0.001 mm",
+        "TOOL-003: tool-tip-mini-3 has other numbers .* limit 0.001 mm, 0.001 deg",
     ),
     "another number": (lambda cell: records(cell, number=5), NoToolRecord, "TOOL-002: .*expected 2, got 5"),
     "no guide": (
