@@ -32,6 +32,7 @@ from ronna_hw.command_line.tables import print_table
 from ronna_hw.command_line.usage import asked_for, usage_mistake
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.file_access import own_files
+from ronna_hw.host.interruption import ENDING_SIGNALS
 from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
@@ -149,8 +150,9 @@ def _open_missing_streams() -> None:
 def _unwind_on_signals() -> None:
     # SIGINT too: a shell starts background commands with it ignored, but an arm must stop on it
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.default_int_handler)
+        for number in ENDING_SIGNALS:
+            if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:  # by nohup
+                signal.signal(number, signal.default_int_handler)
 
 
 def _abandon_unwritable(stream: TextIO) -> None:

@@ -1,4 +1,4 @@
-"""Work that Ctrl-C and SIGTERM must not cut short, and work that they may end even during shutdown."""
+"""The signals that end a program: work that they must not cut short, and work that they may always end."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-DEFERRED = (signal.SIGINT, signal.SIGTERM)
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, an order, a closed terminal
 
 
 @contextmanager
@@ -33,7 +33,7 @@ def interruption_deferred() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the block by KeyboardInterrupt, even if they are ignored around it."""
+    """Let these signals end the block by KeyboardInterrupt, even if they are ignored around it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -48,7 +48,7 @@ def interruptible() -> Iterator[None]:
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """In the block, those signals go to `handler`; for the main thread."""
-    before = {number: signal.signal(number, handler) for number in DEFERRED}
+    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
     try:
         yield
     finally:

@@ -11,7 +11,8 @@ from run_folders import assert_nothing_half_written, await_motion_in
 from user_commands import Commands, one_error
 from waiting import HANG_LIMIT_S
 
-from ronna_hw.errors import EXIT_LINK_LOST
+from ronna_hw.errors import EXIT_INTERRUPTED, EXIT_LINK_LOST
+from ronna_hw.evidence.inspection import inspected
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
 MOVING_STEP = "relocalization:T1"
@@ -26,6 +27,20 @@ def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Comm
     process.communicate(timeout=HANG_LIMIT_S)
     assert commands.await_no_survivors() == []
     assert_nothing_half_written(out)
+
+
+@pytest.mark.hazard(4)
+def test_a_closed_terminal_ends_the_case_in_good_order(commands: Commands, tmp_path: Path) -> None:
+    out = tmp_path / "runs"
+    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
+    await_motion_in(out, MOVING_STEP)
+    process.send_signal(signal.SIGHUP)
+    _, stderr = process.communicate(timeout=HANG_LIMIT_S)
+    assert process.returncode == EXIT_INTERRUPTED, stderr
+    (run,) = out.iterdir()
+    assert "ronna-procedure resume" in stderr
+    inspected(run).require_whole()
+    assert commands.await_no_survivors() == []
 
 
 @pytest.mark.slow

@@ -26,7 +26,7 @@ from procedures.cli.case.who_answers import operator_of
 from procedures.session.procedure import Procedure, Resumption
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.host.interruption import ENDING_SIGNALS, interruption_deferred
 from ronna_hw.host.open_files import require_open_files
 from ronna_hw.log_output import keep_log
 
@@ -216,5 +216,5 @@ def request_hash(folder: Path) -> dict[str, str]:
 def ignore_further_signals() -> None:
     """From here on everything ends anyway; a second signal would only tear the ending apart."""
     if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in ENDING_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
