@@ -17,7 +17,7 @@ from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed, not_vouched_for
-from ronna_hw.evidence.journal_reading import Entry, read_chain
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, seal
 from ronna_hw.host.folder_walk import remove_folder
 from ronna_hw.host.interruption import interruptible
@@ -121,17 +121,21 @@ def _tidy(beside: Path, kept: Path) -> None:
 
 
 def tell_way_on(folder: Path, problem: BaseException) -> None:
-    """After an interruption: where the arm is, and which commands continue from there."""
-    if not isinstance(problem, KeyboardInterrupt) or not (folder / REQUEST_FILE).exists():
+    """After an interruption, or a failure away from home: where the arm is, and which commands continue."""
+    if not (folder / REQUEST_FILE).exists():
         return
+    from procedures.workcell.arm_history import arm_history
+
+    interrupted = isinstance(problem, KeyboardInterrupt)
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
-        if any(line["entry"] == Entry.MOTION for line in read_chain(folder / JOURNAL_FILE).lines):
+        history = arm_history(read_chain(folder / JOURNAL_FILE).lines)
+        if history.left_home or (interrupted and history.motions):
             tell(
                 f"the arm is where it stopped; continue with ronna-procedure home {run} or "
                 f"ronna-procedure resume {run}"
             )
-        else:
+        elif interrupted:
             tell(f"nothing has moved; continue with ronna-procedure resume {run}")
 
 

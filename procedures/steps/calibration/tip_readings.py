@@ -11,7 +11,7 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
-from procedures.calibration.tool_tip.record import require_plausible
+from procedures.calibration.tool_tip.record import DIALS_TRAVEL_MM, require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -116,6 +116,7 @@ class _Reading:
                 DIALS,
                 f"at orientation {look + 1} raise the divot to the tip, read the three dials, lower it again",
                 reads=READS,
+                plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
             )
         )
         dials_mm = (x_mm, y_mm, z_mm)
