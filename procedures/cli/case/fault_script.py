@@ -1,24 +1,24 @@
-"""Checks the step names in a fault script before a theatre is started: the theatre itself takes any name."""
+"""What only the command knows of a fault script: whether its steps exist, and whether a case ran them."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import UsageMistake
 
 LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
-_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)")
+_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
+_TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
 
 
 def check_fault_script(path: Path, step_names: Collection[str]) -> None:
     """Raise CLI-001 for a missing file, and with every line that waits for a step that does not exist."""
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
-    lines = enumerate(read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace").splitlines(), 1)
-    found = [(number, match["step"]) for number, line in lines if (match := _STEP_OF_LINE.match(line))]
+    found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
     unknown = [
         f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names
     ]
@@ -28,3 +28,20 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
             expected=f"one of {', '.join(step_names)}",
             action="Correct the fault script; ronna-procedure steps lists all steps.",
         )
+
+
+def never_began(path: Path, begun: Iterable[str], theatre_time_s: float) -> Iterator[str]:
+    """Faults that a case did not reach: `begun` are its steps, `theatre_time_s` when it ended."""
+    steps = {name for step in begun for name in (step, step.partition(":")[0])}
+    for number, line in _lines(path):
+        if match := _STEP_OF_LINE.match(line):
+            step = match["step"] + (match["trajectory"] or "")
+            if step not in steps:
+                yield f"line {number} of {path.name} had no effect: the case did not run {step}"
+        elif (match := _TIME_OF_LINE.match(line)) and float(match["at_s"]) > theatre_time_s:
+            yield f"line {number} of {path.name} had no effect: the case ended after {theatre_time_s:.1f} s"
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    text = read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace")
+    return enumerate(text.splitlines(), 1)

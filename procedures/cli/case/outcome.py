@@ -9,16 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.fault_script import never_began
 from procedures.cli.case.leaving_report import error_of
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
-from procedures.journal.journal import Entry, Line
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line
 from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
 from procedures.session.procedure import Resumption
+from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import read_chain
 
 if TYPE_CHECKING:
     from procedures.engine.case import Case
@@ -43,6 +46,10 @@ def run_case(
             recover(engine, resumption.left)
         _run(engine, watcher)
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
+    if request.faults is not None and resumption is None:
+        begun = (str(line["step"]) for line in read_chain(folder / JOURNAL_FILE).lines if "step" in line)
+        for one in never_began(request.faults, begun, theatre_time_s):
+            tell(one)
     before_s = 0.0 if resumption is None else wall_time_s(resumption.left.run.journal)
     wall_s = before_s + time.monotonic() - began_s
     return finished(request, engine.case, engine.order.trajectories, theatre_time_s, wall_s)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.case.fault_script import check_fault_script
+from procedures.cli.case.fault_script import check_fault_script, never_began
 from ronna_hw.command_line.errors import UsageMistake
 
 STEPS = ("registration", "at_target")
@@ -42,3 +42,18 @@ def test_every_unknown_step_is_reported_with_its_line_and_the_known_steps(tmp_pa
 def test_a_missing_script_is_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageMistake, match="there is no fault script"):
         check_fault_script(tmp_path / "none.txt", STEPS)
+
+
+def test_a_fault_whose_step_or_time_the_case_did_not_reach_is_named_at_its_end(tmp_path: Path) -> None:
+    text = (
+        "at 12.5 s: robot drop 5 %\n"
+        "at 999999 s: robot drop 5 %\n"
+        "when step == at_target: robot drop 5 %\n"
+        "when step == at_target:T1: robot drop 5 %\n"
+        "since step == at_target:T9: room shift cart 0 2 0 mm\n"
+        "at cycle 500: robot drop 5 %\n"
+    )
+    assert [*never_began(_script(tmp_path, text), ("registration", "at_target:T1"), 60.04)] == [
+        "line 2 of faults.txt had no effect: the case ended after 60.0 s",
+        "line 5 of faults.txt had no effect: the case did not run at_target:T9",
+    ]
