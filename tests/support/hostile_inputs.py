@@ -13,6 +13,7 @@ import time
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -217,7 +218,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         Record("1-plan", "plan", {"0-ct": "0" * 64}, {"a": [1.5, {"b": None}], "c": "text"}), folder
     ).read_bytes()
     request = json.dumps(
-        {"schema": 1, "program": "0.1.0", "scene": "mini", "strategy": "ocs", "speed": "max"}
+        {"schema": 1, "program": version("ronna-hw"), "scene": "mini", "strategy": "ocs", "speed": "max"}
     )
     sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).signed()
     seal = sealed.model_dump_json(by_alias=True, indent=1).encode()
