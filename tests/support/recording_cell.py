@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, cast
 
+import tomli_w
+
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
@@ -67,6 +69,14 @@ def theatre_of(scene: Scene) -> TheatreFile:
 def mini_theatre() -> TheatreFile:
     """The theatre file of the mini scene."""
     return theatre_of(named_scene("mini", seed=3))
+
+
+def mini_theatre_file(folder: Path, *, simulated: bool) -> Path:
+    """That theatre as a file in the folder; if not `simulated`, its devices are at network addresses."""
+    text = tomli_w.dumps(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
+    path = folder / "theatre.toml"
+    path.write_text(text if simulated else text.replace("127.", "172."))
+    return path
 
 
 @dataclass

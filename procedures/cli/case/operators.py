@@ -52,16 +52,16 @@ class ScriptedOperator:
         return question.answers[0]
 
 
-class AtPause:
-    """One answers a pause, the other everything else."""
+class ByTopic:
+    """Some topics are answered by an operator of their own, everything else by another."""
 
-    def __init__(self, at_pause: Operator, otherwise: Operator) -> None:
-        self._at_pause = at_pause
+    def __init__(self, operators: Mapping[Topic, Operator], otherwise: Operator) -> None:
+        self._operators = operators
         self._otherwise = otherwise
 
     def ask(self, question: Question) -> str:
-        """As whoever the question is for."""
-        return (self._at_pause if question.topic is Topic.PAUSE else self._otherwise).ask(question)
+        """The answer of the operator of its topic."""
+        return self._operators.get(question.topic, self._otherwise).ask(question)
 
 
 class SimulatedRoom:

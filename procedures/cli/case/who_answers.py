@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.operators import AtPause, ScriptedOperator, TerminalOperator
+from procedures.cli.case.operators import ByTopic, ScriptedOperator, TerminalOperator
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.operator.topic import Topic
 from ronna_hw.command_line.messages import tell
@@ -32,7 +32,7 @@ def operator_of(
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
     On real devices the person reads values back, whatever the file says. The script resumes a run only if
-    it was told to accept the findings.
+    it was told to accept the findings; in a simulated theatre with a theatre file that is all it answers.
     """
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
@@ -53,7 +53,12 @@ def operator_of(
         persons[Topic.RESUME] = person
     operator: Operator = ScriptedOperator(persons)
     if request.config is not None:
-        operator = person if watcher.at_pause is None else AtPause(watcher.at_pause, person)
+        others: dict[Topic, Operator] = {}
+        if watcher.at_pause is not None:
+            others[Topic.PAUSE] = watcher.at_pause
+        if resumption is not None and resumption.accepted:
+            others[Topic.RESUME] = ScriptedOperator()
+        operator = ByTopic(others, person)
     if answers is None:
         return operator
     from procedures.cli.case.answers import AnsweringOperator

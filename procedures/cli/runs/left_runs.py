@@ -32,16 +32,20 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 def request_of(
     folder: Path, *, accept: bool = False, answers: Path | None = None
 ) -> CaseRequest | CalibrationRun:
-    """What the run was asked for, answered by that file. Raises CLI-001, PRO-026, 031 and 034."""
+    """What the run was asked for, answered by that file. Raises CLI-001, CFG-001, PRO-026, 031 and 034."""
     request = read_request(folder.resolve())
     if answers is not None:
         from procedures.cli.case.answers import read_answers
 
         request = replace(request, answers=read_answers(answers))
     if accept and request.config is not None:
-        raise UsageMistake(
-            "--accept is for a simulated theatre", action="Omit it: on real devices a person accepts."
-        )
+        from ronna_hw.config import read_theatre_file
+        from ronna_hw.theatre_kind import is_simulated
+
+        if not is_simulated(read_theatre_file(request.config)):
+            raise UsageMistake(
+                "--accept is for a simulated theatre", action="Omit it: on real devices a person accepts."
+            )
     return request
 
 

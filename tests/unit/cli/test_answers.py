@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import cast
 
 import pytest
-import tomli_w
-from recording_cell import ENDPOINTS
+from recording_cell import mini_theatre_file
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
 from procedures.cli.case.opening import Watcher
@@ -18,8 +17,6 @@ from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
 from procedures.session.procedure import Resumption
 from procedures.steps.answer_words import ANSWER_WORDS
-from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
 
@@ -88,13 +85,22 @@ def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize(("simulated", "answer"), [(True, "yes"), (False, "no")])
 def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool, answer: str) -> None:
-    content = theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
-    text = tomli_w.dumps(content)
-    path = tmp_path / "theatre.toml"
-    path.write_text(text if simulated else text.replace("127.", "172."))
+    path = mini_theatre_file(tmp_path, simulated=simulated)
     request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
     assert operator_of(request, Watcher(), Answers(default="first")).ask(moves) == answer
+
+
+@pytest.mark.parametrize(("accepted", "answers"), [(True, ["yes", "no"]), (False, ["no", "no"])])
+def test_the_accept_option_answers_for_the_findings_only(
+    tmp_path: Path, accepted: bool, answers: list[str]
+) -> None:
+    path = mini_theatre_file(tmp_path, simulated=True)
+    left = cast(LeftRun, None)  # not looked at
+    request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
+    operator = operator_of(request, Watcher(), None, Resumption(left, accepted))
+    findings = Question(Topic.RESUME, "resume the case", "no differences")
+    assert [operator.ask(question) for question in (findings, APPROACH)] == answers
 
 
 @pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])

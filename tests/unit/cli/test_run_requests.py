@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
+from recording_cell import mini_theatre_file
 from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.running import new_folder
@@ -19,6 +20,7 @@ from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
+from procedures.cli.runs.left_runs import request_of
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.engine.run_lock import held_run
 from procedures.operator.errors import OperatorAborted
@@ -115,7 +117,15 @@ def test_a_command_that_drives_a_case_locks_its_run_before_opening_anything(
     assert refused == [EXIT_REFUSED]
 
 
-def test_resume_refuses_the_accept_option_on_real_devices(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path))
-    refused = in_this_process(app, "resume", folder, "--accept")
+@pytest.mark.parametrize("command", ["resume", "home"])
+def test_the_accept_option_is_refused_on_real_devices(tmp_path: Path, command: str) -> None:
+    theatre = mini_theatre_file(tmp_path, simulated=False)
+    folder = new_run_folder(CaseRequest(out=tmp_path, config=theatre, case=tmp_path))
+    refused = in_this_process(app, command, folder, "--accept")
     assert refused.returncode == EXIT_USAGE
+    assert "--accept is for a simulated theatre" in one_error(refused.stderr)[0]
+
+
+def test_a_run_in_a_simulated_theatre_of_its_own_file_may_be_accepted_by_option(tmp_path: Path) -> None:
+    asked = CaseRequest(out=tmp_path, config=mini_theatre_file(tmp_path, simulated=True), case=tmp_path)
+    assert request_of(new_run_folder(asked), accept=True) == asked
