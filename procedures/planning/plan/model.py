@@ -18,16 +18,13 @@ from procedures.planning.head.structures import MOST_POINTS_TOGETHER, MOST_STRUC
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
+from ronna_hw.trajectory_bounds import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
 MOST_TRAJECTORIES = 100  # ten times a large implantation of electrodes
-LEAST_DEPTH_MM = 1.0  # entry and target closer than this are the same point to every instrument here
-MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; anything longer is a typing error
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
-ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
-
 LONGEST_AUTHOR = 60
 DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
 LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # a value inside the skin is refused by its own check
@@ -64,19 +61,11 @@ class PlannedTrajectory(Strict):
     trajectory is refused.
     """
 
-    id: str = Field(min_length=1, max_length=32, pattern=ID_PATTERN, description="Its name.")
+    id: TrajectoryName = Field(description="Its name.")
     entry_mm: Point = Field(description="Where it enters the head, LPS.")
     target_mm: Point = Field(description="Where it ends, LPS.")
-    free_angle_deg: float = Field(
-        default=0.0,
-        allow_inf_nan=False,
-        ge=-360.0,
-        le=360.0,
-        description="Angle of the guide about the axis.",
-    )
-    margin_mm: float = Field(
-        allow_inf_nan=False, gt=0.0, le=20.0, description="Largest accepted target error."
-    )
+    free_angle_deg: FreeAngle = Field(default=0.0, description="Angle of the guide about the axis.")
+    margin_mm: Margin = Field(description="Largest accepted target error.")
 
     @model_validator(mode="after")
     def _has_a_way(self) -> PlannedTrajectory:

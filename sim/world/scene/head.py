@@ -12,9 +12,10 @@ from ronna_hw.marker_template import MarkerTemplate
 from sim.errors import BadScene
 from sim.world.rigid import apply, matrix_from, pose_of, rotation_from_vector
 from sim.world.scene.frame import FrameOnHead, draw_frame
-from sim.world.scene.model import Fiducial, Head, Target
+from sim.world.scene.model import Fiducial, Head
 from sim.world.scene.plan_feasibility import PlanFeasibility
 from sim.world.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
+from sim.world.scene.target import Target
 
 Vector = NDArray[np.float64]
 

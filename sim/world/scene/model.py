@@ -21,13 +21,13 @@ from ronna_hw.text.counting import counted
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.world.scene.guide import Guide, Hands
-from sim.world.scene.quantities import NotNegative, Positive
+from sim.world.scene.quantities import NotNegative, Positive, Serial
+from sim.world.scene.target import Target
 
 Numbers6 = tuple[float, float, float, float, float, float]
 Count = Annotated[int, Field(ge=1)]
 SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
 HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
-Name = Annotated[str, Field(min_length=1)]
 ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as reported by the controller's inputs
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
 BASE_MM = 16.0  # from a screw's head to the centre of its sphere
@@ -60,23 +60,6 @@ class Fiducial(Strict):
         default=0.0, description="Share of the retro-reflective film worn off since the CT, in spots."
     )
     missing: bool = Field(default=False, description="True: not refitted after the CT.")
-
-
-class Target(Strict):
-    """A planned trajectory in the CT frame."""
-
-    identifier: Name = Field(description="Name of the trajectory.")
-    entry_ct_mm: Numbers3 = Field(description="Entry point, CT frame.")
-    target_ct_mm: Numbers3 = Field(description="Target point, CT frame.")
-    free_angle_deg: float = Field(default=0.0, description="Rotation of the guide about the trajectory.")
-    margin_mm: NotNegative = Field(default=2.0, description="Margin stated in the plan.")
-
-    @property
-    def outwards_ct(self) -> Numbers3:
-        """Unit vector from the target towards the entry."""
-        length_mm = dist(self.entry_ct_mm, self.target_ct_mm)
-        x, y, z = ((e - t) / length_mm for e, t in zip(self.entry_ct_mm, self.target_ct_mm, strict=True))
-        return (x, y, z)
 
 
 class Head(Strict):
@@ -232,7 +215,7 @@ class Mount(Strict):
 class CameraTruth(Strict):
     """The true camera: pinhole, distortion k1 k2 p1 p2 k3, and its pose on the head."""
 
-    serial: str = Field(description="Serial number reported by the camera.")
+    serial: Serial = Field(description="Serial number reported by the camera.")
     focal_px: tuple[FocalPixels, FocalPixels] = Field(
         description="Focal length along columns and along rows."
     )
@@ -370,6 +353,12 @@ class Scene(Strict):
     calibration_error: CalibrationError = Field(
         default=CalibrationError(), description="Errors of the theatre's calibration records."
     )
+
+    @model_validator(mode="after")
+    def _cameras_differ(self) -> Self:
+        if self.left.serial == self.right.serial:
+            raise ValueError(f"left.serial and right.serial are both {self.left.serial!r}")
+        return self
 
 
 def parse_scene(content: dict[str, Any], name: str) -> Scene:

@@ -78,6 +78,17 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm 1"),
         (("mount", "tool_number_guide"), 1, "mount: both tools have number 1"),
         (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
+        (("head", "targets", 0, "identifier"), "../T1", "head.targets 1.identifier"),
+        (("head", "targets", 0, "identifier"), "T\n1", "head.targets 1.identifier"),
+        (("head", "targets", 0, "free_angle_deg"), 1e9, "head.targets 1.free_angle_deg"),
+        (("head", "targets", 0, "margin_mm"), 0.0, "head.targets 1.margin_mm"),
+        (
+            ("head", "targets", 0, "entry_ct_mm"),
+            named_scene("mini").head.targets[0].target_ct_mm,
+            "head.targets 1: entry_ct_mm and target_ct_mm are 0 mm apart",
+        ),
+        (("left", "serial"), named_scene("mini").right.serial, "left.serial and right.serial are both"),
+        (("left", "serial"), "", "left.serial"),
     ],
 )
 def test_an_impossible_scene_is_refused_and_the_field_named(
