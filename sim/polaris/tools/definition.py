@@ -128,10 +128,8 @@ def parse_definition(content: bytes) -> ToolDefinition:
 
 
 def write_definition(tool: TrackerTool) -> bytes:
-    """The definition file (752 bytes) of a passive tool of a scene: one face, at least three markers."""
+    """The definition file (752 bytes) of a passive tool of a scene: one face."""
     count = len(tool.markers_mm)
-    if not rom.ROM_MINIMUM_MARKERS <= count <= rom.ROM_MARKERS:
-        raise BadDefinition(f"{tool.name} has {count} markers", limits=True)
     content = bytearray(rom.ROM_BYTES)
     content[: len(rom.ROM_MAGIC)] = rom.ROM_MAGIC
     content[rom.CONSTANT_ONE_OFFSET] = 1

@@ -21,7 +21,15 @@ from ronna_hw.text.counting import counted
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.world.scene.guide import Guide, Hands
-from sim.world.scene.quantities import NotNegative, Positive, Serial
+from sim.world.scene.quantities import (
+    Facing,
+    MarkerCentres,
+    NotNegative,
+    PartNumber,
+    Positive,
+    Serial,
+    ToolName,
+)
 from sim.world.scene.target import Target
 
 Numbers6 = tuple[float, float, float, float, float, float]
@@ -234,10 +242,10 @@ class CameraTruth(Strict):
 class TrackerTool(Strict):
     """A passive tool: markers and their common normal in the tool's own frame."""
 
-    name: str = Field(description="Name of the tool.")
-    part_number: str = Field(description="Part number in the tool definition.")
-    markers_mm: tuple[Numbers3, ...] = Field(description="Centres of the spheres.")
-    normal: Numbers3 = Field(default=(0.0, 0.0, 1.0), description="Direction that the markers face.")
+    name: ToolName = Field(description="Name of the tool.")
+    part_number: PartNumber = Field(description="Part number in the tool definition.")
+    markers_mm: MarkerCentres = Field(description="Centres of the spheres, 3 to 20.")
+    normal: Facing = Field(default=(0.0, 0.0, 1.0), description="Direction that the markers face.")
 
 
 class TrackerTruth(Strict):

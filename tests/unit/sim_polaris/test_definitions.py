@@ -9,7 +9,6 @@ import pytest
 
 from ronna_hw.wire import polaris_rom
 from sim.polaris.tools.definition import BadDefinition, checksum, parse_definition, write_definition
-from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
 
 
@@ -61,10 +60,3 @@ def test_the_serial_number_is_read_from_four_little_endian_bytes() -> None:
 def test_each_defect_of_a_definition_is_named(content: bytes, said: str) -> None:
     with pytest.raises(BadDefinition, match=said):
         parse_definition(content)
-
-
-def test_a_tool_with_too_many_markers_is_not_written() -> None:
-    tool = TrackerTool(name="t", part_number="t", markers_mm=tuple((float(k), 0.0, 0.0) for k in range(21)))
-    with pytest.raises(BadDefinition) as refused:
-        write_definition(tool)
-    assert refused.value.limits
