@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
@@ -108,14 +109,14 @@ class CameraLost(LinkTimeout):
     """A connected camera no longer replies."""
 
     code = "GEV-014"
-    action = "Check power and cable of that camera, then call recover."
+    action = f"Check power and cable of that camera, then {ACKNOWLEDGE}."
 
 
 class ControlLost(DeviceError):
     """Control of a camera was lost: it restarted, or our heartbeat came too late."""
 
     code = "GEV-015"
-    action = "Find out what stalled or restarted, then call recover, which writes all settings again."
+    action = f"Find out what stalled or restarted, then {ACKNOWLEDGE}. All settings are written again."
 
 
 class BadOptions(ConfigurationError):
@@ -129,7 +130,9 @@ class ReceiverEnded(DeviceError):
     """The driver's receiver process has ended."""
 
     code = "GEV-017"
-    action = "Recover to restart it. If it ends again, find out what kills it (memory, resource limits)."
+    action = (
+        f"To restart it, {ACKNOWLEDGE}. If it ends again, find out what kills it (memory, resource limits)."
+    )
 
 
 class NoPylon(ConfigurationError):

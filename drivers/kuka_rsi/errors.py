@@ -36,7 +36,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import (
     ConfigurationError,
@@ -83,49 +83,51 @@ class LinkSilent(LinkTimeout):
     """Telegrams stopped arriving while the stream was running."""
 
     code = "RSI-003"
-    action = "Check the controller's message window and the cable, then recover the arm."
+    action = f"Check the controller's message window and the cable, then {ACKNOWLEDGE}."
 
 
 class LinkStopped(StateError):
     """Replies were stopped on request; the controller's Timeout ends the stream."""
 
     code = "RSI-004"
-    action = "Find the reason, then recover the arm."
+    action = f"Find the reason, then {ACKNOWLEDGE}."
 
 
 class MotionTripped(LimitError):
     """The monitor stopped the arm."""
 
     code = "RSI-005"
-    action = "Read the recorded cycles, find the cause, then recover the arm."
+    action = f"Read the recorded cycles, find the cause, then {ACKNOWLEDGE}."
 
 
 class HeartbeatLate(LinkTimeout):
     """The real-time process received no heartbeat from this program and stopped the arm."""
 
     code = "RSI-006"
-    action = "Reduce the computer's load, or find what blocked the program; then recover the arm."
+    action = f"Reduce the computer's load, or find what blocked the program; then {ACKNOWLEDGE}."
 
 
 class LinkProcessDied(DeviceError):
     """The real-time process ended by itself."""
 
     code = "RSI-007"
-    action = "The controller stops the arm by its Timeout. Recover the arm; report the message if it repeats."
+    action = (
+        f"The controller stops the arm by its Timeout. Then {ACKNOWLEDGE}. Report the message if it repeats."
+    )
 
 
 class ControllerRestarted(DeviceError):
     """The telegrams come from a run that this program did not start."""
 
     code = "RSI-008"
-    action = "Check who started the program, then recover the arm."
+    action = f"Check who started the program, then {ACKNOWLEDGE}."
 
 
 class ProtectiveStop(StateError):
     """A protective stop was requested and is latched."""
 
     code = "RSI-009"
-    action = "Find the reason, then recover the arm."
+    action = f"Find the reason, then {ACKNOWLEDGE}."
 
 
 class MotionStopped(MotionInterrupted):
@@ -174,7 +176,7 @@ class PathFailed(LimitError):
     """A path had no solution partway; the arm was stopped along its joints."""
 
     code = "RSI-016"
-    action = "Recover the arm and move away from the singular pose by a joint move."
+    action = f"First {ACKNOWLEDGE}. Then move away from the singular pose by a joint move."
 
 
 class ContextUnusable(ConfigurationError):
@@ -195,7 +197,9 @@ class LinkUnusable(LinkTimeout):
     """Too many replies were lost for too long: the arm was stopped."""
 
     code = "RSI-019"
-    action = "Find what loads the computer or the RSI network (it must carry nothing else), then recover."
+    action = (
+        f"Find what loads the computer or the RSI network (it must carry nothing else), then {ACKNOWLEDGE}."
+    )
 
 
 class LinkProcessStalled(DeviceError):
@@ -204,7 +208,7 @@ class LinkProcessStalled(DeviceError):
     code = "RSI-020"
     action = (
         "The controller stops the arm by its Timeout. Find what blocks the process or the computer; "
-        "recover the arm, which starts a new process."
+        f"then {ACKNOWLEDGE}. A new process is started."
     )
 
 
@@ -219,14 +223,16 @@ class ControllerLost(ProtocolError):
     """The connection to the controller broke."""
 
     code = "EKI-002"
-    action = "Recover the arm: that opens a new session and reads everything again."
+    action = f"To open a new session and read everything again, {ACKNOWLEDGE}."
 
 
 class NoAnswer(LinkTimeout):
     """A command was not answered in time."""
 
     code = "EKI-003"
-    action = "Check that the submit interpreter of the controller runs; recover an arm that is in fault."
+    action = (
+        f"Check that the submit interpreter of the controller runs; if the arm is in fault, {ACKNOWLEDGE}."
+    )
 
 
 class BadEkiTelegram(ProtocolError):
@@ -234,7 +240,7 @@ class BadEkiTelegram(ProtocolError):
 
     code = "EKI-004"
     action = (
-        "Look at the controller's message window, then recover the arm. If it repeats, load the EKI file of "
+        f"Look at the controller's message window, then {ACKNOWLEDGE}. If it repeats, load the EKI file of "
         "this driver on the controller."
     )
 
@@ -265,9 +271,7 @@ class ControllerNotReady(RefusedError):
 
     code = "EKI-007"
     action = (
-        "Release the emergency stop, close the guard, select EXT (T1 needs allow_t1); then acknowledge the "
-        "messages by name: in the held case, with ronna-procedure acknowledge, or by the arm's "
-        "recover(acknowledged_by)."
+        f"Release the emergency stop, close the guard, select EXT (T1 needs allow_t1); then {ACKNOWLEDGE}."
     )
 
 
@@ -282,14 +286,11 @@ class DrivesOff(StateError):
     """The drives were switched off on request; the fault is latched."""
 
     code = "EKI-009"
-    action = "Find the reason, then recover the arm."
+    action = f"Find the reason, then {ACKNOWLEDGE}."
 
 
 class ControllerStopped(LimitError):
     """Emergency stop, guard, mode, drives or a message ended a running stream; the arm was stopped."""
 
     code = "EKI-010"
-    action = (
-        "Check the cell first. When the cause is removed, acknowledge under your name (nothing moves): in "
-        "the held case, or with ronna-procedure acknowledge or the arm's recover(acknowledged_by)."
-    )
+    action = f"Check the cell first. When the cause is removed, {ACKNOWLEDGE}."

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import (
     EXIT_LINK_LOST,
     EXIT_SAFETY_STOP,
@@ -84,14 +85,14 @@ class LinkLost(LinkTimeout):
     """The unit has been silent beyond its own time limits, or the port closed."""
 
     code = "NDI-008"
-    action = "Check power and cable, then call recover to reconnect."
+    action = f"Check power and cable. To reconnect, {ACKNOWLEDGE}."
 
 
 class UnitRestarted(DeviceError):
     """The unit was powered off, reset or re-initialised while connected."""
 
     code = "NDI-009"
-    action = "Call recover to reconnect; poses from before the restart are void."
+    action = f"To reconnect, {ACKNOWLEDGE}. Poses from before the restart are void."
     exit_code = EXIT_LINK_LOST
 
 
@@ -134,7 +135,7 @@ class SensorBumped(DeviceError):
     """The unit was bumped: it may have moved, and its calibration may have suffered."""
 
     code = "NDI-021"
-    action = "Check the unit and its stand, then call recover; repeat all measurements made with it."
+    action = f"Check the unit and its stand, then {ACKNOWLEDGE}. Repeat all measurements made with the unit."
     exit_code = EXIT_SAFETY_STOP
 
 

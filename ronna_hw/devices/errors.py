@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from ronna_hw.errors import ConfigurationError, DataError, LinkTimeout, RefusedError, StateError
 
+# What clears a latched fault, for everyone who may read the message: the operator of a held case or at the
+# command line, and the author of a program.
+ACKNOWLEDGE = (
+    "acknowledge by name (nothing moves): in the held case, with ronna-procedure acknowledge RUN --by NAME, "
+    "or in Python with recover(acknowledged_by)"
+)
+
 
 class WrongState(StateError):
     """The call is not allowed in the current lifecycle state of the device."""
 
     code = "DEV-001"
-    action = "Bring the device to the expected state first; after a fault, call recover."
+    action = f"Bring the device to the expected state first; after a fault, {ACKNOWLEDGE}."
 
 
 class MotionInterrupted(StateError):

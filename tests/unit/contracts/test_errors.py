@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import CommandRejected
+from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import RonnaError
 from ronna_hw.text.beyond import beyond, told_apart
 
@@ -22,6 +23,16 @@ def test_every_code_is_unique_and_every_error_says_what_to_do() -> None:
         assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
         seen[error.code] = error.__name__
     assert len(seen) > 20
+
+
+def test_advice_to_recover_a_device_names_the_command_and_the_method() -> None:
+    advising = [
+        error for error in errors_with_a_code() if re.search(r"\brecover\b", error.action, re.IGNORECASE)
+    ]
+    assert len(advising) > 15
+    assert [error.code for error in advising if ACKNOWLEDGE not in error.action] == []
+    assert "ronna-procedure acknowledge RUN --by NAME" in ACKNOWLEDGE
+    assert "recover(acknowledged_by)" in ACKNOWLEDGE
 
 
 def test_every_code_is_mentioned_by_a_test() -> None:

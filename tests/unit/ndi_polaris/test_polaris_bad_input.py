@@ -270,7 +270,7 @@ def test_a_link_that_dies_mid_reply_latches_a_fault_and_can_be_recovered(
         lost += 1
     assert lost <= 7  # the unit may take four seconds, each reading waits for one
     assert isinstance(tracker.fault, errors.LinkLost)
-    with raises_on_one_line("DEV-001", "not allowed now", "after a fault, call recover"):
+    with raises_on_one_line("DEV-001", "not allowed now", "after a fault, acknowledge by name"):
         tracker.read_frame()
     assert tracker.state is Lifecycle.FAULT
     unit.silent = False
