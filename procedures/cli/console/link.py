@@ -45,7 +45,6 @@ class ConsoleLink:
         self._desk = desk
         self._say = say
         self._ending = False
-        self._leaving = threading.Lock()  # two threads may find that the console has ended
         self._writing = threading.Lock()
         self._feed: threading.Thread | None = None
         self._socket, theirs = socket.socketpair()
@@ -66,7 +65,6 @@ class ConsoleLink:
         self._followed = threading.Event()
         self._over = threading.Event()
         self._start(self._await_ready, "console ready")
-        self._start(self._await_end, "console end")
         self._start(self._beat_until_followed, "console beats")
 
     def follow(self, events: EventStream) -> None:
@@ -132,13 +130,6 @@ class ConsoleLink:
                 self._send(Reply(nonce=order.nonce, refused=self._desk.take(order)).model_dump_json())
         self._gone()
 
-    def _await_end(self) -> None:
-        """A console that is killed may leave a process that holds its end of the socket open."""
-        while not self._over.wait(BEAT_S):
-            if self._child.process.poll() is not None:
-                self._gone()
-                return
-
     def _beat_until_followed(self) -> None:
         """A theatre that is being opened has no events yet; its console hears that this program lives."""
         while not self._followed.wait(BEAT_S) and self._send(BEAT):
@@ -167,9 +158,7 @@ class ConsoleLink:
         return True
 
     def _gone(self) -> None:
-        with self._leaving:
-            if self._desk.gone:
-                return
+        if not self._desk.gone:
             self._desk.leave()
-            if not self._ending and self._answered.is_set():
+            if not self._ending:
                 self._say("the console has ended; this terminal operates the case")

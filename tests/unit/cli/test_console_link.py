@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from waiting import eventually
 
 from procedures.cli.console import link
 from procedures.cli.console.desk import Desk
@@ -25,13 +24,9 @@ class Listening:
         self.socket = socket.socket(fileno=os.dup(inherited[0]))
         self.socket.settimeout(5.0)
         self.process = self
-        self.exit_code: int | None = None
 
     def await_ready(self, _limit_s: float) -> dict[str, str]:
         return {}
-
-    def poll(self) -> int | None:
-        return self.exit_code
 
     def wait(self, timeout: float) -> None:
         pass
@@ -83,15 +78,3 @@ def test_a_port_in_use_is_reported_before_a_theatre_is_opened() -> None:
         port = taken.getsockname()[1]
         with pytest.raises(UsageMistake, match=rf"CLI-001: --console-port {port} cannot be used: .*in use"):
             ConsoleOptions(console=True, console_port=port).request()
-
-
-def test_a_console_that_was_killed_has_ended_even_if_its_socket_is_still_open(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(link, "ChildProcess", Listening)
-    said: list[str] = []
-    console: Any = link.ConsoleLink(tmp_path, desk := Desk(waits=False), 0, said.append)
-    console._child.exit_code = -9
-    eventually(lambda: desk.gone)
-    eventually(lambda: "the console has ended; this terminal operates the case" in said)
-    console.close()
