@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 from typing import Any
@@ -50,7 +51,8 @@ def test_a_second_operator_can_only_view_and_sees_who_is_operating(
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page, "Ana")
-    other = opened_context(browser).new_page()
+    elsewhere, watching = opened_context(browser), opened_context(browser)
+    other = elsewhere.new_page()
     enter(other, case.addresses["url"])
     other.wait_for_selector("text=Ana is operating; you are viewing")
     assert other.locator("[data-do=next]").is_disabled()
@@ -59,21 +61,28 @@ def test_a_second_operator_can_only_view_and_sees_who_is_operating(
             {kind: 'next', upcoming: 'ct_import', nonce: 'forged-0001'})})).json()"""
     )
     assert forged == {"refused": "you are not in the operator's seat"}
-    viewer = opened_context(browser).new_page()
+    viewer = watching.new_page()
     enter(viewer, case.addresses["viewer_url"])
     assert viewer.locator("[data-do=stop]").count() == 0
     assert viewer.get_by_label("Your name").is_visible() is False
     assert not any((case.run / "records").iterdir())
+    elsewhere.close()  # else they draw on beside all tests to come
+    watching.close()
 
 
-def test_the_case_continues_after_its_console_is_killed(start: OperatedCases, page: Any) -> None:
-    case = start("run", "--json")
+def test_a_killed_console_is_shown_in_a_banner_over_the_past(start: OperatedCases, page: Any) -> None:
+    case = start("step")
     enter(page, case.addresses["url"])
     os.kill(case.console_pid, signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     assert "past" in page.evaluate("document.body.className")
     page.wait_for_selector("#popup[aria-hidden=false]", state="attached")
     assert not page.locator("#popup").is_visible()
+
+
+def test_the_case_continues_after_its_console_is_killed(start: OperatedCases) -> None:
+    case = start("run", "--json")
+    os.kill(case.console_pid, signal.SIGKILL)
     assert case.ended() == 0
     assert "the console has ended" in case.said
     assert outcome_of(case)["targets"]
@@ -117,19 +126,26 @@ def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, pa
 
 
 def test_a_suspended_browser_does_not_hold_up_the_case(start: OperatedCases, page: Any) -> None:
-    case = start("run", "--json")
+    case = start("run", "--json", "--speed", "1")  # else over before a slow page is open
     enter(page, case.addresses["viewer_url"])
     ours = psutil.Process().children(recursive=True)
-    renderers = [one for one in ours if "--type=renderer" in " ".join(one.cmdline())]
+    renderers = [one for one in ours if _is_renderer(one)]
     assert renderers
     for renderer in renderers:
         renderer.suspend()
     try:
+        assert case.process.poll() is None
         assert case.ended() == 0
     finally:
         for renderer in renderers:
             renderer.resume()
     assert outcome_of(case)["targets"]
+
+
+def _is_renderer(process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error):  # it ends meanwhile
+        return "--type=renderer" in " ".join(process.cmdline())
+    return False
 
 
 def test_eight_viewers_are_served_and_a_ninth_is_refused(start: OperatedCases, browser: Any) -> None:
