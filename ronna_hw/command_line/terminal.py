@@ -30,7 +30,7 @@ from ronna_hw.command_line.messages import fail_with, message_console, on_termin
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
 from ronna_hw.command_line.usage import asked_for, usage_mistake
-from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.file_access import own_files
 from ronna_hw.host.interruption import ENDING_SIGNALS
 from ronna_hw.host.own_packages import require_own_packages
@@ -79,15 +79,12 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
         with _own_files():
             code = _invoke(app, arguments)
         sys.stdout.flush()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, typer.Abort):  # the latter at a prompt
         code = EXIT_INTERRUPTED
     except SystemExit as leaving:  # the reader of a pipe closed it while the command was printing
         code = leaving.code if isinstance(leaving.code, int) else EXIT_FAILED
     except BrokenPipeError:
         code = EXIT_FAILED
-    except typer.Abort:
-        tell("aborted")
-        code = EXIT_ABORTED
     except Exception as problem:
         code = _report(problem, verbose=VERBOSE_FLAG in arguments)
     if code == EXIT_INTERRUPTED:

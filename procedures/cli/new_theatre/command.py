@@ -141,15 +141,27 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
 
 
 def _interfaces() -> list[str]:
-    """Ask which networks may be searched; none without a terminal."""
+    """Ask which networks may be searched, again after a typing error; none without a terminal."""
     from ronna_hw.host.network_interfaces import interfaces
 
     if not terminal.on_terminal(sys.stdin):
         terminal.tell("no --interface: no network is searched for cameras or controller")
         return []
     known = ", ".join(f"{each.name} ({each.address})" for each in interfaces())
-    answer: str = typer.prompt(f"Network cards to search, of {known}", default=NO_CARD, err=True)
-    return [] if answer == NO_CARD else answer.replace(",", " ").split()
+    question = f"Network cards to search, of {known}"
+    chosen: list[str] = typer.prompt(question, default=NO_CARD, value_proc=_cards, err=True)
+    return chosen
+
+
+def _cards(answer: str) -> list[str]:
+    from procedures.cli.new_theatre import searching
+
+    names = [] if answer == NO_CARD else answer.replace(",", " ").split()
+    try:
+        searching.named_interfaces(names)
+    except UsageMistake as mistake:
+        raise typer.BadParameter(f"{mistake.what}; expected {mistake.expected}") from mistake
+    return names
 
 
 def _choose(question: str, words: Sequence[str]) -> int | None:

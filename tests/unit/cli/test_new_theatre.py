@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path
@@ -214,6 +215,18 @@ def test_a_mistake_is_reported_and_leaves_no_file(
     assert code == EXIT_USAGE
     assert any(told in line for line in one_error(errors)), errors
     assert not list(out.parent.iterdir())
+
+
+def test_a_mistyped_network_card_is_asked_for_again(
+    cameras: Cameras, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(command.terminal, "on_terminal", lambda _stream: True)
+    monkeypatch.setattr("sys.stdin", io.StringIO("lo0\nlo\n"))
+    done = in_this_process(
+        app, "new-theatre", "--hardware", "--no-check", "--serial", "/dev/ttyS7", "--out", out
+    )
+    assert "this computer has no network interface lo0; expected one of " in done.stderr
+    assert [one.name for one in cameras.searches[0].interfaces] == ["lo"]
 
 
 def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Path) -> None:

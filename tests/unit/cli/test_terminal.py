@@ -132,7 +132,11 @@ def test_a_command_without_arguments_shows_its_help_unchanged(capsys: pytest.Cap
 
 @pytest.mark.parametrize(
     ("leaving", "code", "said"),
-    [(KeyboardInterrupt(), 130, "interrupted\n"), (typer.Abort(), 7, "aborted\n"), (typer.Exit(7), 7, "")],
+    [
+        (KeyboardInterrupt(), 130, "interrupted\n"),
+        (typer.Abort(), 130, "interrupted\n"),
+        (typer.Exit(7), 7, ""),
+    ],
 )
 def test_a_command_that_leaves_early_ends_with_its_exit_code(
     leaving: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
