@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from procedures.calibration.validity import MADE_BY_COMMAND
-from procedures.workcell.tool_records import GUIDE, ToolRecords
+from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
@@ -47,7 +47,16 @@ def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic
     except RonnaError as error:
         yield refusal("tool records", error)
     else:
-        yield Diagnostic("tool records", True, ", ".join(theatre.tools), _implausible(theatre))
+        advice = " ".join(filter(None, (_implausible(theatre), _unwatched(theatre))))
+        yield Diagnostic("tool records", True, ", ".join(theatre.tools), advice)
+
+
+def _unwatched(theatre: TheatreFile) -> str:
+    """What to do about a guide whose tip may have changed since its gauge was read, unnoticed."""
+    guide = theatre.tools.get(GUIDE)
+    if guide is None or guide.tip_in_head is not None:
+        return ""
+    return f"[tools.{GUIDE}] has no tip_in_head, so a tip edited since is not noticed. {RENEW}"
 
 
 def _implausible(theatre: TheatreFile) -> str:

@@ -170,6 +170,15 @@ def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(the
     assert "its centre of gravity 456 mm: check [calibration.tool_tip]" in after.advice
 
 
+def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was(theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    del content["tools"]["guide"]["tip_in_head"]
+    (warned,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
+    assert warned.well
+    assert warned.advice.startswith("[tools.guide] has no tip_in_head, so a tip edited since is not noticed.")
+    assert "ronna-tool renew" in warned.advice
+
+
 @pytest.mark.parametrize(
     ("command", "told"),
     [
