@@ -117,6 +117,8 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
     """The views in an order in which each is nearest in orientation to the previous one."""
+    if not looks:
+        return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
     alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the relative rotation: larger is nearer
     order, rest = [0], set(range(1, len(looks)))

@@ -75,16 +75,22 @@ class SphereLooks:
         head = workcell.calibrations.stereo_head
         model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
         plan = self._plan(model, places, workcell)
+        planned = {one.look.sphere for one in plan}
+        remarks += [
+            f"{_named(place)} was left out: none of the planned poses is around it"
+            for number, place in enumerate(places)
+            if number not in planned
+        ]
         context.confirm(
             Topic.CALIBRATION,
-            f"The arm will measure {len(places)} spheres from {len(plan)} poses around them. Nobody and "
+            f"The arm will measure {len(planned)} spheres from {len(plan)} poses around them. Nobody and "
             "nothing else may be within its reach",
             f"{len(plan)} measurements",
         )
         seen: list[SphereLook] = []
-        for number, place in enumerate(places):
+        for number in sorted(planned):
             mine = [one for one in plan if one.look.sphere == number]
-            seen += self._looks_at(context, place, mine, len(seen) / len(plan), remarks)
+            seen += self._looks_at(context, places[number], mine, len(seen) / len(plan), remarks)
         try:
             workcell.go_home()
         except NotClear as error:  # raised before anything moved; what was seen is worth keeping

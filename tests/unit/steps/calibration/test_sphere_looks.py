@@ -1,25 +1,32 @@
 """An arm is calibrated by the spheres that it can measure; the others are named and left out."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from clinical_case import ClinicalCell
 from prepared_results import checked_set_up, global_localization
+from recording_cell import theatre_of
 
 from procedures.calibration.errors import NoBall
+from procedures.operator.topic import Topic
 from procedures.steps.calibration.sphere_looks import ObservedSpheres, looks_step
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
+from sim.world.process import load_scene
 
 NEAR_MM, SECOND_MM = (720.0, -10.0, 310.0), (810.0, -10.0, 310.0)
+FAR_MM = (480.0, 300.0, 310.0)
+AT_THE_EDGE_MM = (1116.0, -10.0, 310.0)  # of reach: 11 of the 60 poses
 OUT_OF_REACH_MM = (870.0, 373.0, 1063.0)  # such as a reflection that the tracker took for a sphere
 IDENTIFYING, JUDGING = 60, 12
 
 
-def observed(cell: ClinicalCell, *spheres_mm: Numbers3) -> ObservedSpheres:
+def observed(cell: ClinicalCell, *spheres_mm: Numbers3, identifying: int = IDENTIFYING) -> ObservedSpheres:
     cell.workcell.spheres_mm = np.array(spheres_mm)
     cell.carrying(MountedTool.STEREO_HEAD)
     return cell.run(
-        checked_set_up(cell), global_localization(np.array(spheres_mm)), looks_step(IDENTIFYING, JUDGING)
+        checked_set_up(cell), global_localization(np.array(spheres_mm)), looks_step(identifying, JUDGING)
     ).result
 
 
@@ -52,3 +59,14 @@ def test_a_sphere_whose_way_is_not_clear_is_left_out(cell: ClinicalCell) -> None
 def test_more_measurements_are_planned_than_the_judgement_needs(cell: ClinicalCell) -> None:
     done = observed(cell, NEAR_MM, SECOND_MM)
     assert sum(one.validation for one in done.observed.looks) > JUDGING
+
+
+def test_a_sphere_without_a_planned_pose_is_named_and_the_arm_does_not_go_there(tmp_path: Path) -> None:
+    calibrated = ClinicalCell(tmp_path, theatre=theatre_of(load_scene("mini", seed=3, calibrated=True)))
+    done = observed(calibrated, NEAR_MM, SECOND_MM, AT_THE_EDGE_MM, FAR_MM, identifying=0)
+    assert done.remarks == (
+        "the sphere at 1116 -10 310 mm was left out: none of the planned poses is around it",
+    )
+    assert len({one.sphere for one in done.observed.looks}) == 3
+    (question,) = [one for one in calibrated.operator.asked if one.topic is Topic.CALIBRATION]
+    assert question.subject.startswith("The arm will measure 3 spheres")
