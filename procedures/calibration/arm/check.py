@@ -62,8 +62,9 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     """
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
-    count, spheres = len(looks.joints_rad), looks.spheres
+    count = len(looks.joints_rad)
     require_count(count, LEAST_VALIDATION, "too few measurements to check the arm")
+    spheres = looks.spheres
     flange = flange_poses(kinematics.chain, ArmDeviations.of(record), looks.joints_rad, looks.flanks)
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     seen = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]

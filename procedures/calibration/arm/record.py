@@ -37,8 +37,12 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     """Dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
     head = observed.stereo_head
     before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    looks = arrays_of(observed.looks)
-    kept = np.array([one.validation for one in observed.looks])
+    identified = {one.sphere for one in observed.looks if not one.validation}
+    usable = [
+        one for one in observed.looks if one.sphere in identified
+    ]  # of the others no position is fitted
+    looks = arrays_of(usable)
+    kept = np.array([one.validation for one in usable], dtype=bool)
     fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
     validation = validate(fit, looks.only(kept))
     after = fit.flange_from_tool

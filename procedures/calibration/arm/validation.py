@@ -95,7 +95,7 @@ def _before(fit: ArmFit, looks: LookArrays) -> float:
     """Error of the nominal arm and head, relative to the centroid of each sphere's measurements."""
     nothing = np.zeros(len(fit.values))
     seen = fit.model.misses(nothing, looks)
-    for number in range(looks.spheres):
+    for number in np.unique(looks.sphere):
         here = looks.sphere == number
         seen[here] -= seen[here].mean(axis=0)
     return _rms(seen)

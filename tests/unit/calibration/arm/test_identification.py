@@ -122,6 +122,28 @@ def test_too_few_looks_are_refused() -> None:
         calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
 
 
+def test_no_look_at_all_is_too_few(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
+    _, observed, result = identified
+    nothing = observed.model_copy(update={"looks": (), "arm_record": result.arm})
+    with pytest.raises(TooFewPoses, match=r"to calibrate.*at least 60.*got 0"):
+        calibrate_arm(nothing)
+    with pytest.raises(TooFewPoses, match=r"to check.*at least 12.*got 0"):
+        check_arm(nothing)
+
+
+@pytest.mark.parametrize("of_validation", [True, False])
+def test_a_sphere_seen_only_in_one_of_both_sets_does_not_spoil_the_calibration(
+    identified: tuple[LookingArm, ArmLooks, ArmResult], of_validation: bool
+) -> None:
+    _, observed, whole = identified
+    sphere = 3 if of_validation else 0
+    looks = tuple(one for one in observed.looks if one.sphere != sphere or one.validation is of_validation)
+    held = calibrate_arm(observed.model_copy(update={"looks": looks})).validation
+    at_others = sum(one.validation and one.sphere != sphere for one in looks)
+    assert len(held.misses_mm) == at_others
+    assert held.before_mm == pytest.approx(whole.validation.before_mm, rel=0.5)
+
+
 def test_looks_from_one_orientation_are_refused() -> None:
     observed = LookingArm.of(3).looks(60, 24, SPHERES_MM)
     same = observed.looks[0]
