@@ -84,7 +84,7 @@ def _calibrated(head: TrueHead, seed: int) -> tuple[float, float, float, float |
     return (
         result.fit.image_sigma_px,
         head.tool_centre_error_mm(result.stereo_head),
-        result.stereo_head.stated_error_mm,
+        result.tool_error_mm,
         plain_mm,
     )
 

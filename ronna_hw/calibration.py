@@ -199,6 +199,10 @@ class DatedRecord(Dated):
 class StereoHeadCalibration(DatedRecord):
     """Both cameras, and the nominal tool centre point of the head on the flange."""
 
+    stated_error_mm: StatedError = Field(
+        description="Stated error of a point measured in the tool frame, one standard deviation; not that of "
+        "the tool centre on the flange."
+    )
     flange_from_tool: OnTheMount = Field(description="Pose flange <- tool centre of the head.")
     left: CameraCalibration = Field(description="The left camera.")
     right: CameraCalibration = Field(description="The right camera.")

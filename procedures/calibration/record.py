@@ -7,6 +7,7 @@ previous record had it: points around the tool centre keep their pixels in both 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 
@@ -36,10 +37,12 @@ KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixe
 
 @dataclass(frozen=True)
 class HeadResult:
-    """The new records and their quality. Covariances (3, 3) mm2 of the tool centre on the flange.
+    """The new records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
 
-    `tool_shift_mm` is how far the tool centre moved on the flange; `frame_misfit_mm` (rms) how far the
-    cameras have moved relative to each other since the previous record.
+    `tool_error_mm` is its standard error; that of a point measured in the tool frame, where errors of the
+    arm hardly count, is what the record states. `tool_shift_mm` is how far the tool centre moved on the
+    flange; `frame_misfit_mm` (rms) how far the cameras have moved relative to each other since the previous
+    record.
     """
 
     fit: BundleFit
@@ -48,6 +51,11 @@ class HeadResult:
     tool_covariance_mm2: Array
     tool_shift_mm: float
     frame_misfit_mm: float
+
+    @property
+    def tool_error_mm(self) -> float:
+        """Standard error of the tool centre on the flange."""
+        return float(np.sqrt(np.trace(self.tool_covariance_mm2)))
 
 
 def calibrate_head(
@@ -64,12 +72,10 @@ def calibrate_head(
         arm=kinematics_named(observed.arm_variant).chain if arm_geometry else None,
     )
     flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
-    covariance = _tool_covariance(before, fit)
-    stated_error_mm = float(np.sqrt(np.trace(covariance)))
     left, right = fit.cameras
     head = StereoHeadCalibration(
         identifier=identifier or new_identifier("stereo-head", observed.created),
-        stated_error_mm=stated_error_mm,
+        stated_error_mm=_point_error_mm(before, fit),
         flange_from_tool=pose_record(flange_from_tool),
         left=left.record(observed.serials[0], before.left.sensor_px, flange_from_tool),
         right=right.record(observed.serials[1], before.right.sensor_px, flange_from_tool),
@@ -84,7 +90,7 @@ def calibrate_head(
         tool_tip=None
         if observed.tool_tip is None
         else moved_tip(observed.tool_tip, tool_before, flange_from_tool),
-        tool_covariance_mm2=covariance,
+        tool_covariance_mm2=_covariance(fit, lambda cameras: _seen_again(before, cameras)[0]),
         tool_shift_mm=float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm)),
         frame_misfit_mm=misfit,
     )
@@ -135,19 +141,25 @@ def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[T
     return pose, float(np.sqrt(np.mean(np.sum(misfit**2, axis=1))))
 
 
-def _tool_covariance(before: StereoHeadCalibration, fit: BundleFit) -> Array:
-    """Covariance (3, 3) of the measured position of a ball at the tool centre, in the flange frame."""
+def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
+    """Standard error of a point measured in the tool frame, rms over the kept points."""
+
+    def in_tool(cameras: Cameras) -> Array:
+        flange_from_tool, _ = _kept_tool_frame(before, cameras)
+        return np.ravel(flange_from_tool.rigid.inv().apply(_seen_again(before, cameras)))
+
+    return float(np.sqrt(np.trace(_covariance(fit, in_tool)) / len(_kept_points())))
+
+
+def _covariance(fit: BundleFit, of: Callable[[Cameras], Array]) -> Array:
+    """Covariance (n, n) of n values that follow from the cameras."""
     middle = CAMERA_PARAMETERS
-    slopes = np.empty((3, 2 * middle))
-    for column in range(2 * middle):
-        step = np.zeros(2 * middle)
-        step[column] = DERIVATIVE_STEP
-        ends = []
-        for sign in (1.0, -1.0):
-            changed = (
-                fit.cameras[0].changed(sign * step[:middle]),
-                fit.cameras[1].changed(sign * step[middle:]),
-            )
-            ends.append(_seen_again(before, changed)[0])
-        slopes[:, column] = (ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP)
-    return np.asarray(slopes @ fit.covariance[BALL:, BALL:] @ slopes.T)
+    slopes = []
+    for step in DERIVATIVE_STEP * np.eye(2 * middle):
+        ends = [
+            of((fit.cameras[0].changed(sign * step[:middle]), fit.cameras[1].changed(sign * step[middle:])))
+            for sign in (1.0, -1.0)
+        ]
+        slopes.append((ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP))
+    by_value = np.transpose(slopes)
+    return np.asarray(by_value @ fit.covariance[BALL:, BALL:] @ by_value.T)

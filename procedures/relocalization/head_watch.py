@@ -21,7 +21,8 @@ from ronna_hw.text.beyond import told_apart
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
 # to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
 LARGEST_UNLIKENESS = 0.0009
-# Over the stated error of the head, which is about the standard deviation of the gap from head to head.
+# Over the stated error of a point, to which cameras that are off by as much at random open a gap; those of a
+# calibration leave 0.001 mm.
 LARGEST_GAP_OVER_STATED = 5.0
 LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
 

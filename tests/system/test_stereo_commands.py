@@ -317,7 +317,7 @@ def test_over_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetr
     assert calibrated.said["poses"] >= 60
     assert calibrated.said["tool_shift_mm"] > 0.5
     assert truth.tool_centre_error_mm(record) <= GOAL_MM
-    assert calibrated.said["stated_error_mm"] <= GOAL_MM
+    assert calibrated.said["tool_error_mm"] <= GOAL_MM
     in_use = read_theatre_file(calibrated.folder / "theatre" / "theatre.toml").calibration
     assert in_use is not None
     assert records["tool_tip"]["expires"] == in_use.tool_tip.expires

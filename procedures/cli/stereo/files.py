@@ -52,6 +52,7 @@ def figures_of(result: HeadResult) -> HeadFigures:
         arm_error_mm=fit.arm_error_mm,
         arm_scatter_mm=fit.arm_scatter_mm,
         stated_error_mm=head.stated_error_mm,
+        tool_error_mm=result.tool_error_mm,
         tool_covariance_mm2=result.tool_covariance_mm2.tolist(),
         tool_shift_mm=result.tool_shift_mm,
         frame_misfit_mm=result.frame_misfit_mm,

@@ -22,7 +22,8 @@ class HeadFigures(RecordFigures):
     image_sigma_px: float
     arm_error_mm: float
     arm_scatter_mm: float
-    stated_error_mm: float
+    stated_error_mm: float = Field(description="Of a point measured in the tool frame.")
+    tool_error_mm: float = Field(description="Of the tool centre on the flange.")
     tool_covariance_mm2: Matrix3
     tool_shift_mm: float
     frame_misfit_mm: float
@@ -53,8 +54,9 @@ class HeadFigures(RecordFigures):
                 f"tool centre on the flange, {axis}, mm", millimetres(value_mm), millimetres(sigma_mm)
             )
         yield Figure(
-            "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.stated_error_mm)
+            "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.tool_error_mm)
         )
+        yield Figure("error of a point in the tool frame, mm", "", millimetres(self.stated_error_mm))
         yield Figure("change of the stereo geometry, mm", millimetres(self.frame_misfit_mm))
         yield Figure("rms residual, arm errors included, px", f"{rms_px:.2f}")
         yield Figure("standard error of an outline, px", f"{self.image_sigma_px:.3f}")

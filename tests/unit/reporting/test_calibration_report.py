@@ -26,6 +26,7 @@ HEAD: dict[str, Any] = {
     "arm_error_mm": 0.305,
     "arm_scatter_mm": 0.015,
     "stated_error_mm": 0.04,
+    "tool_error_mm": 0.03,
     "tool_covariance_mm2": COVARIANCE,
     "tool_shift_mm": 0.123,
     "frame_misfit_mm": 0.007,
