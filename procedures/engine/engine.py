@@ -292,14 +292,15 @@ class Engine:
 
     @contextmanager
     def _resting(self, state: str, reason: str) -> Iterator[None]:
-        """While the case is paused or suspended."""
-        self.machine.rest(state)
-        self._write(Entry.RESTED, state=state, reason=reason)
-        self._show_state(reason)
-        yield
-        self.machine.go_on()
-        self._write(Entry.RESUMED, state=state)
-        self._show_state()
+        """While the case is paused or suspended, also on the way home of one that has ended."""
+        try:
+            with self.machine.resting(state):
+                self._write(Entry.RESTED, state=state, reason=reason)
+                self.events.publish(CaseState(state=state, reason=reason))
+                yield
+            self._write(Entry.RESUMED, state=state)
+        finally:
+            self._show_state()
 
     def _show_state(self, reason: str = "") -> None:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))

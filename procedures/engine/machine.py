@@ -7,6 +7,7 @@ never in a callback. Whether a step may begin is the engine's to decide, before 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import groupby, pairwise
 from typing import Protocol, cast
 
@@ -48,12 +49,11 @@ class _Triggered(Protocol):
 
 
 class ProcedureMachine:
-    """Begin a step, hold, rest, go on, finish or abort; nothing else changes the state."""
+    """Begin a step, hold, rest, finish or abort; nothing else changes the state."""
 
     state: str  # phase and step, or what is between steps
 
     def __init__(self, order: CaseOrder, *, recovering: bool = False) -> None:
-        self._before = IDLE  # where a rest goes back to
         nested = [
             {"name": str(phase), "children": [step.name for step in order.steps if step.phase is phase]}
             for phase in Phase
@@ -83,15 +83,22 @@ class ProcedureMachine:
         """A step failed or was left."""
         self._go("case_hold")
 
-    def rest(self, state: str) -> None:
-        """Pause or suspend, from wherever the case is."""
-        before = self.state
-        self._go(f"rest_{state}")
-        self._before = before
+    @contextmanager
+    def resting(self, state: str) -> Iterator[None]:
+        """Paused or suspended while the block runs; then back where the case was, however the block ends.
 
-    def go_on(self) -> None:
-        """Back to where the case was before it rested."""
-        self._go(f"back_to_{self._before}")
+        The way home may also rest before a restart is accepted and after the end of the case. The chart
+        does not change then: it says whether steps may begin.
+        """
+        before = self.state
+        if before == RECOVERY or self.ended:
+            yield
+            return
+        self._go(f"rest_{state}")
+        try:
+            yield
+        finally:
+            self._go(f"back_to_{before}")
 
     def finish(self) -> None:
         """The last step is done and every result is valid."""
@@ -115,9 +122,9 @@ def _transitions(order: CaseOrder) -> Iterator[list[str | Sequence[str]]]:
     for state in working:
         yield [f"back_to_{state}", list(RESTS), state]
     yield ["case_accept", RECOVERY, HELD]
-    yield ["case_hold", [*working, *RESTS], HELD]
+    yield ["case_hold", working, HELD]
     yield ["case_finish", [HELD, state_of(order.spec(order.sequence[-1]))], FINISHED]
-    yield ["case_abort", [RECOVERY, *working, *RESTS], ABORTED]
+    yield ["case_abort", [RECOVERY, *working], ABORTED]
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
@@ -141,7 +148,7 @@ def mermaid(steps: Steps) -> str:
         lines.append(f"  {phase} --> {HELD} : a step fails or is left")
         lines.append(f"  {HELD} --> {phase} : a step that may begin")
         lines.extend(f"  {phase} --> {rest}\n  {rest} --> {phase}" for rest in RESTS)
-    lines.extend(f"  {state} --> {ABORTED}" for state in (HELD, RECOVERY, *RESTS))
+    lines.extend(f"  {state} --> {ABORTED}" for state in (HELD, RECOVERY, *phases))
     lines.extend(f"  {end} --> [*]" for end in ENDS)
     lines.extend(f"  note right of {state} : {meaning}" for state, meaning in BETWEEN.items())
     return "\n".join(lines) + "\n"

@@ -182,6 +182,38 @@ def test_an_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
     assert case.engine.machine.state == "aborted"
 
 
+class NeverRestored:
+    """A guard that asks at once, and stays unmet."""
+
+    name = "line of sight"
+    topic, patience_s, excused_for_s = Topic.HEAD_UNSEEN, 0.0, 10.0
+
+    def unmet(self) -> str:
+        return "covered"
+
+    def excuse(self) -> None:
+        """Nobody asks to do without it."""
+
+
+def test_an_abort_ends_a_case_whose_guard_is_not_restored_before_it_nor_on_the_way_home(
+    cell: RecordingCell,
+) -> None:
+    cell.operator.refusing = (Topic.HEAD_UNSEEN,)
+    case = Operated(cell.engine(plain_order()))
+    cell.workcell.set_home()
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]
+    case.engine.checkpoint.guards.append(NeverRestored())
+    with running(case):
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        case.give("abort")
+        eventually(lambda: len(case.ended_by) == 1)
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert [question.topic for question in cell.operator.asked].count(Topic.HEAD_UNSEEN) == 2
+    assert (case.engine.machine.state, cell.arm.motions) == ("aborted", [])
+
+
 def test_a_missing_console_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     with pytest.raises(ConsoleMissing, match="PRO-040"):

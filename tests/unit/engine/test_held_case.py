@@ -152,9 +152,12 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.checkpoint.abort()
     with pytest.raises(OperatorAborted):
         engine.run_step(engine.order.find("image"))
+    engine.checkpoint.pause()
     engine.retreat_home()
+    assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
     assert cell.workcell.insertion is None
+    assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"
 
 

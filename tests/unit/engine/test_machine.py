@@ -43,13 +43,25 @@ def test_a_held_case_continues_with_a_step() -> None:
 
 
 @pytest.mark.parametrize("rest", ["paused", "suspended"])
-def test_a_pause_or_suspension_returns_to_the_former_state(rest: str) -> None:
+def test_a_pause_or_suspension_returns_to_the_former_state_however_it_ends(rest: str) -> None:
     machine = ProcedureMachine(plain_order())
     machine.begin("image")
-    machine.rest(rest)
-    assert machine.state == rest
-    machine.go_on()
+    with machine.resting(rest):
+        assert machine.state == rest
+    with pytest.raises(KeyboardInterrupt), machine.resting(rest):
+        raise KeyboardInterrupt
     assert machine.state == "operation.image"
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_pause_on_the_way_home_lets_no_step_of_an_ended_or_unaccepted_case_begin(ended: bool) -> None:
+    machine = ProcedureMachine(plain_order(), recovering=True)
+    if ended:
+        machine.abort()
+    before = machine.state
+    with machine.resting("paused"), pytest.raises(MachineError):
+        machine.begin("image")
+    assert machine.state == before
 
 
 def test_no_step_starts_in_recovery_before_it_is_accepted() -> None:
