@@ -71,7 +71,7 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     memory: CaseMemory = field(default_factory=CaseMemory)
-    left_away: str | None = None  # what an earlier run says of where the arm is
+    left_away: str | None = None  # that another run left the arm away from home, and what brings it there
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so

@@ -29,12 +29,14 @@ class TheatreNote(BaseModel):
 
     run: Path | None = None
     pid: int | None = None
+    lines_before: int = 0  # of that run's journal: what it had moved before it had the devices does not count
     moved_before: Path | None = None
 
     @property
     def last_moved(self) -> Path | None:
         """The last run that moved the arm, if its journal can still be read."""
-        return self.run if self.run is not None and _may_have_moved(self.run) else self.moved_before
+        moved = self.run is not None and _may_have_moved(self.run, self.lines_before)
+        return self.run if moved else self.moved_before
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,17 @@ def held_theatre(theatre: Path, run: Path | None) -> Iterator[Path | None]:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise _in_use(_user(path, file)) from None
-        last_moved = read_note(path).last_moved
-        note = TheatreNote(run=run and run.resolve(), pid=os.getpid(), moved_before=last_moved)
+        moved = read_note(path).last_moved
+        note = TheatreNote(
+            run=run and run.resolve(),
+            pid=os.getpid(),
+            lines_before=0 if run is None else _journal_lines(run),
+            moved_before=moved,
+        )
         with suppress(OSError):
             os.ftruncate(file, os.pwrite(file, note.model_dump_json().encode(), 0))
             os.fdatasync(file)
-        yield last_moved
+        yield moved
     finally:
         os.close(file)
 
@@ -102,6 +109,11 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
         return None if holder_of_lock(file) is None else _user(path, file)
     finally:
         os.close(file)
+
+
+def last_moved(theatre: Path) -> Path | None:
+    """The last run that moved the arm of a theatre file, whether or not a program has its devices."""
+    return read_note(_lock_file(theatre)).last_moved
 
 
 def require_free_theatre(theatre: Path) -> None:
@@ -149,9 +161,19 @@ def read_note(path: Path) -> TheatreNote:
         return TheatreNote()
 
 
-def _may_have_moved(run: Path) -> bool:
-    """Also one whose journal cannot be read; not one whose folder was removed, as of a refused run."""
+def _may_have_moved(run: Path, lines_before: int) -> bool:
+    """Also one whose journal cannot be read, or has lost its end; not one whose folder was removed, as of a
+    refused run."""
     try:
-        return any(line["entry"] == Entry.MOTION for line in read_chain(run / JOURNAL_FILE).lines)
+        chain = read_chain(run / JOURNAL_FILE)
     except (OSError, RonnaError):
         return run.exists()
+    return bool(chain.torn) or any(line["entry"] == Entry.MOTION for line in chain.lines[lines_before:])
+
+
+def _journal_lines(run: Path) -> int:
+    """How many lines its journal has; 0 if it cannot be read."""
+    try:
+        return len(read_chain(run / JOURNAL_FILE).lines)
+    except (OSError, RonnaError):
+        return 0

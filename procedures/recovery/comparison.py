@@ -40,6 +40,10 @@ class Comparison:
         """Add something that is not as recorded."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
+    def refuse(self, text: str) -> None:
+        """Add something else for which the run is not resumed."""
+        self.differences.append(text)
+
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Note it as unchanged, or as different with the fields that differ."""
         if recorded == found:

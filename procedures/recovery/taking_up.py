@@ -117,6 +117,7 @@ def _take_up_arm(
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
+    _compare_last_to_move(engine, comparison)
     if arm.insertion is None and (found := guide_on_an_axis(engine)) is not None:
         insertion, beyond_mm = found
         name = insertion.trajectory  # the lost lines may also have said that an instrument goes in
@@ -128,6 +129,19 @@ def _take_up_arm(
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
         workcell.instrument.assume_inside(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
+
+
+def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
+    """Another run that left the arm away knows of its instrument and its way home; this journal does not.
+
+    An arm that is at this run's home has been jogged there since.
+    """
+    if (away := engine.setting.left_away) is None:
+        return
+    if engine.setting.workcell.at_home:
+        comparison.warn(f"{away}; it is at the home of this run now")
+    else:
+        comparison.refuse(away)
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:

@@ -118,7 +118,7 @@ def made_engine(
             settings=theatre.file.procedure,
             surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
-            left_away=left_away if left is None else None,
+            left_away=left_away,
             starts=frozenset() if wanted.recipe is None else wanted.recipe.starts,
             began=began,
         ),

@@ -130,6 +130,8 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
         history = arm_history(read_chain(folder / JOURNAL_FILE).lines)
+        if _left_by_another(folder):  # what ends this run names the commands of that one
+            return
         if history.left_home or (interrupted and history.motions):
             tell(
                 f"the arm is where it stopped; continue with ronna-procedure home {run} or "
@@ -137,6 +139,17 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
             )
         elif interrupted:
             tell(f"nothing has moved; continue with ronna-procedure resume {run}")
+
+
+def _left_by_another(folder: Path) -> bool:
+    """Whether another run on the same theatre left the arm away from home."""
+    from procedures.cli.case.left_away import left_away
+    from procedures.engine.theatre_lock import last_moved
+
+    with contextlib.suppress(RonnaError, OSError):
+        theatre = read_request(folder).config
+        return theatre is not None and left_away(last_moved(theatre), folder) is not None
+    return False
 
 
 @contextlib.contextmanager

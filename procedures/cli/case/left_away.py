@@ -1,4 +1,7 @@
-"""An earlier run on the same theatre that left the arm away from home: a new run would park it there."""
+"""Another run on the same theatre that left the arm away from home.
+
+A new run would take that position for its home; a resumed one would send the arm home by a way of its own.
+"""
 
 from __future__ import annotations
 
@@ -12,21 +15,24 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
 
-def left_away(last: Path | None) -> str | None:
-    """What the operator must know of the last run that moved the arm of this theatre.
+def left_away(last: Path | None, run: Path) -> str | None:
+    """What the operator of `run` must know of the `last` run that moved the arm of this theatre.
 
-    None if it brought the arm home, or nothing is known of one.
+    None if it brought the arm home, is that run itself, or nothing is known of one.
     """
-    if last is None:
+    if last is None or last.resolve() == run.resolve():
         return None
     try:
-        if not arm_history(read_chain(last / JOURNAL_FILE).lines).left_home:
+        chain = read_chain(last / JOURNAL_FILE)
+        away = arm_history(chain.lines).left_home
+        if not (away or chain.torn):
             return None
     except (RonnaError, OSError):
         return (
             f"run {last.name} moved the arm last, and its journal cannot be read" if last.exists() else None
         )
-    left = f"run {last.name} left the arm away from its home"
+    verb = "left" if away else "has lost the end of its journal, and may have left"
+    left = f"run {last.name} {verb} the arm away from its home"
     try:
         read_request(last)
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes

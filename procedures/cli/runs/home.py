@@ -7,6 +7,8 @@ from pathlib import Path
 
 from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
+from procedures.cli.case.left_away import left_away
+from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.runs.left_runs import (
     held_left_run,
     make_ready,
@@ -14,7 +16,9 @@ from procedures.cli.runs.left_runs import (
     request_of,
     require_free_devices,
 )
+from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
+from procedures.engine.theatre_lock import last_moved
 from procedures.journal.journal import Entry
 from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import print_json
@@ -28,6 +32,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder, only_leaving=True) as left:
         if (nothing := _nothing_to_do(left)) is not None:
+            _require_not_left_by_another(left, request)
             _say(left, nothing, moved=False, as_json=as_json)
             return
         require_free_devices(request)
@@ -46,9 +51,17 @@ def _nothing_to_do(left: LeftRun) -> str | None:
     """Why no device need be asked; None when one must."""
     if left.finished:
         return "the run is finished: its arm is parked"
-    if not left.run.lines(Entry.MOTION):
+    if not left.run.lines(Entry.MOTION) and not left.chain.torn:
         return "the run has moved nothing"
     return None
+
+
+def _require_not_left_by_another(left: LeftRun, request: CaseRequest | CalibrationRun) -> None:
+    """Raise PRO-032 with the run whose `home` brings the arm there, PRO-043 while that one still runs."""
+    theatre = request.config
+    if theatre is not None and (away := left_away(last_moved(theatre), left.run.path)) is not None:
+        require_free_devices(request)
+        raise RecoveryRefused(away, action="Nothing was moved.")
 
 
 def _say(left: LeftRun, words: str, *, moved: bool, as_json: bool) -> None:

@@ -7,16 +7,19 @@ from pathlib import Path
 
 import pytest
 from recording_cell import HOME, RecordingCell
+from user_commands import in_this_process
 
 from procedures.cli.case.left_away import left_away
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
+from procedures.cli.procedure import app
 from procedures.engine.order import order_of
 from procedures.engine.theatre_lock import held_theatre
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
 
 
@@ -38,8 +41,13 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
 
 def warning(runs: Path) -> str | None:
     """What a new run on that theatre is warned of."""
-    with held_theatre(runs / "theatre.toml", runs / "20260109T000000-abcd") as last:
-        return left_away(last)
+    return warning_of(runs / "20260109T000000-abcd")
+
+
+def warning_of(run: Path) -> str | None:
+    """What a session of that run on the theatre is warned of."""
+    with held_theatre(run.parent / "theatre.toml", run) as last:
+        return left_away(last, run)
 
 
 def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
@@ -87,6 +95,39 @@ def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
 def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:
     earlier(tmp_path, 1, "go", "home")
     assert warning(tmp_path) is None
+
+
+@pytest.mark.hazard(5)
+def test_a_run_is_warned_of_another_again_until_it_has_moved_the_arm_itself(tmp_path: Path) -> None:
+    here, away = earlier(tmp_path, 1, "go"), earlier(tmp_path, 2, "go")
+    for _ in range(2):  # the second time the note has this run as the last, which moved before that one
+        assert f"ronna-procedure home {away}" in str(warning_of(here))
+    assert warning_of(away) is None
+
+
+@pytest.mark.hazard(5)
+def test_a_run_that_lost_the_end_of_its_journal_may_have_left_the_arm_away(tmp_path: Path) -> None:
+    torn = earlier(tmp_path, 1, "go", "home")
+    with (torn / JOURNAL_FILE).open("ab") as journal:
+        journal.write(bytes(100))
+    lost = f"run {torn.name} has lost the end of its journal, and may have left the arm away"
+    assert str(warning(tmp_path)).startswith(lost)
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("ended", ["finished", "moved nothing"])
+def test_home_of_another_run_names_the_run_that_left_the_arm_away(tmp_path: Path, ended: str) -> None:
+    other = earlier(tmp_path, 1)
+    if ended == "finished":
+        journal = Journal.taken_up(other, read_chain(other / JOURNAL_FILE))
+        journal.write(Entry.CLOSED, 0.0, outcome="done")
+        journal.close()
+    away = earlier(tmp_path, 2, "go")
+    done = in_this_process(app, "home", other, "--json")
+    assert done.returncode == EXIT_RECOVERY_NEEDED
+    assert done.stdout == ""
+    assert f"PRO-032: run {away.name} left the arm away from its home" in done.stderr
+    assert f"ronna-procedure home {away}" in done.stderr
 
 
 def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> None:

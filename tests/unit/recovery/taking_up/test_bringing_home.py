@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -9,7 +10,9 @@ from clinical_case import FIRST, ClinicalCell
 from left_operation import case_order, left_after, other_arm, other_calibration, other_frame
 from run_again import broken_off, opened_again
 
+from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
+from procedures.engine.left_run import LeftRun
 from procedures.operator.topic import Topic
 from procedures.recovery import bring_home, recover
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
@@ -98,6 +101,33 @@ def test_a_guide_with_another_tip_is_not_withdrawn_along_the_axis(cell: Clinical
     with pytest.raises(RecoveryRefused, match="tool_tip"):
         bring_home(engine, left)
     assert again.arm.motions == []
+
+
+B_LEFT = "run B left the arm away from its home; ronna-procedure home B brings it there"
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("way", [bring_home, recover])
+def test_an_arm_that_another_run_left_away_is_not_moved_by_this_one(
+    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    joints_rad = again.arm.joints_rad
+    again.arm.joints_rad = (*joints_rad[:5], joints_rad[5] + 0.1)
+    engine.setting = replace(engine.setting, left_away=B_LEFT)
+    with pytest.raises(RecoveryRefused, match=f"PRO-032.*{B_LEFT}"):
+        way(engine, left)
+    assert again.arm.motions == []
+    assert again.operator.asked == []
+
+
+def test_an_arm_that_was_jogged_home_after_another_run_does_not_keep_this_one_from_going_on(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    engine.setting = replace(engine.setting, left_away=B_LEFT)
+    recover(engine, left)
+    assert B_LEFT in again.operator.asked[0].value
 
 
 @pytest.mark.hazard(2)

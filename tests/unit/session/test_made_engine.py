@@ -1,0 +1,50 @@
+"""What an engine is made with, of the run that it resumes and of the theatre that it finds."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingArm, RecordingOperator, RecordingRoom, mini_theatre_file
+
+from procedures.engine.engine import Engine
+from procedures.engine.left_run import read_left_run
+from procedures.engine.order import CaseOrder
+from procedures.journal.journal import Journal
+from procedures.session.made_engine import People, made_engine
+from procedures.session.procedure import Procedure, Resumption
+
+
+@pytest.fixture
+def stack() -> Iterator[ExitStack]:
+    with ExitStack() as stack:
+        yield stack
+
+
+def resumed(run: Path, order: CaseOrder, stack: ExitStack, left_away: str | None = None) -> Engine:
+    """The engine of a run that was left, in a theatre at whose endpoints nothing is."""
+    return made_engine(
+        run,
+        mini_theatre_file(run.parent, simulated=True),
+        lambda _theatre: Procedure(order),
+        People(RecordingOperator(), RecordingRoom(RecordingArm("arm"))),
+        stack,
+        Resumption(read_left_run(run), accepted=True),
+        on_ending=lambda: None,
+        opening={},
+        left_away=left_away,
+    )
+
+
+@pytest.mark.hazard(5)
+def test_a_run_that_begins_over_is_warned_of_another_that_left_the_arm_away(
+    tmp_path: Path, stack: ExitStack
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    Journal(run).close()
+    engine = resumed(run, plain_order(), stack, left_away="run B left the arm away")
+    assert engine.setting.left_away == "run B left the arm away"
