@@ -37,7 +37,10 @@ class HeadMoved(RefusedError):
     """The head no longer sees the ball where it did at calibration: a camera or the mount has moved."""
 
     code = "CAL-006"
-    action = "Do not use this calibration: check the screws of cameras and mount, then calibrate again."
+    action = (
+        "Do not use this calibration: check the screws of cameras and mount, then repeat the calibrations of "
+        "stereo head, tracker frame and tool tip: frame and tip have not moved with the head."
+    )
 
 
 class CheckUncertain(DataError):

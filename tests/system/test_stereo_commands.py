@@ -149,6 +149,21 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     assert calibrations.tool_tip.flange_from_tool != before.tool_tip.flange_from_tool  # it shares the mount
 
 
+def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    theatre = theatre_file(head, tmp_path)
+    before = read_theatre_file(theatre).calibration
+    assert before is not None
+    looks = recorded(head, tmp_path, tool_tip=before.tool_tip)
+    for days in ("30", "7"):
+        out = ("--out", tmp_path / days, "--days", days, "--config", theatre, "--write", theatre)
+        assert stereo("calibrate", "--from", looks, *out).code == 0
+    calibrations = read_theatre_file(theatre).calibration
+    assert calibrations is not None
+    assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
+
+
 @pytest.mark.hazard(3)
 def test_observations_with_another_tip_are_refused_and_nothing_is_written(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import timedelta
-from typing import Any
 
 import numpy as np
 
@@ -23,7 +22,10 @@ MADE_BY = "ronna-arm calibrate"
 
 @dataclass(frozen=True)
 class ArmResult:
-    """The new records and their quality; `tool_shift_mm` is how far the head's tool centre moved."""
+    """The new records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
+
+    Head and tip keep their dates: where the head is on the flange was measured, its cameras were not.
+    """
 
     fit: ArmFit
     validation: ArmValidation
@@ -46,11 +48,6 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
     validation = validate(fit, looks.only(kept))
     after = fit.flange_from_tool
-    dates: dict[str, Any] = {
-        "created": observed.created,
-        "expires": observed.created + life,
-        "made_by": MADE_BY,
-    }
     return ArmResult(
         fit=fit,
         validation=validation,
@@ -60,13 +57,14 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
             arm=observed.arm,
             scatter_mm=fit.scatter_mm,
             **fit.deviations.as_plain(),
-            **dates,
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
         ),
         stereo_head=head.model_copy(
             update={
                 "identifier": new_identifier("stereo-head", observed.created),
                 "flange_from_tool": pose_record(after),
-                **dates,
             }
         ),
         tool_tip=None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after),

@@ -65,7 +65,11 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     they are: that a tool's gauge still fits its new tip, a person says.
     """
     former = read_toml(source, BadTheatreFile).get("calibration", {})
-    dated = {name: _dated_as(former.get(name, {}), record) for name, record in records.items()}
+    measured = max(record["created"] for record in records.values())
+    dated = {
+        name: record if record["created"] == measured else _dated_as(former.get(name, {}), record)
+        for name, record in records.items()
+    }
     write_theatre_tables(source, target, {"calibration": dated})
     tip = records.get("tool_tip", {}).get("identifier")
     for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():

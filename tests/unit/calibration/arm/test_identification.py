@@ -84,13 +84,14 @@ def test_points_near_the_spheres_are_reached_accurately_relative_to_each_other(
     assert spread[1] > 5.0 * spread[0]
 
 
-def test_records_are_dated_and_match_the_fit(
+def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     _, observed, result = identified
-    for record in (result.arm, result.stereo_head):
-        assert record.created == observed.created
-        assert record.expires - record.created == timedelta(days=10)
+    assert result.arm.created == observed.created
+    assert result.arm.expires - result.arm.created == timedelta(days=10)
+    assert result.stereo_head.created == observed.stereo_head.created
+    assert result.stereo_head.expires == observed.stereo_head.expires
     assert result.tool_tip is None
     assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
 
