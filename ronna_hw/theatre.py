@@ -17,7 +17,8 @@ from typing import Self, TypeVar, cast
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
-from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
+from ronna_hw.devices.errors import NotInTheatre, TheatreClosed
+from ronna_hw.devices.interfaces import require_interface
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
@@ -166,14 +167,9 @@ class Theatre:
         device = self._made(name)
         if self._found_fit.get((name, interface)) is device:
             return cast("D", device)
-        if not isinstance(device, cast("type", interface)):
-            lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
-            raise WrongKind(
-                f"{name}: driver {self.file.devices[name].driver} does not provide {interface.__name__}",
-                got=f"it lacks {', '.join(lacking)}" if lacking else None,
-            )
+        fitting = require_interface(name, self.file.devices[name].driver, device, interface)
         self._found_fit[name, interface] = device
-        return cast("D", device)
+        return fitting
 
     def _made(self, name: str) -> Device:
         self._require_open()

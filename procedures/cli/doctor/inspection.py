@@ -12,8 +12,9 @@ from functools import partial
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.carried_tool import calibrated_arm
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
-from ronna_hw.config import Calibrations
+from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.interfaces import interface_of, require_interface
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.picture_check import picture_diagnostics
 from ronna_hw.devices.probing import Diagnostic, refusal
@@ -27,11 +28,16 @@ PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
 
 
-def inspection(name: str, calibrations: Calibrations | None) -> Callable[[Device], Iterator[Diagnostic]]:
+def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[Diagnostic]]:
     """How the device of that table is looked at; its refusals become diagnostics, one by one."""
+    calibrations, driver = theatre.calibration, theatre.devices[name].driver
 
     def inspect(device: Device) -> Iterator[Diagnostic]:
         subject = f"{name}: "
+        wrong_kind = _refusal(partial(require_interface, name, driver, device, interface_of(name)))
+        if wrong_kind is not None:
+            yield refusal(f"{subject}driver", wrong_kind)
+            return
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:

@@ -71,7 +71,7 @@ def examine(
         else:
             devices = list(file.devices)
             for name, device in file.devices.items():
-                looks[name] = partial(_probe, name, device, inspection(name, file.calibration))
+                looks[name] = partial(_probe, name, device, inspection(name, file))
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, look) in enumerate(looks.items()):
