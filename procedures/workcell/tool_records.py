@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
 from procedures.workcell.errors import ForeignTool, NoToolRecord
 from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 
 # Far below the error of any tip; what writing and reading a number changes is smaller still.
@@ -73,6 +74,20 @@ class ToolRecords:
         guide = self.guide.record
         if not self.calibrating:
             check_tip(guide, calibrations)
+
+    def check_frames(self, calibrations: Calibrations, tracked: Sequence[str]) -> None:
+        """Raises DEV-003 if a record names a frame that is not among the tools of the tracker."""
+        named = {"calibration.tracker_frame": calibrations.tracker_frame.tool} | {
+            f"tools.{name}.frame": record.frame.tool
+            for name, record in self.records.items()
+            if record.frame is not None
+        }
+        for table, frame in named.items():
+            if frame not in tracked:
+                raise UnknownTool(
+                    f"[{table}] names {frame}, which is not among the tracker's tools",
+                    expected=" or ".join(tracked) or "none",
+                )
 
 
 def check_flange(record: ToolRecord, flange: str) -> None:

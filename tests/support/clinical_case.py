@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingDevice, theatre_of
+from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingTracker, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.engine.context import StepContext
@@ -78,9 +78,10 @@ class SeeingWorkcell(Workcell):
 
 
 @dataclass
-class SeeingTracker(RecordingDevice):
+class SeeingTracker(RecordingTracker):
     """A tracker at the robot's origin that sees the frame on the arm and every sphere where they are."""
 
+    tools: tuple[str, ...] = tuple(tool.name for tool in SCENE.tracker.tools)
     cell: ClinicalCell | None = None
     spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)

@@ -111,6 +111,13 @@ class RecordingDevice:
 
 
 @dataclass
+class RecordingTracker(RecordingDevice):
+    """The tracker, with the tools that it was told to load."""
+
+    tools: tuple[str, ...] = ()
+
+
+@dataclass
 class RecordingStereo(RecordingDevice):
     """The stereo head: notes which parts of its sensors are read."""
 
@@ -294,7 +301,7 @@ class RecordingCell:
         head = self.calibrations.stereo_head
         self.arm = RecordingArm("arm")
         self.stereo = RecordingStereo("stereo", serials=(head.left.serial, head.right.serial))
-        self.tracker = RecordingDevice("tracker")
+        self.tracker = RecordingTracker("tracker", tools=(self.calibrations.tracker_frame.tool,))
         self.journal = Journal(self.folder)
         self.room = RecordingRoom(self.arm)
         self.case = Case(self.folder)

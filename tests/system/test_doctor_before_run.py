@@ -83,6 +83,11 @@ def _with_a_record_of_another_arm(text: str) -> str:
     return "\n".join((text, "[calibration.arm]", head, 'arm = "kr6_r900_2"', *lines))
 
 
+def _with_an_untracked_frame_on_the_guide(text: str) -> str:
+    pose = "translation_mm = [0.0, 0.0, -265.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0]"
+    return f'{text}\n[tools.guide.frame]\ntool = "guide_frame"\ntip_from_frame = {{ {pose} }}\n'
+
+
 @dataclass(frozen=True)
 class Trouble:
     """Something that `set_up` refuses with `code`: a fault, another tool, or a change of the theatre file."""
@@ -105,6 +110,7 @@ TROUBLES = {
     "cameras swapped": Trouble("GEV-004", change=_swapped),
     "tools of another flange": Trouble("TOOL-003", change=lambda text: text.replace("flange =", "#", 1)),
     "no record of the guide": Trouble("TOOL-002", change=_without("tools.guide")),
+    "frame on the guide not tracked": Trouble("DEV-003", change=_with_an_untracked_frame_on_the_guide),
     "no cameras": Trouble("DEV-007", change=_without("stereo")),
     "clock gone": Trouble("CLK-001", change=_replaced("shm:///proc/", "shm:///proc/0")),
     "no banner": Trouble("CFG-004", change=_replaced("banner = ", 'banner = "" # ')),

@@ -12,6 +12,7 @@ from functools import partial
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.carried_tool import calibrated_arm
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
+from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.interfaces import interface_of, require_interface
@@ -41,7 +42,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[D
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
-            yield from _matching(subject, device, calibrations)
+            yield from _matching(subject, device, calibrations, ToolRecords.of(theatre))
         refused = _refusal(device.configure)
         if refused is not None:
             yield refusal(f"{subject}configured", refused)
@@ -58,8 +59,14 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[D
     return inspect
 
 
-def _matching(subject: str, device: Device, calibrations: Calibrations) -> Iterator[Diagnostic]:
-    """Whether the calibrations are of this very device, and the right tool is mounted."""
+def _matching(
+    subject: str, device: Device, calibrations: Calibrations, tools: ToolRecords
+) -> Iterator[Diagnostic]:
+    """Whether the records are of this very device, and the right tool is mounted."""
+    if isinstance(device, OpticalTracker):
+        tracked = device.tools
+        refused = _refusal(partial(tools.check_frames, calibrations, tracked))
+        yield _checked(f"{subject}frames named in records", ", ".join(tracked), refused)
     if isinstance(device, StereoPair):
         for side, record, serial in zip(
             ("left", "right"),
@@ -106,13 +113,6 @@ def _seen_by_tracker(
         f"{spheres}",
         "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head.",
     )
-    if calibrations is not None and calibrations.tracker_frame.tool not in tracker.tools:
-        yield Diagnostic(
-            f"{subject}reference frame",
-            False,
-            f"{calibrations.tracker_frame.tool} is not among the loaded tools {', '.join(tracker.tools)}",
-            "Name it in the tracker's options as in the tracker frame record.",
-        )
 
 
 def _usual_count(frames: list[TrackerFrame]) -> int:

@@ -52,13 +52,14 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
-    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, STE-010
-    for another camera, PRO-009 for another tool, PRO-002 unless a position that an earlier run left
-    the arm in is confirmed.
+    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, DEV-003
+    for a frame that the tracker does not know, STE-010 for another camera, PRO-009 for another tool, PRO-002
+    unless a position that an earlier run left the arm in is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
     workcell.tools.check(calibrations, context.setting.today())
+    workcell.tools.check_frames(calibrations, workcell.tracker.tools)
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):
