@@ -64,19 +64,22 @@ class CameraState:
 def look_at_camera(endpoint: Endpoint) -> CameraState:
     """Check one camera's address, in a second or two. Never raises, whatever is at the other end."""
     try:
-        control = ControlChannel(endpoint.host)
-    except OSError as error:
+        with contextlib.closing(ControlChannel(endpoint.host)) as control:
+            return _look_through(control, endpoint)
+    except OSError as error:  # also when the network goes down meanwhile
         return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
-    with contextlib.closing(control):
-        interface = interface_of(control.local_address)
-        try:
-            identity = identify(control, _soon())
-        except (NoCamera, MalformedReply, CommandRefused):
-            response = Response.REFUSED if control.port_closed else Response.SILENT
-            return CameraState(endpoint, response, interface)
-        controller = _controller(control)
-        size = None if controller.taken else _largest_packet(control)
-        return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
+
+
+def _look_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+    interface = interface_of(control.local_address)
+    try:
+        identity = identify(control, _soon())
+    except (NoCamera, MalformedReply, CommandRefused):
+        response = Response.REFUSED if control.port_closed else Response.SILENT
+        return CameraState(endpoint, response, interface)
+    controller = _controller(control)
+    size = None if controller.taken else _largest_packet(control)
+    return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
 
 
 def _controller(control: ControlChannel) -> Controller:

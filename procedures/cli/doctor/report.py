@@ -15,11 +15,13 @@ from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
 from procedures.engine.theatre_lock import theatre_user
+from ronna_hw.command_line.errors import as_ronna_error
+from ronna_hw.command_line.logging_options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
-from ronna_hw.devices.probing import Diagnostic, Inspection
+from ronna_hw.devices.probing import Diagnostic, Inspection, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
-from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
+from ronna_hw.errors import EXIT_NOT_FOUND
 from ronna_hw.registry import endpoint_probes, load_probe
 
 RUN = "run"  # subject of a theatre that is in use
@@ -145,8 +147,10 @@ def _probe(name: str, config: DeviceConfig, inspect: Inspection, progress: Progr
     """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
     try:
         return load_probe(config.driver)(name, config, progress, inspect)
-    except RonnaError as error:
-        return (Diagnostic(f"device {name}", False, f"{error.code} {error.summary}", error.advice),)
+    except Exception as problem:  # a driver of another package may raise anything
+        error = as_ronna_error(problem)
+        log_failure(problem, error)
+        return (refusal(f"device {name}", error),)
 
 
 def _advance(progress: Progress, number: int, looks: int, share: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 from collections.abc import Iterator
 from dataclasses import replace
@@ -197,6 +198,17 @@ def test_a_closed_port_and_a_silent_one_are_distinguished(monkeypatch: pytest.Mo
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind((NOBODY, GVCP_PORT))
         assert look_at_camera(endpoint).response is Response.SILENT
+
+
+def test_a_network_that_goes_down_during_the_look_is_reported(
+    stand: Stand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*_: object) -> socket.socket:
+        raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
+
+    monkeypatch.setattr(camera_state, "open_stream_socket", gone)
+    found = probed(stand)
+    assert (found.response, found.reason) == (Response.NO_ROUTE, "Cannot assign requested address")
 
 
 # --- the diagnostics --------------------------------------------------------------------------------------

@@ -43,10 +43,15 @@ def failing(name: str, config: DeviceConfig, progress: Progress, inspect: Inspec
     raise ConnectError("no such bus", action="Plug it in.")
 
 
+def faulty(name: str, config: DeviceConfig, progress: Progress, inspect: Inspection) -> Sequence[Diagnostic]:
+    raise ValueError("not a bus number")
+
+
 @pytest.fixture(autouse=True)
 def _probes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "endpoint_probes", lambda: {"lines": LineProbe()})
-    monkeypatch.setattr(doctor, "load_probe", lambda driver: failing if driver == "broken" else LineProbe())
+    probes = {"broken": failing, "faulty": faulty}
+    monkeypatch.setattr(doctor, "load_probe", lambda driver: probes.get(driver, LineProbe()))
 
 
 @pytest.fixture
@@ -69,6 +74,14 @@ def test_every_device_of_a_theatre_file_is_probed_even_after_a_failed_probe(thea
     assert not report.devices[0].well
     assert report.devices[0].advice == "Plug it in."
     assert shares == [0.5, 0.75, 1.0]
+
+
+def test_a_probe_with_a_fault_of_its_own_is_a_problem_of_its_device_only(theatre: Path) -> None:
+    theatre.write_text(theatre.read_text().replace('"broken"', '"faulty"'))
+    first, *others = examine(theatre).devices
+    assert (first.subject, first.well) == ("device tracker", False)
+    assert "ValueError: not a bus number" in first.seen
+    assert [each.subject for each in others] == ["line tcp://127.0.0.1:1", "device device.force"]
 
 
 def test_a_clock_that_ended_with_its_theatre_is_a_problem_in_the_json_output_too(tmp_path: Path) -> None:
