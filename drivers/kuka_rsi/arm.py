@@ -329,6 +329,8 @@ class KukaRsiArm:
         link = self._connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
+        # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
+        held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
         number = link.stop(_STOP_ORDERS[kind])
         resting = self._follower.wait(
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
@@ -336,10 +338,10 @@ class KukaRsiArm:
         if kind is StopKind.DRIVES_OFF:
             self._connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
+            if held:  # HOLD is said of an arm at rest; the order remains, and no motion starts before that
+                self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
         self._watch.settle()
-        if self._guard.state is Lifecycle.ACTIVE:
-            self._guard.enter(Lifecycle.HOLD)
 
     def resume(self) -> None:
         self._watch.raise_new()
@@ -351,9 +353,10 @@ class KukaRsiArm:
 
     def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
         self._watch.raise_new()
+        open_link = self._connections.open_link
+        stops = 0 if open_link is None else open_link.stop_number  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
         link, mode = self._connections.link, self._watch.mode
-        stops = link.stop_number
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         clear = self._planner.clear(planned, link, mode)
         return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))

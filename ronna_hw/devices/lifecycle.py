@@ -7,6 +7,7 @@ CONNECTED, motion only in ACTIVE.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
@@ -162,6 +163,7 @@ class LifecycleGuard:
         self._device = device
         # One value, replaced atomically: another thread never sees half of a change.
         self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
+        self._changing = threading.RLock()  # a signal handler may interrupt a change of its own thread
 
     @property
     def state(self) -> Lifecycle:
@@ -191,18 +193,28 @@ class LifecycleGuard:
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
         """Move to `state` and log it with `facts`; raise DEV-001 if there is no such transition."""
-        before = self.state
-        if state is before:
-            return
-        if state not in _ALLOWED[before]:
-            raise WrongState(f"{self._device}: cannot go from {before} to {state}")
-        self._now = (state, None)
+        with self._changing:
+            before = self.state
+            if state is before:
+                return
+            if state not in _ALLOWED[before]:
+                raise WrongState(f"{self._device}: cannot go from {before} to {state}")
+            self._now = (state, None)
         self.log.info(state, before=before, **facts)
+
+    def exchange(self, before: Lifecycle, after: Lifecycle) -> bool:
+        """Enter `after` if the state is still `before`; returns whether it was."""
+        with self._changing:
+            if self.state is not before:
+                return False
+            self.enter(after)
+            return True
 
     def latch(self, cause: RonnaError) -> None:
         """Enter FAULT from any state but CLOSED, and keep the first cause."""
-        before = self.state
-        if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
-            return
-        self._now = (Lifecycle.FAULT, cause)
+        with self._changing:
+            before = self.state
+            if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
+                return
+            self._now = (Lifecycle.FAULT, cause)
         self.log.error(Lifecycle.FAULT, before=before, cause=cause)

@@ -38,6 +38,57 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     assert largest_step(controller.replies) < 1 / 8
 
 
+@pytest.mark.hazard(32)
+def test_a_motion_begun_while_a_hold_is_carried_out_is_refused(
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = active_arm.read_state().commanded_rad
+    follower, wait = active_arm._follower, active_arm._follower.wait
+
+    def move_once_the_stop_is_seen(*condition: Any) -> Any:
+        state = wait(*condition)
+        monkeypatch.setattr(follower, "wait", wait)
+        with pytest.raises(WrongState):
+            active_arm.move_joints(FAR)
+        return state
+
+    monkeypatch.setattr(follower, "wait", move_once_the_stop_is_seen)
+    active_arm.stop(StopKind.HOLD)
+    assert state_of(active_arm) is Lifecycle.HOLD
+    assert active_arm.read_state().commanded_rad == held
+
+
+@pytest.mark.hazard(32)
+def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    held = active_arm.read_state().commanded_rad
+    guard, require = active_arm._guard, active_arm._guard.require
+
+    def check_and_be_stopped(call: str, allowed: Any) -> None:
+        require(call, allowed)
+        monkeypatch.setattr(guard, "require", require)
+        active_arm.stop(StopKind.HOLD)
+
+    monkeypatch.setattr(guard, "require", check_and_be_stopped)
+    with pytest.raises(RonnaError):
+        active_arm.move_joints(FAR)
+    assert active_arm.read_state().commanded_rad == held
+
+
+@pytest.mark.parametrize("state", [Lifecycle.ACTIVE, Lifecycle.HOLD])
+def test_a_stop_that_fails_leaves_the_state_as_it_was(
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch, state: Lifecycle
+) -> None:
+    if state is Lifecycle.HOLD:
+        active_arm.stop(StopKind.HOLD)
+    with monkeypatch.context() as patched:
+        patched.setattr(active_arm._follower, "wait", lambda *_condition: None)
+        with pytest.raises(MotionNotFinished, match="does not come to rest"):
+            active_arm.stop(StopKind.HOLD)
+    assert state_of(active_arm) is state
+
+
 @pytest.mark.parametrize(
     ("kind", "error"),
     [
