@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
@@ -66,7 +65,6 @@ class ObservationSet(Measurements):
     """All views of one calibration, and the records it started from."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the images were taken.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     arm_variant: str = Field(description="Name of the arm's kinematic model.")
     start: StereoHeadCalibration = Field(description="The record in use at the time.")

@@ -5,7 +5,10 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from datetime import datetime
 from typing import Any
+
+from pydantic import Field
 
 from procedures.calibration.errors import OfAnotherTheatre
 from ronna_hw.calibration import Dated, Strict
@@ -17,6 +20,8 @@ NOT_MEASURED = {"created", "expires", "made_by"}
 
 class Measurements(Strict, ABC):
     """What a calibration stores of what it measured."""
+
+    created: datetime = Field(description="When it was measured.")
 
     @property
     @abstractmethod

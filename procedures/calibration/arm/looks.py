@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import datetime
 from typing import Annotated, Literal
 
 import numpy as np
@@ -45,7 +44,6 @@ class ArmLooks(Measurements):
     """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the measurements were taken.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")

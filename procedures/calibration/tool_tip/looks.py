@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from datetime import datetime
 from typing import Literal
 
 import numpy as np
@@ -54,7 +53,6 @@ class TipLooks(Measurements):
     """All views and readings of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the dials were read.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     start: ToolTipCalibration = Field(description="The record of the tip in use, or the drawing.")

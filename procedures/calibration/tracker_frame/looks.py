@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from enum import StrEnum
 from typing import Annotated, Literal
 
@@ -53,7 +52,6 @@ class FrameLooks(Measurements):
     """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the measurements were taken.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
     start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")

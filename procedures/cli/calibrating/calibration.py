@@ -146,7 +146,7 @@ def leave(
     write_records(kind.records(result), folder)
     write_figures(kind.figures(result), folder)
     if run.write is not None and run.config is not None:
-        write_theatre(run.config, run.write, kind.records(result))
+        write_theatre(run.config, run.write, kind.records(result), looks.created)
 
 
 def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json: bool) -> None:

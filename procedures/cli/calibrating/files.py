@@ -7,6 +7,7 @@ OUT/<id>/result.json         what `--json` prints
 from __future__ import annotations
 
 from collections.abc import Iterable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -58,14 +59,13 @@ def finished_figures(folder: Path) -> RecordFigures:
     return figures
 
 
-def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
+def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
     """The theatre file `source` with new calibration records, as `target`; comments stay.
 
-    A record that was only moved keeps its dates from `source`: it was not measured. Records of tools stay as
-    they are: that a tool's gauge still fits its new tip, a person says.
+    A record that was not `measured` then but only moved keeps its dates from `source`. Records of tools stay
+    as they are: that a tool's gauge still fits its new tip, a person says.
     """
     former = read_toml(source, BadTheatreFile).get("calibration", {})
-    measured = max(record["created"] for record in records.values())
     dated = {
         name: record if record["created"] == measured else _dated_as(former.get(name, {}), record)
         for name, record in records.items()

@@ -98,7 +98,12 @@ def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
     old = read_theatre_file(theatre).calibration
     assert old is not None
     new = theatre.with_name("new.toml")
-    write_theatre(theatre, new, {"tool_tip": {**old.tool_tip.model_dump(), "identifier": "tip-of-today"}})
+    write_theatre(
+        theatre,
+        new,
+        {"tool_tip": {**old.tool_tip.model_dump(), "identifier": "tip-of-today"}},
+        old.tool_tip.created,
+    )
     return new, tomllib.loads(new.read_text())["tools"]["guide"]
 
 
