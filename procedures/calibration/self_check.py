@@ -69,6 +69,14 @@ class Baseline(Strict):
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
         return np.asarray(np.mean(in_robot, axis=0))
 
+    def require_complete(self) -> None:
+        """Raise CAL-008 unless every orientation of a check was viewed often enough to compare with."""
+        if (count := len(self.orientations)) < LEAST_ORIENTATIONS:
+            raise NotTheBaseline(
+                "the baseline has too few orientations", expected=str(LEAST_ORIENTATIONS), got=str(count)
+            )
+        _require_views(self.looks, self.orientations, "baseline")
+
 
 @dataclass(frozen=True)
 class Sign:
@@ -202,19 +210,8 @@ def _scalar(name: str, unit: str, value: float, variance: float) -> Sign:
 
 
 def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> None:
-    numbers = baseline.orientations
-    if len(numbers) < LEAST_ORIENTATIONS:
-        raise NotTheBaseline(
-            "the baseline has too few orientations", expected=str(LEAST_ORIENTATIONS), got=str(len(numbers))
-        )
-    for run, name in ((baseline.looks, "baseline"), (looks, "check")):
-        for number in numbers:
-            count = sum(look.orientation == number for look in run)
-            if count < LEAST_VISITS:
-                raise NotTheBaseline(
-                    f"the {name} has {count} view(s) from orientation {number + 1}",
-                    expected=f"at least {LEAST_VISITS}",
-                )
+    baseline.require_complete()
+    _require_views(looks, baseline.orientations, "check")
     poses = {look.orientation: np.array(look.joints_rad) for look in baseline.looks}
     for look in looks:
         if look.orientation is None or look.orientation not in poses:
@@ -225,6 +222,16 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
                 f"orientation {look.orientation + 1} was viewed from a different pose than in the baseline",
                 limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
                 got=f"{beyond(math.degrees(apart), math.degrees(SAME_POSE_RAD), 2)} deg",
+            )
+
+
+def _require_views(looks: Sequence[Observation], orientations: Sequence[int], name: str) -> None:
+    for number in orientations:
+        count = sum(look.orientation == number for look in looks)
+        if count < LEAST_VISITS:
+            raise NotTheBaseline(
+                f"the {name} has {count} view(s) from orientation {number + 1}",
+                expected=f"at least {LEAST_VISITS}",
             )
 
 

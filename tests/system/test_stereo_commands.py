@@ -18,8 +18,10 @@ from user_commands import Commands, one_error
 
 from benchmarks.head_looks import ENDPOINTS, TrueHead, check_looks, observation_set, true_head
 from benchmarks.stereo_cell import with_ideal_arm
+from procedures.calibration import Baseline
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.stereo.command import app
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.reporting.report import REPORT_FILE
@@ -162,6 +164,39 @@ def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
     calibrations = read_theatre_file(theatre).calibration
     assert calibrations is not None
     assert calibrations.stereo_head.expires - calibrations.stereo_head.created == timedelta(days=7)
+
+
+def test_an_incomplete_baseline_is_reported_and_not_written(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
+) -> None:
+    plan = [*calibration_looks(TOOL_DOWN, BALL_MM, 60), *2 * check_looks(TOOL_DOWN, BALL_MM)[:5]]
+    said = stereo("calibrate", "--from", recorded(head, tmp_path, plan), "--out", tmp_path / "out", "--json")
+    assert said.code == 0, said.errors
+    assert said.errors == (
+        "warning: ronna-stereo check cannot use this calibration: "
+        "the baseline has too few orientations; expected 8, got 5\n"
+    )
+    assert not (Path(said.content["folder"]) / BASELINE_FILE).exists()
+
+
+@pytest.mark.parametrize("orientations", [5, 0])
+def test_a_check_with_an_incomplete_baseline_is_refused_before_anything_is_measured(
+    stereo: Callable[..., Said], head: TrueHead, tmp_path: Path, orientations: int
+) -> None:
+    generator = np.random.default_rng(4)
+    plan = 2 * check_looks(TOOL_DOWN, BALL_MM)[:orientations]
+    baseline = Baseline(
+        created=NEVER,
+        stereo_head=head.record,
+        arm_variant="kr6_r900_sixx",
+        looks=tuple(head.observe(look, BALL_MM, generator) for look in plan),
+    )
+    file = tmp_path / BASELINE_FILE
+    file.write_text(baseline.model_dump_json(by_alias=True))
+    out = tmp_path / "out"
+    said = stereo("check", "--config", theatre_file(head, tmp_path), "--baseline", file, "--out", out)
+    assert one_error(said.errors)[0].startswith("CAL-008: the baseline has too few orientations")
+    assert not out.exists()
 
 
 @pytest.mark.hazard(3)

@@ -40,9 +40,8 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     head = observed.stereo_head
     before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     identified = {one.sphere for one in observed.looks if not one.validation}
-    usable = [
-        one for one in observed.looks if one.sphere in identified
-    ]  # of the others no position is fitted
+    # A sphere that was only validated has no fitted position to compare with.
+    usable = [one for one in observed.looks if one.sphere in identified]
     looks = arrays_of(usable)
     kept = np.array([one.validation for one in usable], dtype=bool)
     fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))

@@ -87,6 +87,7 @@ def check(
     from procedures.cli.stereo import files
 
     then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
+    then.require_complete()
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.reporting.calibration.result_file import write_figures
     from procedures.steps.calibration.baseline_visit import VisitedBaseline

@@ -1,6 +1,6 @@
 """A calibration of the stereo head: what is observed for it, and what it writes besides looks and records.
 
-OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`
+OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`, if complete
 """
 
 from __future__ import annotations
@@ -11,22 +11,29 @@ from typing import Any
 import numpy as np
 
 from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet, calibrate_head
+from procedures.calibration.errors import NotTheBaseline
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration.stereo_head import HeadCheckFigures, HeadFigures, SignFigures
 from procedures.steps.calibration.ball_observation import ObservedBall
+from ronna_hw.command_line.messages import tell
 from ronna_hw.records import write_whole
 
 
 def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
-    """Keep the looks of the self-check, and the head that they belong to."""
+    """Keep the looks of the self-check and the head that they belong to, unless too few were taken."""
     baseline = Baseline(
         created=observed.created,
         stereo_head=result.stereo_head,
         arm_variant=observed.arm_variant,
         looks=tuple(look for look in observed.observations if look.orientation is not None),
     )
+    try:
+        baseline.require_complete()
+    except NotTheBaseline as problem:
+        tell(f"warning: ronna-stereo check cannot use this calibration: {problem.summary}")
+        return
     write_whole(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
 
 

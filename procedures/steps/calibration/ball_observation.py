@@ -63,8 +63,7 @@ class BallObservation:
         checked = len({one.orientation for one in seen} - {None})
         if checked < CHECK_ORIENTATIONS:
             remarks.append(
-                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations "
-                "measured: no baseline"
+                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations were measured"
             )
         if len(seen) < LEAST_POSES:
             refuse_too_few(watcher, len(seen))
