@@ -145,3 +145,10 @@ class OfAnotherTheatre(RefusedError):
         "Name the folder of this theatre's measurements. If its records have changed since they were made, "
         "calibrate again."
     )
+
+
+class ArmOlderThanHead(RefusedError):
+    """The arm was calibrated before the stereo head, whose place on the flange it had corrected."""
+
+    code = "CAL-021"
+    action = "Run ronna-arm calibrate; no motion until then."

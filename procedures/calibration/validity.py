@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Set
 from datetime import datetime
 
+from procedures.calibration.errors import ArmOlderThanHead
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations
 
@@ -23,8 +24,11 @@ def require_valid(
 ) -> None:
     """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
-    `options` are the options that select this theatre for those commands; `starts` may have expired.
+    `options` are the options that select this theatre for those commands; `starts` may have expired. Raises
+    CAL-021 as `require_in_order`.
     """
+    if "arm" not in starts:
+        require_in_order(calibrations, options)
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
@@ -47,4 +51,21 @@ def require_valid(
         limit=first.limit,
         got=first.got,
         action=f"Run {commands}; no motion until then.",
+    )
+
+
+def require_in_order(calibrations: Calibrations, options: str = "") -> None:
+    """Raise CAL-021 for an arm that was calibrated before the stereo head.
+
+    A calibration of the head attributes the errors of the nominal arm to its place on the flange; that of the
+    arm finds the place anew, together with those errors, and keeps the date of the head's record.
+    """
+    arm, head = calibrations.arm, calibrations.stereo_head
+    if arm is None or head.created <= arm.created:
+        return
+    raise ArmOlderThanHead(
+        f"calibration {arm.identifier} was made before {head.identifier}",
+        limit=f"{head.created:%Y-%m-%d %H:%M %Z}",
+        got=f"{arm.created:%Y-%m-%d %H:%M %Z}",
+        action=f"Run {MADE_BY_COMMAND['arm']} {options}".rstrip() + "; no motion until then.",
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import socket
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from dataclasses import dataclass
@@ -74,13 +75,22 @@ def _swapped(text: str) -> str:
 
 
 def _with_a_record_of_another_arm(text: str) -> str:
+    head = tomllib.loads(text)["calibration"]["stereo_head"]
+    return _with_arm(text, "kr6_r900_2", head["created"].isoformat())
+
+
+def _with_an_arm_older_than_the_head(text: str) -> str:
+    return _with_arm(text, "kr6_r900_sixx", "2026-01-01T00:00:00Z")
+
+
+def _with_arm(text: str, arm: str, created: str) -> str:
     zeros = {3: "[0.0, 0.0, 0.0]", 2: "[0.0, 0.0]", 1: "0.0"}
     deviations = {"link_translation_mm": 3, "link_rotation_rad": 3, "sine_rad": 2, "cosine_rad": 2}
     deviations |= dict.fromkeys(("joint_offset_rad", "sag_rad", "backlash_rad"), 1)
-    dates = "created = 2026-01-01T00:00:00Z\nexpires = 2126-01-01T00:00:00Z"
+    dates = f"created = {created}\nexpires = 2126-01-01T00:00:00Z"
     lines = [f"{name} = [{', '.join(6 * [zeros[count]])}]" for name, count in deviations.items()]
     head = f'identifier = "other"\n{dates}\nmade_by = "test"\nstated_error_mm = 0.1\nscatter_mm = 0.1'
-    return "\n".join((text, "[calibration.arm]", head, 'arm = "kr6_r900_2"', *lines))
+    return "\n".join((text, "[calibration.arm]", head, f'arm = "{arm}"', *lines))
 
 
 def _with_an_untracked_frame_on_the_guide(text: str) -> str:
@@ -104,6 +114,7 @@ TROUBLES = {
     "dated in the future": Trouble("CAL-001", change=_in_millennium("9")),
     "no calibrations": Trouble("DEV-007", change=_without("calibration")),
     "record of another arm": Trouble("CAL-013", change=_with_a_record_of_another_arm),
+    "arm older than the head": Trouble("CAL-021", change=_with_an_arm_older_than_the_head),
     "records of other cameras": Trouble(
         "STE-010", change=_replaced('\nserial = "21904412"', '\nserial = "21900001"')
     ),

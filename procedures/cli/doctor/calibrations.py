@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from procedures.calibration.validity import MADE_BY_COMMAND
+from procedures.calibration.errors import ArmOlderThanHead
+from procedures.calibration.validity import MADE_BY_COMMAND, require_in_order
 from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import TheatreFile
+from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 
@@ -32,10 +33,21 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
             advice = error.advice if record.created > now else make
             yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
             continue
+        if name == "arm" and (older := _older_than_head(theatre.calibration)):
+            yield Diagnostic(subject, False, older, make)
+            continue
         soon = make if record.expires - now < SOON else ""
         yield Diagnostic(
             subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )
+
+
+def _older_than_head(calibrations: Calibrations) -> str:
+    try:
+        require_in_order(calibrations)
+    except ArmOlderThanHead as error:
+        return f"{error.code} {error.summary}"
+    return ""
 
 
 def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:

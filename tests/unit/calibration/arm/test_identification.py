@@ -14,6 +14,7 @@ from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
 from procedures.calibration.errors import (
     ArmChanged,
+    ArmOlderThanHead,
     BadObservations,
     DegeneratePoses,
     DoesNotFit,
@@ -21,9 +22,11 @@ from procedures.calibration.errors import (
     TooFewPoses,
     Unobservable,
 )
+from procedures.calibration.validity import require_in_order
 from procedures.cli.arm.files import KIND
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.config import Calibrations
 from ronna_hw.frames import Frame
 
 LOOKS, VALIDATION = 90, 24
@@ -94,6 +97,22 @@ def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
     assert result.stereo_head.expires == observed.stereo_head.expires
     assert result.tool_tip is None
     assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
+
+
+def test_an_arm_has_to_be_calibrated_again_after_the_head(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    _, _, result = identified
+    before, after = (
+        Calibrations.model_construct(
+            stereo_head=result.stereo_head.model_copy(update={"created": result.arm.created + later}),
+            arm=result.arm,
+        )
+        for later in (timedelta(seconds=-1), timedelta(seconds=1))
+    )
+    require_in_order(before)
+    with pytest.raises(ArmOlderThanHead, match=r"CAL-021.*ronna-arm calibrate --config t\.toml"):
+        require_in_order(after, "--config t.toml")
 
 
 def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(
