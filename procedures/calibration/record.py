@@ -2,11 +2,13 @@
 
 Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
 and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
-previous record had it: points around the tool centre keep their pixels in both images.
+previous record had it: points around the tool centre keep their pixels in both images. Only a head that has
+moved on the mount since it was calibrated leaves the tip where it is on the flange.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -32,6 +34,9 @@ Array = NDArray[np.float64]
 
 LIFE = timedelta(days=30)
 MADE_BY = "ronna-stereo calibrate"
+# Over the standard error of a tool centre: two calibrations of one head, each with an error of its own, are
+# within three standard deviations of each other.
+MOVED_OVER_ERROR = 3.0 * math.sqrt(2.0)
 KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
 
 
@@ -51,11 +56,12 @@ class HeadResult:
     tool_covariance_mm2: Array
     tool_shift_mm: float
     frame_misfit_mm: float
+    head_moved: bool  # on its mount, since the previous calibration
 
     @property
     def tool_error_mm(self) -> float:
         """Standard error of the tool centre on the flange."""
-        return float(np.sqrt(np.trace(self.tool_covariance_mm2)))
+        return _standard_error_mm(self.tool_covariance_mm2)
 
 
 def calibrate_head(
@@ -84,16 +90,24 @@ def calibrate_head(
         made_by=MADE_BY,
     )
     tool_before = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    shift_mm = float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm))
+    covariance = _covariance(fit, lambda cameras: _seen_again(before, cameras)[0])
+    # A drawing is off by what all of the mount is off; a calibration of the same kind only by its error.
+    moved = before.made_by == MADE_BY and shift_mm > MOVED_OVER_ERROR * _standard_error_mm(covariance)
+    tip = observed.tool_tip
     return HeadResult(
         fit=fit,
         stereo_head=head,
-        tool_tip=None
-        if observed.tool_tip is None
-        else moved_tip(observed.tool_tip, tool_before, flange_from_tool),
-        tool_covariance_mm2=_covariance(fit, lambda cameras: _seen_again(before, cameras)[0]),
-        tool_shift_mm=float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm)),
+        tool_tip=tip if tip is None or moved else moved_tip(tip, tool_before, flange_from_tool),
+        tool_covariance_mm2=covariance,
+        tool_shift_mm=shift_mm,
         frame_misfit_mm=misfit,
+        head_moved=moved,
     )
+
+
+def _standard_error_mm(covariance_mm2: Array) -> float:
+    return float(np.sqrt(np.trace(covariance_mm2)))
 
 
 def new_identifier(name: str, created: datetime) -> str:

@@ -27,6 +27,7 @@ class HeadFigures(RecordFigures):
     tool_covariance_mm2: Matrix3
     tool_shift_mm: float
     frame_misfit_mm: float
+    head_moved: bool = Field(description="On its mount, since the previous calibration.")
     ball_mm: Numbers3 = Field(description="In the robot frame.")
     flange_from_tool: PoseRecord
     residuals_px: tuple[tuple[float, ...], ...] = Field(description="Of each measurement, both images.")
@@ -64,7 +65,13 @@ class HeadFigures(RecordFigures):
         yield Figure("arm error, random part, mm", millimetres(self.arm_scatter_mm))
 
     def warnings(self) -> Iterator[str]:
-        """When the arm that carried the head was worse than it repeats."""
+        """When the head has moved on its mount, and when the arm was worse than it repeats."""
+        if self.head_moved:
+            yield (
+                f"the tool centre is {self.tool_shift_mm:.2f} mm from where the previous calibration had it, "
+                "so the head has moved on the mount. Reference frame and guide have not moved with it: "
+                "repeat ronna-procedure calibrate tracker-frame and tool-tip before the next case"
+            )
         if self.arm_error_mm > REPEATABILITY_MM:
             yield (
                 f"the arm error over these poses, {self.arm_error_mm:.2f} mm per axis, exceeds its "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from datetime import timedelta
 
 import numpy as np
@@ -152,6 +153,32 @@ def test_the_tip_of_the_guide_moves_with_the_mount_it_shares_with_the_head(head:
     off = (inverse(truth) @ matrix_of(moved.flange_from_tool))[:3, 3]
     assert np.linalg.norm(off) < 0.05  # with the error of the record before, which placed the tool frame
     assert (moved.expires, moved.stated_error_mm) == (tip.expires, tip.stated_error_mm)
+
+
+def test_a_head_that_moved_on_the_mount_leaves_the_tip_where_it_is(head: TrueHead) -> None:
+    mount = head.scene.mount
+    tip = ToolTipCalibration(
+        identifier="tip",
+        created=head.record.created,
+        expires=head.record.expires,
+        made_by="a laboratory",
+        stated_error_mm=0.05,
+        tool_number=2,
+        flange_from_tool=mount.flange_from_tool_true,
+    )
+    first = calibrate_head(observation_set(head, looks_at(head)))
+    x, y, z = mount.flange_from_tool_true.translation_mm
+    slipped = mount.flange_from_tool_true.model_copy(update={"translation_mm": (x + 0.3, y, z + 0.4)})
+    scene = head.scene.model_copy(
+        update={"mount": mount.model_copy(update={"flange_from_tool_true": slipped})}
+    )
+    later = looks_at(replace(head, scene=scene), 2)
+    again = observation_set(head, later).model_copy(update={"start": first.stereo_head, "tool_tip": tip})
+    second = calibrate_head(again)
+    assert second.tool_shift_mm == pytest.approx(0.5, abs=0.05)
+    assert second.tool_tip == tip
+    (warning,) = KIND.figures(second).warnings()
+    assert "the head has moved on the mount" in warning
 
 
 def test_a_second_calibration_confirms_the_first_one(head: TrueHead) -> None:

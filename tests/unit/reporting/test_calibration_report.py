@@ -30,6 +30,7 @@ HEAD: dict[str, Any] = {
     "tool_covariance_mm2": COVARIANCE,
     "tool_shift_mm": 0.123,
     "frame_misfit_mm": 0.007,
+    "head_moved": False,
     "ball_mm": [500.0, 0.0, 300.0],
     "flange_from_tool": {"translation_mm": [217.574, 1.788, 62.461], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]},
     "residuals_px": [[0.1, 0.1, 0.1, 0.1], [3.0, 3.0, 3.0, 3.0]],
