@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
+from procedures.calibration.arm_geometry import UNCALIBRATED_MM
 from procedures.calibration.errors import ArmOlderThanHead
 from procedures.calibration.validity import MADE_BY_COMMAND, require_in_order
 from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
@@ -48,6 +49,19 @@ def _older_than_head(calibrations: Calibrations) -> str:
     except ArmOlderThanHead as error:
         return f"{error.code} {error.summary}"
     return ""
+
+
+def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
+    """Whether the stated error of the arm, which predictions rest on, is one that such an arm can have."""
+    if theatre.calibration is None:
+        return
+    stated_mm = theatre.procedure.arm_error_mm
+    too_good = theatre.calibration.arm is None and stated_mm < UNCALIBRATED_MM
+    advice = (
+        f"The best arms without [calibration.arm] are off by {UNCALIBRATED_MM:g} mm per axis: calibrate the "
+        "arm or correct [procedure] arm_error_mm, else errors are predicted too small."
+    )
+    yield Diagnostic("error of the arm", True, f"{stated_mm:g} mm per axis", advice if too_good else "")
 
 
 def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:

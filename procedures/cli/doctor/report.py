@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_diagnostics
+from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
@@ -64,7 +64,11 @@ def examine(
     if config is not None:
         file = read_theatre_file(config)
         now = datetime.now(UTC)
-        calibrations = (*calibration_diagnostics(file, config, now), *tool_diagnostics(file, now))
+        calibrations = (
+            *calibration_diagnostics(file, config, now),
+            *tool_diagnostics(file, now),
+            *setting_diagnostics(file),
+        )
         case = tuple(case_diagnostics(file))
         user = theatre_user(config)
         if user is not None:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.files import write_theatre
-from procedures.cli.doctor.calibrations import tool_diagnostics
+from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
 from procedures.cli.tool.command import app
 from procedures.cli.tool.purposes import Purpose
 from procedures.workcell.errors import ForeignTool
@@ -173,6 +173,15 @@ def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(the
     (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
     assert before.advice == ""
     assert "its centre of gravity 456 mm: check [calibration.tool_tip]" in after.advice
+
+
+def test_the_doctor_warns_of_an_error_that_no_uncalibrated_arm_has(theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    (before,) = setting_diagnostics(read_theatre_file(theatre))
+    content["procedure"]["arm_error_mm"] = 0.03
+    (after,) = setting_diagnostics(parse_theatre(content))
+    assert before.advice == ""
+    assert after.advice.startswith("The best arms without [calibration.arm] are off by 0.1 mm per axis")
 
 
 def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was(theatre: Path) -> None:
