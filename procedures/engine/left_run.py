@@ -12,6 +12,7 @@ from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
+from procedures.workcell.arm_history import ArmHistory, arm_history
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import NOT_AS_LEFT, RECORDS_FOLDER, Problem, inspected
 from ronna_hw.evidence.journal_reading import Chain
@@ -42,10 +43,20 @@ class LeftRun:
         return plain | ({NOT_AS_LEFT: dict(self.not_as_left)} if self.not_as_left else {})
 
     @property
+    def arm(self) -> ArmHistory:
+        """How it left arm and instrument. Raises PRO-011 for a line that another version wrote."""
+        return arm_history(self.run.journal)
+
+    @property
     def finished(self) -> bool:
         """Whether it was closed with every step done."""
         last = self.run.journal[-1] if self.run.journal else {}
         return last.get("entry") == Entry.CLOSED and last.get("outcome") == "done"
+
+    @property
+    def parked(self) -> bool:
+        """Whether it is finished, and its arm home."""
+        return self.finished and not self.arm.left_home
 
     @property
     def untouched(self) -> bool:

@@ -33,7 +33,6 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
-from procedures.workcell.arm_history import arm_history
 from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.records import Record
 
@@ -107,7 +106,7 @@ def _take_up_arm(
     engine: Engine, left: LeftRun, set_up: CheckedSetUp, comparison: Comparison, *, only_leaving: bool = False
 ) -> None:
     """The arm as it was left, every device compared, and the instrument at its tip's position."""
-    workcell, arm = engine.setting.workcell, arm_history(left.run.journal)
+    workcell, arm = engine.setting.workcell, left.arm
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
         # The line saying that an instrument goes in follows that of the guide, and can be lost alone.
         arm = replace(arm, instrument_in=on.trajectory)

@@ -19,6 +19,7 @@ from procedures.operator.room import Room
 from procedures.session.guarding import guard
 from procedures.session.procedure import Procedure, Resumption
 from procedures.workcell import Workcell
+from procedures.workcell.arm_history import UNMOVED
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device
@@ -82,6 +83,7 @@ def made_engine(
         return truth_so_far(folder)
 
     left = None if resumption is None else resumption.left
+    history = UNMOVED if left is None else left.arm
     case = Case(folder) if left is None else left.restored(wanted.order)
     if left is None or not left.has_journal:
         journal = Journal(folder, written)
@@ -91,7 +93,11 @@ def made_engine(
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
     workcell = Workcell(
-        theatre, journal, calibrations=calibrations, calibrating=wanted.calibrations is not None
+        theatre,
+        journal,
+        calibrations=calibrations,
+        calibrating=wanted.calibrations is not None,
+        history=history,  # at once: a run may be closed before it is compared with anything
     )
     journal.write(
         Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,

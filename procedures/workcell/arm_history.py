@@ -91,9 +91,12 @@ class ArmHistory:
         return replace(self, stages={**self.stages, trajectory: tasks})
 
 
+UNMOVED = ArmHistory()
+
+
 def arm_history(lines: Iterable[Line]) -> ArmHistory:
     """Of a run, from its journal; raises PRO-011 for a line that is not as this version writes it."""
-    return reduce(_followed_by, lines, ArmHistory())
+    return reduce(_followed_by, lines, UNMOVED)
 
 
 def _followed_by(history: ArmHistory, line: Line) -> ArmHistory:

@@ -10,10 +10,11 @@ from ronna_hw.clock import Clock
 class ArmLog:
     """Writes the lines, and keeps the history that they add up to."""
 
-    def __init__(self, journal: Journal, clock: Clock) -> None:
+    def __init__(self, journal: Journal, clock: Clock, history: ArmHistory) -> None:
+        """`history` is what the lines that the journal has already add up to."""
         self._journal = journal
         self._clock = clock
-        self.history = ArmHistory()
+        self.history = history
 
     def write(self, entry: Entry, **data: JournalValue) -> None:
         """For what is about to happen: on disk when this returns. Raises PRO-003."""

@@ -14,7 +14,7 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
-from procedures.workcell.arm_history import ArmHistory
+from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
@@ -54,9 +54,10 @@ class Workcell:
         *,
         calibrations: Calibrations | None = None,
         calibrating: bool = False,
+        history: ArmHistory = UNMOVED,
     ) -> None:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file; while
-        `calibrating`, the record of a tool may be of a former tip.
+        `calibrating`, the record of a tool may be of a former tip. A resumed run has a `history` already.
 
         Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004, CAL-013.
         """
@@ -67,7 +68,7 @@ class Workcell:
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
-        self._log = ArmLog(journal, theatre.clock)
+        self._log = ArmLog(journal, theatre.clock, history)
         self.supervised = SupervisedMotion(self._log, lambda: self._arm)
         self._way_home = WayHome(
             self.joints_rad,

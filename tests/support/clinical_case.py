@@ -20,6 +20,7 @@ from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from procedures.results.result import StepResult
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import Numbers3, Numbers4, PoseRecord
@@ -139,8 +140,10 @@ class ClinicalCell(RecordingCell):
         self.arm.joints_rad = HOME_RAD
         self.tracker = self.opened.replace_tracker(SeeingTracker("tracker", cell=self))
 
-    def make_workcell(self, calibrations: Calibrations | None = None) -> SeeingWorkcell:
-        workcell = SeeingWorkcell(self.opened, self.journal, calibrations=calibrations)
+    def make_workcell(
+        self, calibrations: Calibrations | None = None, history: ArmHistory = UNMOVED
+    ) -> SeeingWorkcell:
+        workcell = SeeingWorkcell(self.opened, self.journal, calibrations=calibrations, history=history)
         workcell.spheres_mm = SPHERES_MM.copy()
         return workcell
 

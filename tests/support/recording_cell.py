@@ -23,6 +23,7 @@ from procedures.operator.topic import Topic
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
+from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
@@ -318,8 +319,10 @@ class RecordingCell:
         assert self.theatre.calibration is not None
         return self.theatre.calibration
 
-    def make_workcell(self, calibrations: Calibrations | None = None) -> Workcell:
-        return Workcell(self.opened, self.journal, calibrations=calibrations)
+    def make_workcell(
+        self, calibrations: Calibrations | None = None, history: ArmHistory = UNMOVED
+    ) -> Workcell:
+        return Workcell(self.opened, self.journal, calibrations=calibrations, history=history)
 
     def setting(self) -> CaseSetting:
         return CaseSetting(

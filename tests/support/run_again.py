@@ -30,7 +30,7 @@ def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, LeftRun]:
     again.journal = Journal.taken_up(cell.folder, left.chain)
     again.case = left.restored(order)
     again.arm.joints_rad, again.arm.mounted = cell.arm.joints_rad, cell.arm.mounted
-    again.workcell = again.make_workcell()
+    again.workcell = again.make_workcell(history=left.arm)
     engine = Engine(
         order, again.case, again.setting(), again.journal, recovering=not left.untouched, latest=left.latest
     )

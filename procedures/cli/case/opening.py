@@ -138,7 +138,8 @@ def opened_engine(
         try:
             with watch:
                 yield engine
-            outcome = "done" if engine.over else "left"
+            only_acknowledged = resumption is not None and not resumption.asks
+            outcome = "left" if only_acknowledged or not engine.over else "done"
         except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
             ignore_further_signals()
             if isinstance(problem, KeyboardInterrupt):

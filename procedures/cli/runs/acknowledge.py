@@ -33,7 +33,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
     request = request_of(folder)
     with held_left_run(folder, only_leaving=True) as left:
         by = _person(by)
-        if left.finished:
+        if left.parked:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
         require_free_devices(request)

@@ -49,7 +49,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
 def _nothing_to_do(left: LeftRun) -> str | None:
     """Why no device need be asked; None when one must."""
-    if left.finished:
+    if left.parked:
         return "the run is finished: its arm is parked"
     if not left.run.lines(Entry.MOTION) and not left.chain.torn:
         return "the run has moved nothing"

@@ -24,7 +24,6 @@ from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
 from procedures.session.procedure import Resumption
-from procedures.workcell.arm_history import arm_history
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
@@ -104,7 +103,7 @@ def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: b
 def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
     """Whether only the last line is missing: what ends a case that runs would have ended this one."""
     order = order_of_case(request, left.run.path)
-    return Course(order, left.restored(order)).over and not arm_history(left.run.journal).left_home
+    return Course(order, left.restored(order)).over and not left.arm.left_home
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

@@ -6,10 +6,18 @@ import json
 from pathlib import Path
 
 import pytest
-from recording_cell import RecordingCell
+from plain_steps import plain_order
+from recording_cell import RecordingCell, mini_theatre_file
+from run_again import broken_off
 from user_commands import in_this_process, one_error
 
+from procedures.cli.case.opening import Watcher, opened_engine
+from procedures.cli.case.request import CaseRequest
 from procedures.cli.procedure import app
+from procedures.cli.runs import home
+from procedures.engine.left_run import read_left_run
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.session.procedure import Procedure, Resumption
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -40,6 +48,39 @@ def test_acknowledge_on_a_finished_run_writes_nothing(run: Path) -> None:
     done = in_this_process(app, "acknowledge", run, "--by", "A. Nurse")
     assert (done.returncode, done.stdout) == (0, "the run is finished\n")
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
+@pytest.mark.hazard(2)
+def test_a_run_whose_every_step_is_done_is_left_by_an_acknowledgement_not_finished(tmp_path: Path) -> None:
+    theatre = mini_theatre_file(tmp_path, simulated=True)
+    cell = RecordingCell(tmp_path / "run")
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    assert engine.over
+    broken_off(cell)
+    acknowledging = Resumption(read_left_run(cell.folder), accepted=False, only_leaving=True, asks=False)
+    opened = opened_engine(
+        CaseRequest(out=tmp_path, config=theatre),
+        cell.folder,
+        lambda _theatre: Procedure(engine.order),
+        Watcher(),
+        resumption=acknowledging,
+    )
+    with opened:
+        pass
+    *_, last = read_journal(cell.folder / JOURNAL_FILE)
+    assert (last["entry"], last["outcome"]) == (Entry.CLOSED, "left")
+
+
+@pytest.mark.hazard(2)
+def test_a_finished_run_whose_arm_is_still_out_is_not_parked(tmp_path: Path) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.MOTION, 0.0, what="go")
+    cell.journal.write(Entry.CLOSED, 0.0, outcome="done")
+    left = read_left_run(cell.folder)
+    assert left.finished
+    assert not left.parked
+    assert home._nothing_to_do(left) is None
 
 
 def test_acknowledge_prints_what_was_acknowledged_and_by_whom(

@@ -56,7 +56,6 @@ from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
-from procedures.workcell.arm_history import arm_history
 from ronna_hw.evidence.inspection import closed_files
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import seal
@@ -249,10 +248,10 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(tmp_path: Path) ->
         engine.run_to()
     broken_off(cell)
     again, engine, left = opened_again(cell, engine.order)
-    again.workcell.take_up(arm_history(left.run.journal), HOME_RAD)
+    assert not engine.over
+    again.workcell.take_up(left.arm, HOME_RAD)
     again.workcell.identify_mounted()
     assert head_moved_since(engine)
-    assert not engine.over
     engine.accept()
     surround(engine)
     engine.retreat_home()

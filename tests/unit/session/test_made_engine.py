@@ -13,7 +13,7 @@ from recording_cell import RecordingArm, RecordingOperator, RecordingRoom, mini_
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import read_left_run
 from procedures.engine.order import CaseOrder
-from procedures.journal.journal import Journal
+from procedures.journal.journal import Entry, Journal
 from procedures.session.made_engine import People, made_engine
 from procedures.session.procedure import Procedure, Resumption
 
@@ -48,3 +48,15 @@ def test_a_run_that_begins_over_is_warned_of_another_that_left_the_arm_away(
     Journal(run).close()
     engine = resumed(run, plain_order(), stack, left_away="run B left the arm away")
     assert engine.setting.left_away == "run B left the arm away"
+
+
+@pytest.mark.hazard(2)
+def test_an_arm_that_was_left_out_is_known_to_be_away_before_anything_is_compared(
+    tmp_path: Path, stack: ExitStack
+) -> None:
+    run = tmp_path / "run"
+    run.mkdir()
+    journal = Journal(run)
+    journal.write(Entry.MOTION, 0.0, what="go")
+    journal.close()
+    assert resumed(run, plain_order(), stack).setting.workcell.away
