@@ -18,7 +18,7 @@ from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
-from ronna_hw.evidence.truth_so_far import unlike_content, unlike_truth
+from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
 
@@ -149,9 +149,18 @@ def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
 
 
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
-    """Files that were not as left when the run was last resumed, as in `Inspection.not_as_left`."""
-    restarted = next((line for line in reversed(lines) if line["entry"] == Entry.RESTARTED), {})
-    return cast("dict[str, str | None]", hashes_in(restarted, NOT_AS_LEFT))
+    """Files that were not as left when the run was resumed after an end, as in `Inspection.not_as_left`.
+
+    Those of every session since then, up to the one that has just ended: one that was killed vouches for
+    nothing. What the first of them found says how a file was left.
+    """
+    expected: dict[str, str | None] = {}
+    for line in reversed(lines[:-1] if is_closed(lines) else lines):
+        if line["entry"] == Entry.CLOSED:
+            break
+        if line["entry"] == Entry.RESTARTED:
+            expected |= cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
+    return expected
 
 
 def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
@@ -163,7 +172,7 @@ def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> di
     return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
 
 
-def is_closed(lines: tuple[Line, ...]) -> bool:
+def is_closed(lines: Sequence[Line]) -> bool:
     """Whether a journal ends like a closed run."""
     return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
 
@@ -251,6 +260,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         yield from _against(Path("/"), hashes_in(lines[-1], "inputs"))
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
+        yield from _not_put_back(folder, lines, there)
         told = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
         for name in there:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in told:
@@ -269,6 +279,17 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         yield from _added([name for name in there if name not in named and name not in seal.files])
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
+
+
+def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
+    """What a session that was killed found changed or added, as long as it is."""
+    expected = not_vouched_for(lines)
+    yield from _against(folder, {name: sha256 for name, sha256 in expected.items() if sha256 is not None})
+    vouched = {
+        *TRUTH_FILES,
+        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
+    }
+    yield from _added([name for name in expected if expected[name] is None and name in {*there} - vouched])
 
 
 def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:

@@ -6,11 +6,14 @@ from pathlib import Path
 import pytest
 from finished_runs import changed_files, gone_home, sealed
 
+from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
+
+PLAN = "case/plan.toml"
 
 
 def renamed(run: Path) -> Path:
@@ -20,6 +23,19 @@ def renamed(run: Path) -> Path:
 def with_a_stray_file(run: Path) -> Path:
     (run / "notes.txt").write_text("mine")
     return run
+
+
+def with_a_changed_plan(run: Path) -> Path:
+    (run / PLAN).write_bytes(b"schema = 2\n")
+    return run
+
+
+def killed_on_its_way_home(run: Path) -> None:
+    """What a `home` leaves that was killed before its end."""
+    left = read_left_run(run, only_leaving=True)
+    journal = Journal.taken_up(run, left.chain)
+    journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
+    journal.close()
 
 
 def with_a_changed_picture(run: Path) -> Path:
@@ -55,6 +71,31 @@ def test_homing_does_not_vouch_for_a_changed_file(run: Path) -> None:
         assert inspected(run).problems == (Problem("case/plan.toml", "changed"),)
     plan.write_bytes(as_it_was)
     assert inspected(run).problems == ()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(("spoil", "name"), [(with_a_stray_file, "notes.txt"), (with_a_changed_plan, PLAN)])
+def test_a_session_that_was_killed_does_not_hide_what_it_found_changed(
+    run: Path, spoil: Callable[[Path], Path], name: str
+) -> None:
+    as_it_was = (run / PLAN).read_bytes()
+    spoil(run)
+    for _ in range(2):
+        killed_on_its_way_home(run)
+        assert changed_files(run) == {name}
+    gone_home(run)
+    assert changed_files(run) == {name}
+    (run / "notes.txt").unlink(missing_ok=True)
+    (run / PLAN).write_bytes(as_it_was)
+    assert inspected(run).problems == ()
+
+
+@pytest.mark.hazard(39)
+def test_a_file_that_was_put_back_after_a_killed_session_is_as_it_was_left(run: Path) -> None:
+    stray = with_a_stray_file(run) / "notes.txt"
+    killed_on_its_way_home(run)
+    stray.unlink()
+    assert changed_files(run) == set()
 
 
 @pytest.mark.hazard(39)
