@@ -187,7 +187,13 @@ class Dated(Strict):
                 f"{self.what} {self.identifier} expired",
                 limit=_readable(self.expires),
                 got=f"now {_readable(moment)}",
+                action=self._renewing,
             )
+
+    @property
+    def _renewing(self) -> str | None:
+        """What to do when the record has expired, if not the same as for a calibration."""
+        return None
 
 
 class DatedRecord(Dated):

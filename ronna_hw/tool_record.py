@@ -156,3 +156,10 @@ class ToolRecord(Dated):
         if self.purpose in GUIDES and self.gauge is None:
             raise ValueError(f"a {self.purpose.value} needs `gauge`: where it is checked after mounting")
         return self
+
+    @property
+    def _renewing(self) -> str:
+        how = "Measure this tool again with ronna-tool define"
+        if self.gauge is not None:
+            how = "Read the gauge with this tool, then run ronna-tool renew"
+        return f"{how}; no motion until then."

@@ -161,6 +161,7 @@ def opened_case(
     from procedures.calibration.validity import require_valid
     from procedures.engine.context import this_second
     from procedures.planning.plan.lock import held_plan
+    from procedures.workcell.tool_records import ToolRecords
     from ronna_hw.records import write_whole
 
     case = case_folder(request, folder)
@@ -171,7 +172,9 @@ def opened_case(
             order = recorded_order(request, resumption.left)
             return Procedure(order, clinical=clinical_input(request, folder))
         if resumption is None:  # before anybody is asked anything; set_up looks again
-            require_valid(theatre.calibrations, this_second(), _theatre_options(request))
+            now = this_second()
+            require_valid(theatre.calibrations, now, _theatre_options(request))
+            ToolRecords.of(theatre.file).check(theatre.calibrations, now)
         if request.plan is not None and (resumption is None or resumption.left.untouched):
             write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
         plan = held.enter_context(held_plan(case / "plan.toml"))

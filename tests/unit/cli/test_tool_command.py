@@ -18,6 +18,7 @@ from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.files import write_theatre
 from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
+from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
 from procedures.cli.tool.purposes import Purpose
 from procedures.workcell.errors import ForeignTool
@@ -81,16 +82,32 @@ def test_check_refuses_a_record_of_another_flange(theatre: Path) -> None:
 
 @pytest.mark.hazard(47)
 def test_check_refuses_an_expired_record_and_says_what_to_do(theatre: Path) -> None:
+    _let_guide_expire(theatre)
+    done = in_this_process(app, "check", "--config", theatre)
+    assert done.returncode == 3
+    said = " ".join(one_error(done.stderr))
+    assert "CAL-001: tool record tool-guide-mini-3 expired" in said
+    assert "ronna-tool renew; no motion until then" in said
+
+
+def test_a_case_with_an_expired_tool_record_is_refused_before_the_ct_is_read(theatre: Path) -> None:
+    _let_guide_expire(theatre)
+    case, runs = theatre.parent, theatre.with_name("runs")
+    (case / "ct").mkdir()
+    (case / "plan.toml").touch()
+    done = in_this_process(ronna_procedure, "run", "--config", theatre, "--case", case, "--out", runs)
+    assert done.returncode == 3
+    said = " ".join(one_error(done.stderr))
+    assert "CAL-001: tool record tool-guide-mini-3 expired" in said
+    assert "ct_import" not in said
+
+
+def _let_guide_expire(theatre: Path) -> None:
     content = tomllib.loads(theatre.read_text())
     content["tools"]["guide"].update(
         created=datetime(2020, 1, 1, tzinfo=UTC), expires=datetime(2021, 1, 1, tzinfo=UTC)
     )
     theatre.write_text(tomli_w.dumps(content))
-    done = in_this_process(app, "check", "--config", theatre)
-    assert done.returncode == 3
-    said = " ".join(one_error(done.stderr))
-    assert "CAL-001: tool record tool-guide-mini-3 expired" in said
-    assert "no motion until then" in said
 
 
 def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
