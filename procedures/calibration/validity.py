@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Set
 from datetime import datetime
+from pathlib import Path
 
 from procedures.calibration.errors import ArmOlderThanHead
 from ronna_hw.calibration import CalibrationExpired
@@ -17,6 +19,12 @@ MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
 }
 
 DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only with it
+
+
+def options_of(theatre_file: Path) -> str:
+    """The options that give those commands a theatre file, and that file the record."""
+    file = shlex.quote(str(theatre_file))
+    return f"--config {file} --write {file}"
 
 
 def require_valid(

@@ -203,9 +203,10 @@ def opened_case(
 
 def _theatre_options(request: TheatreRequest) -> str:
     """How a calibration is given the same theatre, and its records to it."""
+    from procedures.calibration.validity import options_of
+
     if request.config is not None:
-        file = shlex.quote(str(request.config))
-        return f"--config {file} --write {file}"
+        return options_of(request.config)
     return f"--sim --scene {shlex.quote(request.choice.scene)} --seed {request.choice.seed}"
 
 

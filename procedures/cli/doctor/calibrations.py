@@ -9,7 +9,7 @@ from pathlib import Path
 
 from procedures.calibration.arm_geometry import UNCALIBRATED_MM
 from procedures.calibration.errors import ArmOlderThanHead
-from procedures.calibration.validity import MADE_BY_COMMAND, require_in_order
+from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_in_order
 from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
@@ -27,7 +27,7 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     for name, record in theatre.calibration.records.items():
-        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} --config {path}."
+        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} {options_of(path)}."
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:
