@@ -25,11 +25,10 @@ from procedures.planning.sight.stereo_head import StereoSight
 from procedures.relocalization import StereoPoint
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring
-from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.pose import Pose
-from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.calibration import STEREO_HEAD_NUMBER, StereoHeadCalibration
 from ronna_hw.clock import HostClock
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -44,6 +44,7 @@ Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
 
+STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
 AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: for a guide assumed to point as drawn, never measured
 
@@ -214,12 +215,19 @@ class StereoHeadCalibration(DatedRecord):
     right: CameraCalibration = Field(description="The right camera.")
 
 
+def _not_of_the_head(number: int) -> int:
+    if number == STEREO_HEAD_NUMBER:
+        raise ValueError("is the number of the stereo head: expected another for the guide")
+    return number
+
+
 class ToolTipCalibration(DatedRecord):
     """A surgical guide: nominal pose of its tip on the flange, z along the guide's axis."""
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
-    tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
-        description="Tool number reported by the controller's inputs."
+    tool_number: Annotated[int, Field(ge=1, le=16), AfterValidator(_not_of_the_head)] = Field(
+        description="Tool number reported by the controller's inputs; "
+        f"{STEREO_HEAD_NUMBER} is that of the stereo head."
     )
     flange_from_tool: OnTheMount = Field(description="Pose flange <- tip, z along the guide.")
     stated_direction_error_rad: Annotated[float, Field(ge=0, lt=0.1)] = Field(

@@ -12,7 +12,15 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.calibration import Dated, Numbers3, Numbers4, OnTheMount, PoseRecord, Strict
+from ronna_hw.calibration import (
+    STEREO_HEAD_NUMBER,
+    Dated,
+    Numbers3,
+    Numbers4,
+    OnTheMount,
+    PoseRecord,
+    Strict,
+)
 from ronna_hw.collision_config import ToolBody
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
@@ -124,7 +132,8 @@ class ToolRecord(Dated):
 
     purpose: Annotated[ToolPurpose, Field(strict=False)] = Field(description="Purpose of the tool.")
     number: Annotated[int, Field(ge=1, le=16)] = Field(
-        description="Tool number reported by the controller's inputs."
+        description="Tool number reported by the controller's inputs; "
+        f"{STEREO_HEAD_NUMBER} is that of the stereo head."
     )
     flange: Words = Field(
         description="Name of the flange, or of the changer on it, on which it was measured."
@@ -155,6 +164,10 @@ class ToolRecord(Dated):
             raise ValueError(f"a {self.purpose.value} needs `bore`")
         if self.purpose in GUIDES and self.gauge is None:
             raise ValueError(f"a {self.purpose.value} needs `gauge`: where it is checked after mounting")
+        if self.number == STEREO_HEAD_NUMBER and self.purpose is not ToolPurpose.STEREO_HEAD:
+            raise ValueError(
+                f"a {self.purpose.value} has number {self.number}, that of the stereo head: expected another"
+            )
         return self
 
     @property

@@ -7,11 +7,10 @@ from collections.abc import Callable
 from enum import StrEnum
 
 from procedures.workcell.errors import WrongTool
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-
-STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 
 
 class MountedTool(StrEnum):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from procedures.workcell.errors import ForeignTool, NoToolRecord
-from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord

@@ -111,6 +111,7 @@ HUGE = 1e300
         ("calibration.arm.sag_rad", lambda sag: [HUGE, *sag[1:]], "less than or equal to 0.1"),
         ("calibration.stereo_head.left.serial", lambda _: "", "is empty"),
         ("calibration.tracker_frame.tool", lambda _: "", "is empty"),
+        ("calibration.tool_tip.tool_number", lambda _: 1, "is the number of the stereo head"),
         ("tools.guide.gauge.joints_deg", lambda deg: [HUGE, *deg[1:]], "less than or equal to 720"),
         ("tools.guide.gauge.reading_mm", lambda _: [0.0, HUGE, 0.0], "less than or equal to 100"),
         ("tools.guide.centre_of_gravity_mm", lambda _: [0.0, 0.0, HUGE], "expected at most 1000 mm"),
@@ -121,6 +122,13 @@ def test_a_number_beyond_what_is_built_or_measured_is_refused(
 ) -> None:
     _change(content, key, change)
     with pytest.raises(BadTheatreFile, match=rf"1 mistake: {key}[ 0-9]*: .*{re.escape(said)}"):
+        parse_theatre(content)
+
+
+def test_a_tool_with_the_number_of_the_stereo_head_is_refused(content: dict[str, Any]) -> None:
+    del content["tools"]["stereo_head"]
+    _change(content, "tools.guide.number", lambda _: 1)
+    with pytest.raises(BadTheatreFile, match=r"tools\.guide: a needle_guide has number 1, that of the"):
         parse_theatre(content)
 
 

@@ -8,7 +8,7 @@ from procedures.operator.topic import Topic
 from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
-from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
 
 
 def exchange_for(context: StepContext, tool: MountedTool) -> int:
