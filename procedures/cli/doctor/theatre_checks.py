@@ -33,10 +33,10 @@ def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     yield from _judged(
         "open files", f"at least {CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
     )
-    full = DiskSpace(Path.cwd()).unmet()
-    yield Diagnostic(
-        "disk", full is None, full or "enough for a case", "" if full is None else ("Free some space.")
-    )
+    folder = Path.cwd()  # where runs are written by default
+    full = DiskSpace(folder).unmet()
+    found = f"{folder}: {full or 'enough for a case'}"
+    yield Diagnostic("disk", full is None, found, "" if full is None else "Free some space.")
 
 
 def _read_clock(theatre: TheatreFile) -> None:

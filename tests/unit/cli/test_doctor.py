@@ -107,6 +107,15 @@ def test_a_theatre_without_devices_is_a_problem_and_the_advice_names_the_section
     assert "devices of a case: without tracker, robot.master, stereo" in verdict.because
 
 
+def test_the_disk_check_names_the_folder_that_it_looked_at(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
+    (disk,) = (one for one in examine(Path("theatre.toml")).case if one.subject == "disk")
+    assert disk.seen.startswith(f"{tmp_path}: ")
+
+
 @pytest.mark.parametrize(
     ("days", "well", "said", "advised"),
     [
