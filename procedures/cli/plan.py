@@ -13,7 +13,14 @@ import typer
 from procedures.cli.place import place
 from procedures.cli.plan_new import new
 from procedures.cli.plan_open import open_plan
-from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, read_ct, theatre_of
+from procedures.cli.planning_inputs import (
+    DEFAULT_STRATEGY,
+    HeadOption,
+    HomeOption,
+    StrategyOption,
+    read_ct,
+    theatre_of,
+)
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.new_files import require_new
@@ -61,7 +68,7 @@ def check(
             help="Theatre file: check every motion of its arm.",
         ),
     ] = None,
-    strategy: StrategyOption = "ocs",
+    strategy: StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: HeadOption = None,
     home: HomeOption = None,
     as_json: terminal.JsonOption = False,

@@ -10,7 +10,13 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, require_theatre_options
+from procedures.cli.planning_inputs import (
+    DEFAULT_STRATEGY,
+    HeadOption,
+    HomeOption,
+    StrategyOption,
+    require_theatre_options,
+)
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.logging_options import VERBOSE_FLAG
 
@@ -29,7 +35,7 @@ def open_plan(
         Path | None,
         typer.Option("--config", metavar="FILE", help="Theatre file: its arm is checked while you plan."),
     ] = None,
-    strategy: StrategyOption = "ocs",
+    strategy: StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: HeadOption = None,
     home: HomeOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,

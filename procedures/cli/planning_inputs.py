@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from procedures.planning.theatre.arm import TheatreArm
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
+DEFAULT_STRATEGY = "ocs"
 SixNumbers = tuple[float, float, float, float, float, float]
 
 StrategyOption = Annotated[
@@ -59,6 +60,10 @@ def require_theatre_options(
     from procedures.strategies.catalogue import strategy_named
 
     strategy_named(strategy)
+    if config is None and strategy != DEFAULT_STRATEGY:
+        raise UsageMistake(
+            f"--strategy {strategy} needs --config and --robot-from-ct: it orients an arm's stereo head"
+        )
     if config is None and robot_from_ct is None and home_deg is None:
         return
     if config is None or robot_from_ct is None:

@@ -295,6 +295,12 @@ def test_a_home_outside_the_joint_ranges_is_refused(case, theatre):
     assert one_line(done).startswith("ARM-003: A1 would leave its range")
 
 
+def test_a_strategy_without_a_theatre_is_refused(case):
+    done = ronna_plan("check", case[0], "--ct", case[1], "--strategy", "nos")
+    assert done.returncode == 2
+    assert "CLI-001: --strategy nos needs --config" in one_line(done)
+
+
 def test_previewing_the_motions_requires_both_options(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre)
     assert done.returncode == 2
