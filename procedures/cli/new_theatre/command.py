@@ -98,7 +98,7 @@ def new_theatre(
     from ronna_hw.registry import finders
     from ronna_hw.theatre_kind import is_simulated
 
-    tables = {} if records is None else taken_over.read_tables(records)
+    taken = None if records is None else taken_over.read_records(records)
     search = Search(
         interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
@@ -108,12 +108,13 @@ def new_theatre(
     searching.clock(clock)
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
-    if records is not None:
-        found = taken_over.with_tools_of(records, found)
+    if taken is not None:
+        found = taken_over.with_tools(found, taken.tools)
     found = taken_over.with_options(found, option or ())
+    tables = {} if taken is None else taken.tables
     draft = writing.Draft(name or out.stem, found, clock, taken_over=tables)
     text = writing.theatre_text(draft)
-    if is_simulated(parse_theatre(tomllib.loads(text), out.name)):
+    if is_simulated(parse_theatre(tomllib.loads(text), (records or out).name)):
         text = writing.theatre_text(writing.Draft(draft.name, found, clock, REHEARSAL, tables))
     write_whole(out, text.encode(), exclusive=True)
     ready = _tell(out, found, check=check, as_json=as_json)

@@ -5,25 +5,56 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from procedures.cli.new_theatre.searching import Found
 from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import BadTheatreFile, describe_mistakes
+from ronna_hw.config import BadTheatreFile, describe_mistakes, parse_theatre
+from ronna_hw.text.counting import counted
 
 TOOLS = "tools"  # option of a tracker: definitions of what it is to see
+# Only in a simulated theatre may records last longer than a year: judged when the devices are known.
+ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
-def read_tables(source: Path) -> dict[str, Any]:
-    """`flange` and the tables that belong to mount and cell, from a theatre file or a part of one.
+class _Definition(BaseModel, extra="allow", strict=True):
+    """One tool of a tracker, whatever else its driver knows of it."""
 
-    Raises CFG-001 for a file that cannot be read or has none of them.
+    rom: str = ""
+
+
+class _TrackerOptions(BaseModel, strict=True):
+    tools: list[_Definition] = []
+
+
+class _Tracker(BaseModel, strict=True):
+    options: _TrackerOptions = _TrackerOptions()
+
+
+class _TheatrePart(BaseModel, strict=True):
+    """What is read of another theatre file besides its records."""
+
+    tracker: _Tracker = _Tracker()
+
+
+@dataclass(frozen=True)
+class TakenOver:
+    """`flange`, the tables that belong to mount and cell, and the tools that the tracker is to see."""
+
+    tables: Mapping[str, Any]
+    tools: Sequence[Mapping[str, Any]]
+
+
+def read_records(source: Path) -> TakenOver:
+    """From a theatre file or a part of one.
+
+    Raises CFG-001 for a file that cannot be read, has mistakes, or has none of the tables.
     """
     try:
         content = read_toml(source, BadTheatreFile)
@@ -32,21 +63,27 @@ def read_tables(source: Path) -> dict[str, Any]:
             f"cannot read {source}: {error.strerror}",
             action="Give --records an existing theatre file, or the calibration.toml of a calibration.",
         ) from error
-    found = {name: content[name] for name in ("flange", *TAKEN_OVER) if name in content}
-    if not found:
+    tables = {name: content[name] for name in ("flange", *TAKEN_OVER) if name in content}
+    if not tables:
         raise BadTheatreFile(f"{source} has none of the tables", expected=", ".join(TAKEN_OVER))
-    return found
+    parse_theatre({"theatre": source.stem, **ANY_KIND, **tables}, source.name)
+    try:
+        tools = _TheatrePart.model_validate(content).tracker.options.tools
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadTheatreFile(
+            f"{source.name} has {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
+        ) from error
+    folder = source.resolve().parent
+    whole = [{**(tool.model_extra or {}), "rom": _where(tool.rom, folder)} for tool in tools]
+    return TakenOver(tables, whole)
 
 
-def with_tools_of(source: Path, found: Sequence[Found]) -> tuple[Found, ...]:
-    """The tracker with the tool definitions of another theatre file, where that names some."""
-    tracker = read_toml(source, BadTheatreFile).get("tracker", {})
-    tools = tracker.get("options", {}).get(TOOLS) if isinstance(tracker, dict) else None
+def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tuple[Found, ...]:
+    """The tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
-    folder = source.resolve().parent
-    whole = [{**tool, "rom": _where(tool.get("rom", ""), folder)} for tool in tools]
-    return tuple(_changed(one, {TOOLS: whole}) if one.table == "tracker" else one for one in found)
+    return tuple(_changed(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[Found], told: Sequence[str]) -> tuple[Found, ...]:

@@ -181,6 +181,35 @@ def test_records_are_copied_from_another_file(cameras: Cameras, out: Path, tmp_p
     assert file.tracker.options["tools"][0]["rom"] == str(tmp_path / "mount/special.rom")
 
 
+WRONG_RECORDS = {
+    "an unknown key": ("[cell]\ncolour = 1\n", "cell.colour: unknown key"),
+    "angles in place of a quaternion": (
+        "[calibration.tool_tip.flange_from_tool]\n"
+        "translation_mm = [0.0, 0.0, 300.0]\nquaternion_wxyz = [0.0, 90.0, 0.0, 0.0]\n",
+        "not 1: give a rotation, not angles",
+    ),
+    "names in place of tools": (
+        'flange = "ours"\n[tracker.options]\ntools = ["robot_frame.rom"]\n',
+        "tracker.options.tools 1: expected",
+    ),
+    "text in place of options": ('flange = "ours"\n[tracker]\noptions = "x"\n', "tracker.options: expected"),
+}
+
+
+@pytest.mark.parametrize("name", WRONG_RECORDS)
+def test_mistakes_in_the_records_are_reported_with_their_file_before_any_search(
+    cameras: Cameras, out: Path, tmp_path: Path, name: str
+) -> None:
+    text, said = WRONG_RECORDS[name]
+    (tmp_path / "drawing.toml").write_text(text)
+    code, _, errors = new_theatre(out, "--records", tmp_path / "drawing.toml")
+    assert code == EXIT_USAGE
+    (line, *_) = one_error(errors)
+    assert line.startswith("CFG-001: drawing.toml has ")
+    assert said in line
+    assert cameras.searches == []
+
+
 def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras, out: Path) -> None:
     cameras.pairs = ()
     new_theatre(out, serial="/dev/pts/77")
