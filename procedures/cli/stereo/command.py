@@ -14,6 +14,7 @@ from ronna_hw.command_line.option_records import with_option_records
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.reporting.calibration.stereo_head import HeadCheckFigures
+    from ronna_hw.config import Calibrations
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
@@ -76,7 +77,8 @@ def check(
 ) -> None:
     """Measure the ball again from the eight orientations of the calibration: has a camera or mount moved?
 
-    Detects a camera turned by 0.01 degrees. Exit codes: 0 the head is unchanged, 3 it has changed or its
+    Detects a camera turned by 0.01 degrees. With --sim and without --calibration the theatre uses the
+    baseline's calibration. Exit codes: 0 the head is unchanged, 3 it has changed or its
     calibration must not be used, 1 the ball is not in view, others as in `calibrate`.
     """
     theatre = asked.theatre()
@@ -96,6 +98,11 @@ def check(
     folder = new_folder(asked.out, "check")
     found: list[HeadCheckFigures] = []
 
+    def in_use(of_theatre: Calibrations) -> Calibrations:
+        if asked.sim and not asked.calibration:
+            return of_theatre.model_copy(update={"stereo_head": then.stereo_head})
+        return of_theatre
+
     def judge(engine: Engine) -> None:
         result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
         figures = files.check_figures(result, then)
@@ -107,7 +114,9 @@ def check(
         title = "Check of the stereo head"
         try:
             with terminal.progress_bar("measuring the ball") as bar:
-                run_steps(theatre, folder, head_check(then, visits), bar, title=title, judge=judge)
+                run_steps(
+                    theatre, folder, head_check(then, visits), bar, title=title, in_use=in_use, judge=judge
+                )
         finally:
             for figures in found:
                 if asked.as_json:

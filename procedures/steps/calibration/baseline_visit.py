@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pydantic import Field
 
 from procedures.calibration import Baseline, Observation
+from procedures.calibration.errors import NotTheBaseline
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
@@ -20,6 +21,7 @@ from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_picture import pair_picture
+from ronna_hw.calibration import StereoHeadCalibration
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):
@@ -37,12 +39,14 @@ class BaselineVisit:
     visits: int
 
     def run(self, context: StepContext) -> Outcome[VisitedBaseline]:
-        """Raises STE-010 for other cameras, CAL-001, PRO-002 unless confirmed, STE-003 without a ball."""
+        """Raises STE-010, CAL-008, CAL-001, PRO-002 unless confirmed, STE-003 without a ball."""
         context.result(CheckedSetUp)
         workcell, head = context.workcell, self.baseline.stereo_head
         for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
             check_serial(camera, serial)
-        head.check_valid_at(context.setting.today())
+        in_use = workcell.calibrations.stereo_head
+        _require_same_cameras(in_use, head)
+        in_use.check_valid_at(context.setting.today())
         arm = workcell.arm.kinematics.name
         if self.baseline.arm_variant != arm:
             raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
@@ -75,6 +79,18 @@ class BaselineVisit:
             raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
         return Outcome(
             VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
+        )
+
+
+def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCalibration) -> None:
+    """Where the head is on the flange may differ: a calibration of the arm determines that again."""
+    if (in_use.left, in_use.right) != (baseline.left, baseline.right):
+        raise NotTheBaseline(
+            "the theatre's calibration of the cameras is not that of the baseline",
+            expected=in_use.identifier,
+            got=baseline.identifier,
+            action="Give the baseline of the theatre's calibration, or put the records that were written "
+            "with this baseline into the theatre file.",
         )
 
 

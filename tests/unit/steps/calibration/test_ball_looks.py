@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
-from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
+from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
 from procedures.engine.step import StepSpec
 from procedures.operator.errors import NotConfirmed
@@ -35,7 +35,7 @@ from procedures.steps.calibration.baseline_visit import VisitedBaseline, visit_s
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import Look
-from ronna_hw.calibration import CalibrationExpired
+from ronna_hw.calibration import CalibrationExpired, PoseRecord, StereoHeadCalibration
 from ronna_hw.devices.lifecycle import Lifecycle
 
 BALL_MM = (720.0, -10.0, 310.0)
@@ -72,6 +72,17 @@ def visited(cell: ClinicalCell, baseline: Baseline) -> VisitedBaseline:
     cell.workcell.spheres_mm = np.array([BALL_MM])
     cell.carrying(MountedTool.STEREO_HEAD)
     return cell.run(checked_set_up(cell), visit_step(baseline, VISITS)).result
+
+
+def with_head(cell: ClinicalCell, head: StereoHeadCalibration) -> ClinicalCell:
+    """The same theatre with this record of the head."""
+    cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={"stereo_head": head}))
+    return cell
+
+
+def moved(pose: PoseRecord, by_mm: float) -> PoseRecord:
+    x, y, z = pose.translation_mm
+    return pose.model_copy(update={"translation_mm": (x + by_mm, y, z)})
 
 
 def test_a_calibration_has_its_free_poses_and_revisits_the_check_poses_at_the_same_joints(
@@ -151,8 +162,7 @@ def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cel
 
 @pytest.mark.hazard(26)
 def test_an_expired_calibration_is_refused_before_a_camera_is_connected(cell: ClinicalCell) -> None:
-    head = cell.calibrations.stereo_head.model_copy(update=EXPIRED)
-    cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={"stereo_head": head}))
+    with_head(cell, cell.calibrations.stereo_head.model_copy(update=EXPIRED))
     with pytest.raises(CalibrationExpired, match="CAL-001"):
         cell.run(look_step(over_ball=False))
     assert cell.stereo.state is Lifecycle.DISCONNECTED
@@ -193,13 +203,34 @@ def test_a_check_needs_confirmation_and_the_question_names_its_calibration(
 
 
 @pytest.mark.hazard(26)
-def test_an_expired_baseline_is_refused_before_the_operator_is_asked(
+def test_a_check_with_an_expired_calibration_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
-    head = baseline.stereo_head.model_copy(update=EXPIRED)
     with pytest.raises(CalibrationExpired, match="CAL-001"):
-        visited(cell, baseline.model_copy(update={"stereo_head": head}))
+        visited(with_head(cell, baseline.stereo_head.model_copy(update=EXPIRED)), baseline)
     assert cell.operator.asked == []
+
+
+def test_a_baseline_of_other_camera_poses_than_the_theatre_is_refused_before_the_operator_is_asked(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    head = baseline.stereo_head
+    left = head.left.model_copy(update={"camera_from_tool": moved(head.left.camera_from_tool, 0.1)})
+    recalibrated = head.model_copy(update={"identifier": "of-the-theatre", "left": left})
+    with pytest.raises(NotTheBaseline, match=f"expected of-the-theatre, got {head.identifier}"):
+        visited(with_head(cell, recalibrated), baseline)
+    assert cell.operator.asked == []
+
+
+def test_a_baseline_holds_for_a_head_of_which_only_place_on_the_flange_and_dates_are_new(
+    cell: ClinicalCell, baseline: Baseline
+) -> None:
+    """As after a calibration of the arm."""
+    head = baseline.stereo_head
+    on_flange = moved(head.flange_from_tool, 0.1)
+    placed = head.model_copy(update={"identifier": "placed-again", "flange_from_tool": on_flange})
+    former = baseline.model_copy(update={"stereo_head": head.model_copy(update=EXPIRED)})
+    assert len(visited(with_head(cell, placed), former).looks) == VISITS * CHECK_ORIENTATIONS
 
 
 @pytest.mark.hazard(25)
