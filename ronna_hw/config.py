@@ -309,6 +309,8 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
         message = item["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
         if item["type"] == "missing":
             message = "is missing"
+        if item["type"] == "model_type":
+            message = "expected a table"
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
             message = f"unknown key{_meant(str(item['loc'][-1]), known)}"

@@ -190,9 +190,12 @@ WRONG_RECORDS = {
     ),
     "names in place of tools": (
         'flange = "ours"\n[tracker.options]\ntools = ["robot_frame.rom"]\n',
-        "tracker.options.tools 1: expected",
+        "tracker.options.tools 1: expected a table (found 'robot_frame.rom')",
     ),
-    "text in place of options": ('flange = "ours"\n[tracker]\noptions = "x"\n', "tracker.options: expected"),
+    "text in place of options": (
+        'flange = "ours"\n[tracker]\noptions = "x"\n',
+        "tracker.options: expected a table (found 'x')",
+    ),
 }
 
 
