@@ -113,6 +113,13 @@ class ConsoleMissing(RonnaError):
     exit_code = EXIT_USAGE
 
 
+class FaultOfRun(RefusedError):
+    """A fault must be acknowledged in the unfinished run that had it, which then keeps no result unasked."""
+
+    code = "PRO-044"
+    action = "Acknowledge it in that run."
+
+
 class TheatreInUse(RefusedError):
     """Another program has the devices of this theatre."""
 

@@ -116,6 +116,12 @@ def last_moved(theatre: Path) -> Path | None:
     return read_note(_lock_file(theatre)).last_moved
 
 
+def last_runs(theatre: Path) -> tuple[Path, ...]:
+    """The last run that moved the arm of a theatre file, and the last that had its devices."""
+    note = read_note(_lock_file(theatre))
+    return tuple(run for run in (note.last_moved, note.run) if run is not None)
+
+
 def require_free_theatre(theatre: Path) -> None:
     """Raise PRO-043 while another program has the devices, before anyone is asked to prepare anything."""
     if user := theatre_user(theatre):

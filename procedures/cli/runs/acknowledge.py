@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -19,6 +20,8 @@ from procedures.cli.runs.left_runs import (
     require_free_devices,
 )
 from procedures.engine.device_faults import acknowledged
+from procedures.engine.errors import FaultOfRun
+from procedures.engine.left_run import read_left_run
 from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import on_terminal, print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
@@ -37,6 +40,8 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
         require_free_devices(request)
+        if request.config is not None:
+            _require_own_fault(request.config, left.run.path)
         make_ready(left)
         path, resumption = left.run.path, Resumption(left, False, only_leaving=True, asks=False)
         with leaving_report(path), opened_left(request, path, Watcher(), resumption) as engine:
@@ -52,12 +57,14 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
 def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
     """Those of a theatre file.
 
-    Raises DEV-006, PRO-043, and what a driver raises that cannot be recovered yet.
+    Raises DEV-006, PRO-043, PRO-044, and what a driver raises that cannot be recovered yet.
     """
-    from procedures.engine.theatre_lock import held_theatre
+    from procedures.engine.theatre_lock import held_theatre, require_free_theatre
     from ronna_hw.theatre import Theatre
 
     by = _person(by)
+    require_free_theatre(file)
+    _require_own_fault(file, None)
     with Theatre.from_file(file) as theatre, held_theatre(file, None):
         devices = theatre.devices
         _recover_all(
@@ -67,6 +74,32 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
             as_json=as_json,
             theatre=theatre.file.theatre,
         )
+
+
+def _require_own_fault(theatre: Path, run: Path | None) -> None:
+    """Raise PRO-044 if another run that can be resumed had the devices last.
+
+    Only its own journal can say that what it localized before the fault is in doubt.
+    """
+    from procedures.engine.theatre_lock import last_runs
+
+    for last in last_runs(theatre):
+        if last == run:
+            return
+        if _can_be_resumed(last):
+            raise FaultOfRun(
+                f"run {last.name} on this theatre is unfinished, and asks after a fault what remains valid",
+                action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
+            )
+
+
+def _can_be_resumed(run: Path) -> bool:
+    try:
+        request_of(run)
+        left = read_left_run(run, only_leaving=True)
+        return not (left.parked or left.untouched)
+    except (RonnaError, OSError):  # of a check, of another version, changed, or gone
+        return False
 
 
 def _person(by: str | None) -> str:

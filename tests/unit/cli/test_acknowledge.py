@@ -13,10 +13,12 @@ from user_commands import in_this_process, one_error
 
 from procedures.cli.case.opening import Watcher, opened_engine
 from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
 from procedures.cli.runs import home
 from procedures.engine.left_run import read_left_run
-from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.theatre_lock import held_theatre
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.session.procedure import Procedure, Resumption
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -26,6 +28,7 @@ from ronna_hw.errors import (
     EXIT_USAGE,
     LinkTimeout,
 )
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.theatre import Theatre
 
 
@@ -93,6 +96,30 @@ def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
     monkeypatch.setattr(Theatre, "from_file", lambda _file: cell.opened)
     done = in_this_process(app, "acknowledge", "--config", "theatre.toml", "--by", "A. Nurse")
     assert "acknowledged by A. Nurse: robot.master: " in done.stdout
+
+
+@pytest.mark.hazard(32)
+@pytest.mark.parametrize("by_config", [True, False])
+def test_a_fault_of_an_unfinished_run_is_acknowledged_in_that_run(tmp_path: Path, by_config: bool) -> None:
+    theatre = mini_theatre_file(tmp_path, simulated=True)
+    unfinished, other = (left_on(theatre, tmp_path / name) for name in ("unfinished", "other"))
+    with held_theatre(theatre, unfinished):
+        journal = Journal.taken_up(unfinished, read_chain(unfinished / JOURNAL_FILE))
+        journal.write(Entry.MOTION, 0.0, what="go")
+        journal.close()
+    what = ("--config", theatre) if by_config else (other,)
+    refused = in_this_process(app, "acknowledge", *what, "--by", "A. Nurse")
+    assert refused.returncode == EXIT_REFUSED
+    assert "PRO-044" in refused.stderr
+    assert f"ronna-procedure acknowledge {unfinished} --by" in refused.stderr
+
+
+def left_on(theatre: Path, run: Path) -> Path:
+    """A run on that theatre that has just been opened."""
+    run.mkdir()
+    write_request(CaseRequest(out=run.parent, config=theatre), run)
+    Journal(run).close()
+    return run
 
 
 def test_acknowledge_recovers_a_theatre_without_a_run_and_lists_unreachable_devices(
