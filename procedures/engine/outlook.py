@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from procedures.engine.device_faults import ARM
 from procedures.engine.events import Order, OrderedStep, Waiting
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
+
+
+HOME = "home"  # comes when every step is done and the arm, or an instrument, is still out
 
 
 def publish_order(engine: Engine) -> None:
@@ -31,6 +35,17 @@ def publish_order(engine: Engine) -> None:
 
 def publish_waiting(engine: Engine) -> None:
     """Publish what comes next, and why it may not begin."""
-    key = engine.upcoming
-    unmet = () if key is None else engine.why_refused(key)
-    engine.events.publish(Waiting(upcoming=None if key is None else str(key), unmet=unmet))
+    key, name = engine.upcoming, comes_next(engine)
+    if key is not None:
+        unmet = engine.why_refused(key)
+    else:
+        fault = engine.faults.told.get(ARM) if name == HOME else None
+        unmet = () if fault is None else (fault,)
+    engine.events.publish(Waiting(upcoming=name, unmet=unmet))
+
+
+def comes_next(engine: Engine) -> str | None:
+    """The upcoming step, or the way home where only that remains; None when the case is over."""
+    if (key := engine.upcoming) is not None:
+        return str(key)
+    return HOME if engine.course.over and not engine.over else None

@@ -213,8 +213,9 @@ class Workcell:
 
     @property
     def away(self) -> bool:
-        """Whether the arm was led away from home and is not back. Raises what the arm raises."""
-        return self.insertion is not None or (self._log.history.left_home and not self.at_home)
+        """Whether the arm was led away from home and is not known to be back. Raises what it raises."""
+        unknown = self.insertion is not None or self._arm.state is Lifecycle.FAULT  # which reports no joints
+        return self._log.history.left_home and (unknown or not self.at_home)
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import CaseOrder, Steps, order_of
@@ -54,6 +55,18 @@ def leaves(model: type[StepResult], *reads: type[StepResult]) -> Work:
         return Outcome(model(), summary="done")
 
     return run
+
+
+def ends_away(context: StepContext) -> Outcome[StepResult]:
+    """Work that leads the arm away from home."""
+    A1, *others = context.workcell.set_home()
+    context.workcell.go((A1 + 0.1, *others))
+    return Outcome(Held(), summary="done")
+
+
+def only_home_remains() -> CaseOrder:
+    """One step, after which every target is finished and the arm is still away."""
+    return order_of([replace(step(Held, work=ends_away), finishes=True)], ())
 
 
 def step(

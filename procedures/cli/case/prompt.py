@@ -70,7 +70,8 @@ class Prompt:
     def follow(self, engine: Engine) -> bool:
         """Carry out commands on this engine until `quit` or the end of the input; whether the case goes on.
 
-        What goes wrong is shown and leaves the case held. Raises what ended the case.
+        What goes wrong is shown and leaves the case held. With `resumes`, a case that has finished goes on:
+        nobody needs to be asked any more. Raises what ended the case.
         """
         self.attach(engine)
         while (line := self._command(engine)) is not None:
@@ -84,10 +85,12 @@ class Prompt:
                 self._say(
                     f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
                 )
-            elif self._resumes and (name == "resume" or engine.upcoming is None):
-                return True
+            elif self._resumes and (name == "resume" or (name == "next" and engine.upcoming is None)):
+                return True  # with nothing upcoming, the way home is next
             else:
                 self._carry_out(engine, name, argument.strip())
+                if self._resumes and engine.machine.ended:
+                    return True
         return False
 
     def ask(self, question: Question) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import leave_head
 from procedures.cli.console.desk import Desk, Wish
-from procedures.engine.outlook import publish_waiting
+from procedures.engine.outlook import HOME, comes_next, publish_waiting
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import NOBODY, READ, Operator, Question
@@ -101,12 +101,13 @@ class Pilot:
         self.note_seat()
 
     def run_to_end(self, engine: Engine) -> None:
-        """Run the case as ordered. Raises OperatorAborted, and what a step raises while nobody operates.
+        """Run the case as ordered, and home. Raises OperatorAborted, and what a step or the way home raises
+        while nobody operates.
 
         When the console ends, a case that does not continue by itself is left; one that waits for the
         operator rests until it is continued without the console.
         """
-        while (key := engine.upcoming) is not None:
+        while (name := comes_next(engine)) is not None:
             self.note_seat()
             if self.desk.gone and not self._runs:
                 return
@@ -116,22 +117,22 @@ class Pilot:
             if self._must_wait():
                 self._carry_out(engine, self.desk.wish(self._wait(engine)))
                 continue
-            self._run_step(engine, str(key))
+            self._run_step(engine, name)
 
     def follow_until_typed(self, engine: Engine) -> None:
         """Carry orders out until something is typed on the standard input, or that ends."""
         self._wait(engine)
         while not select.select([sys.stdin], [], [], 0.0)[0]:
             self.note_seat()
-            if self.desk.gone or engine.machine.ended or (key := engine.upcoming) is None:
+            if self.desk.gone or engine.machine.ended or (name := comes_next(engine)) is None:
                 select.select([sys.stdin], [], [], LOOK_AGAIN_S)
             elif self._going and not self._must_wait():
-                self._run_step(engine, str(key))
+                self._run_step(engine, name)
             else:
                 if self._going:  # whoever ordered it has left the seat
                     self._going = False
                     self._wait(engine)
-                self._carry_out(engine, self.desk.wish(str(key), LOOK_AGAIN_S))
+                self._carry_out(engine, self.desk.wish(name, LOOK_AGAIN_S))
         self._going = False
 
     def _must_wait(self) -> bool:
@@ -142,11 +143,14 @@ class Pilot:
 
     def _wait(self, engine: Engine) -> str:
         publish_waiting(engine)
-        return str(engine.upcoming)
+        return comes_next(engine) or ""
 
     def _run_step(self, engine: Engine, name: str) -> None:
         try:
-            engine.run_step(engine.order.find(name))
+            if name == HOME:
+                engine.retreat_home()
+            else:
+                engine.run_step(engine.order.find(name))
         except OperatorAborted:
             if self.in_charge:
                 self._leave(engine)
@@ -161,7 +165,10 @@ class Pilot:
                 return
             if not self.in_charge or engine.machine.ended:
                 raise
-            fail_with(error)
+            if name == HOME:
+                self._tell_fault(engine, error)
+            else:  # the engine has published it
+                fail_with(error)
             if not self.desk.aborting:
                 tell(HELD)
             self._wait(engine)
@@ -193,7 +200,7 @@ class Pilot:
                 self._tell_fault(engine, error)
             self._wait(engine)
         else:
-            self._until = {"next": str(engine.upcoming), "to": wish.step}.get(wish.what)
+            self._until = {"next": comes_next(engine), "to": wish.step}.get(wish.what)
             self._going, self._vacated = True, wish.vacated
 
     def _abort(self, engine: Engine) -> None:

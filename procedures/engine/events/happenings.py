@@ -120,7 +120,7 @@ class Waiting(_Happening):
     """The engine waits between steps for its operator."""
 
     kind: Literal["waiting"] = "waiting"
-    upcoming: str | None = Field(description="The step that comes next; none: the case is finished.")
+    upcoming: str | None = Field(description="The step that comes next, or `home`; none: the case is over.")
     unmet: tuple[str, ...] = Field(default=(), description="Why it cannot start.")
 
 

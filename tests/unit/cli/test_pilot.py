@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plain_steps import plain_order
-from recording_cell import RecordingCell
+from plain_steps import only_home_remains, plain_order
+from recording_cell import HOME, RecordingCell
 from waiting import eventually
 
 from procedures.cli.console.attaching import check_console
@@ -27,6 +27,7 @@ from procedures.operator.errors import OperatorAborted
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
+from ronna_hw.devices.lifecycle import Lifecycle
 
 ANA = "session-ana"
 
@@ -212,6 +213,23 @@ def test_an_abort_ends_a_case_whose_guard_is_not_restored_before_it_nor_on_the_w
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert [question.topic for question in cell.operator.asked].count(Topic.HEAD_UNSEEN) == 2
     assert (case.engine.machine.state, cell.arm.motions) == ("aborted", [])
+
+
+def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_step_is_done(
+    cell: RecordingCell,
+) -> None:
+    case = Operated(cell.engine(only_home_remains()), runs=False)
+    case.engine.run_to()
+    cell.arm.state = Lifecycle.FAULT
+    with running(case):
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        assert case.give("next", upcoming="home") == ""
+        eventually(lambda: case.give("acknowledge") == "")  # the arm in fault holds the case
+        eventually(lambda: "recovered by Ana" in cell.arm.calls)
+        eventually(lambda: case.give("next", upcoming="home") == "")
+        eventually(lambda: case.ended_by == [None])
+    assert (cell.arm.joints_rad, case.engine.machine.state) == (HOME, "finished")
 
 
 def test_a_missing_console_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from plain_steps import plain_order
+from plain_steps import only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.cli.case import outcome
@@ -256,6 +256,32 @@ def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     with pytest.raises(GateFailed, match="stopped"):
         outcome._run(engine, Watcher(held=typed.prompt))
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
+
+
+def test_a_fault_on_the_way_home_is_acknowledged_at_the_prompt_when_every_step_is_done(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(only_home_remains())
+    engine.run_to()
+    cell.arm.state = Lifecycle.FAULT
+    typed = Typed(monkeypatch, "why", "lst", "acknowledge Ann", "resume", resumes=True)
+    outcome._run(engine, Watcher(held=typed.prompt))
+    assert "recovered by Ann" in cell.arm.calls
+    assert (cell.arm.joints_rad, engine.machine.state) == (HOME, "finished")
+    assert cell.entries("home") == [("home", "")]
+
+
+@pytest.mark.parametrize("command", ["home", "next"])
+def test_a_held_case_ends_when_its_arm_is_home_and_every_step_is_done(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    engine = cell.engine(only_home_remains())
+    engine.run_to()
+    refusing = iter([(Topic.PARK,)])  # once
+    cell.operator.meanwhile = lambda _question: setattr(cell.operator, "refusing", next(refusing, ()))
+    outcome._run(engine, Watcher(held=Typed(monkeypatch, command, "quit", resumes=True).prompt))
+    assert cell.entries("home") == [("home", "")] * 2
+    assert engine.machine.state == "finished"
 
 
 def test_a_failing_query_during_a_pause_does_not_end_the_pause(

@@ -14,6 +14,7 @@ from procedures.operator.topic import Topic
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.errors import JournalCorrupt
@@ -111,6 +112,13 @@ def test_the_arm_is_away_from_when_it_leaves_home_until_it_is_back(
 def test_a_first_motion_that_failed_on_its_way_leaves_the_arm_away(cell: RecordingCell) -> None:
     failed(cell)
     cell.arm.joints_rad = AWAY
+    assert cell.workcell.away
+
+
+def test_an_arm_in_fault_that_left_home_is_away_until_its_joints_are_read(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.workcell.go(AWAY)
+    cell.arm.joints_rad, cell.arm.state = HOME, Lifecycle.FAULT
     assert cell.workcell.away
 
 
