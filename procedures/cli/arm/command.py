@@ -32,6 +32,7 @@ def arm() -> None:
 @app.command("calibrate")
 @with_option_records
 def calibrate_arm(
+    context: typer.Context,
     asked: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Measurements for the identification.")] = 90,
     validation: Annotated[
@@ -44,7 +45,7 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    request = asked.request()
+    request = asked.request(context)
     from procedures.cli.arm.files import KIND
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.steps.calibration.recipe import Calibrated, Recipe

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -16,6 +17,8 @@ from ronna_hw.command_line.terminal import JsonOption
 if TYPE_CHECKING:
     from procedures.cli.calibrating.calibration import CalibrationRequest
     from ronna_hw.calibration import Numbers3
+
+USED_TO_RECOMPUTE = frozenset({"recorded", "config", "write", "days", "out", "as_json"})
 
 
 @dataclass(frozen=True)
@@ -40,13 +43,21 @@ class CalibrationOptions(MeasuringOptions):
         typer.Option(metavar="FILE", help="Write the theatre file with the new records, next to --config."),
     ] = None
 
-    def request(self) -> CalibrationRequest:
-        """What they ask for. Raises CLI-001 unless looks and theatre file each come from one place."""
+    def request(self, context: typer.Context) -> CalibrationRequest:
+        """What they ask for. Raises CLI-001 unless looks and theatre file each come from one place.
+
+        `context` is the command's: it knows which of all its options were typed.
+        """
         nowhere = self.recorded is None and not self.sim and self.config is None
         if nowhere or (self.recorded is not None and self.sim):
             raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
         if self.write is not None and self.config is None:
             raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+        if self.recorded is not None and (idle := _typed_except(context, USED_TO_RECOMPUTE)):
+            raise UsageMistake(
+                f"{idle} and --from cannot be combined",
+                action="Omit it: nothing is measured, the measurements in the folder are used.",
+            )
         from procedures.cli.calibrating.calibration import CalibrationRequest
 
         return CalibrationRequest(
@@ -58,6 +69,18 @@ class CalibrationOptions(MeasuringOptions):
             out=self.out,
             as_json=self.as_json,
         )
+
+
+def _typed_except(context: typer.Context, names: Set[str]) -> str:
+    """The other options on the command line, as they are typed."""
+    return ", ".join(
+        one.opts[0]
+        for one in context.command.params
+        if one.expose_value  # the others are those that every command has
+        and one.name not in names
+        and (source := context.get_parameter_source(str(one.name))) is not None
+        and source.name == "COMMANDLINE"
+    )
 
 
 def finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:

@@ -27,6 +27,7 @@ def mount() -> None:
 @app.command("tracker-frame")
 @with_option_records
 def tracker_frame(
+    context: typer.Context,
     asked: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
     validation: Annotated[
@@ -38,7 +39,7 @@ def tracker_frame(
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
     usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    request = asked.request()
+    request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tracker_frame import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -49,6 +50,7 @@ def tracker_frame(
 @app.command("tool-tip")
 @with_option_records
 def tool_tip(
+    context: typer.Context,
     asked: CalibrationOptions,
     ball: Annotated[
         tuple[float, float, float] | None,
@@ -68,7 +70,7 @@ def tool_tip(
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
     finite_ball(ball)
-    request = asked.request()
+    request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tool_tip import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe

@@ -45,6 +45,7 @@ def stereo() -> None:
 @app.command("calibrate")
 @with_option_records
 def calibrate_head(
+    context: typer.Context,
     asked: CalibrationOptions,
     ball: BallOption = None,
     poses: Annotated[
@@ -58,7 +59,7 @@ def calibrate_head(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     finite_ball(ball)
-    request = asked.request()
+    request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.stereo.files import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe
