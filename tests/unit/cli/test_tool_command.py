@@ -90,6 +90,7 @@ def test_check_refuses_an_expired_record_and_says_what_to_do(theatre: Path) -> N
     assert "ronna-tool renew; no motion until then" in said
 
 
+@pytest.mark.hazard(47)
 def test_a_case_with_an_expired_tool_record_is_refused_before_the_ct_is_read(theatre: Path) -> None:
     _let_guide_expire(theatre)
     case, runs = theatre.parent, theatre.with_name("runs")
