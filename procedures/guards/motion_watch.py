@@ -148,6 +148,7 @@ class _Looking:
     has_seen: bool = False
     unseen_s: float = 0.0
     _overdue: bool = False
+    _stop_wanted: bool = False
     _stopping: threading.Thread | None = None
     guide: GuideAtRest | None = None  # as it was held, while somebody works through it
     _silence_told: bool = False
@@ -158,9 +159,11 @@ class _Looking:
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
     def begin(self) -> None:
-        """Start; returns when the first frame has been read."""
+        """Start; returns when the first frame has been read and, if it shows a shift, the arm is stopped."""
         self._thread.start()
         self._first.wait(FIRST_FRAME_S)
+        if self._stopping is not None:  # the motion that would begin now is refused
+            self._stopping.join()
 
     def end(self) -> _Looking:
         """Stop looking; the fields hold what was seen."""
@@ -185,10 +188,12 @@ class _Looking:
                     tracker.deactivate()
         while not self._ending.wait(UNSEEN_LOOK_S):  # nothing looks any more, but the time counts
             self._meet_unseen()
+            self._stop_again()
 
     def _read(self) -> None:
         tracker, began_s = self.workcell.tracker, self.clock.now_s()
         while not self._ending.is_set():
+            self._stop_again()
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
             except (LinkTimeout, ProtocolError) as problem:  # costs one frame
@@ -203,7 +208,6 @@ class _Looking:
                 continue
             self.head.take(with_its_spheres(tracker, frame))
             self._meet_push(frame)
-            self._first.set()
             now_s = self.clock.now_s()
             if self.head.seen:
                 self.has_seen, began_s, self.room.seen_s = True, now_s, now_s
@@ -212,6 +216,7 @@ class _Looking:
             if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 self.moved_mm = self.head.moved_mm
                 self._begin_alarm(MOVED, stop=True)
+            self._first.set()  # after the alarms: the motion begins with it
             if self.head.doubtful:
                 continue
             if self.arm_moves:
@@ -235,13 +240,25 @@ class _Looking:
         self._pushed = pushed
 
     def _begin_alarm(self, why: str, *, stop: bool) -> None:
+        self._stop_wanted |= stop
+        if not self._alarm_runs:  # otherwise it is stopped already, and what was seen is told when it rests
+            self._begin(lambda: self.alarm(why, stop))
+
+    def _stop_again(self) -> None:
+        """While the arm may still move: a stop may fail, for example by its time limit."""
+        wanted = self._stop_wanted and not self._alarm_runs
+        if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
+            self._begin(self.workcell.stop)
+
+    @property
+    def _alarm_runs(self) -> bool:
+        return self._stopping is not None and self._stopping.is_alive()
+
+    def _begin(self, alarm: Callable[[], None]) -> None:
         # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
-        if self._stopping is not None and self._stopping.is_alive():
-            return  # it is stopped already, and what was seen is told when it rests
-        self._stopping = threading.Thread(
-            target=self.alarm, args=(why, stop), name="stop by the patient watch", daemon=True
-        )
-        self._stopping.start()
+        stopping = threading.Thread(target=alarm, name="stop by the patient watch", daemon=True)
+        stopping.start()
+        self._stopping = stopping
 
     def _tell_silence(self, problem: RonnaError) -> None:
         """Once, and at once: the motion that nothing watches any more may take its time."""

@@ -16,7 +16,7 @@ from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.events import Finding
-from procedures.guards import motion_watch, patient_watch
+from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
@@ -66,6 +66,34 @@ def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registrat
     assert engine.machine.state == "held"
     engine.retreat_home()  # not stopped by the same shift
     assert cell.workcell.at_home
+
+
+def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(head_frames, "AVERAGED", 1)
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    cell.arm.state, before = Lifecycle.ACTIVE, cell.arm.stops
+    cell.tracker.spheres_mm = MOVED_MM  # while a question was open
+    with pytest.raises(PatientMoved), engine.checkpoint.watching("the next motion", True):
+        stops = cell.arm.stops
+    assert stops > before
+
+
+def test_the_stop_is_ordered_again_while_the_arm_may_still_move(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+
+    def move() -> None:
+        cell.tracker.spheres_mm = MOVED_MM
+        eventually(lambda: cell.arm.stops > 1)  # the first did not bring it into HOLD
+        cell.arm.interruptions = 1
+
+    on_the_way(cell, move)
+    with pytest.raises(PatientMoved):
+        positioned(engine)
 
 
 def test_a_tracker_moved_during_the_way_in_is_distinguished_from_a_moved_head(tmp_path: Path) -> None:
