@@ -36,8 +36,7 @@ class InstrumentInGuide(RefusedError):
 
 
 class NoToolRecord(ConfigurationError):
-    """The theatre file has no record of a tool that the case needs, or one that is inconsistent with the
-    others."""
+    """The theatre file lacks a tool record that the case needs, or has one that contradicts the others."""
 
     code = "TOOL-002"
     action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
