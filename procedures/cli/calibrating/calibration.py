@@ -177,13 +177,15 @@ def observe(
     conclude: Callable[[Looks], None],
     resumption: Resumption | None = None,
 ) -> None:
-    """Run the steps and tell their remarks; what `conclude` raises is how the run has ended."""
+    """Run the steps and report their remarks; what `conclude` raises is how the run has ended."""
 
     def judge(engine: Engine) -> None:
-        conclude(kind.observed(engine.case))
+        with bar.hidden():  # it would write over the messages
+            report_remarks(kind, engine.case)
+            conclude(kind.observed(engine.case))
 
     with terminal.progress_bar(kind.activity) as bar:
-        engine = run_steps(
+        run_steps(
             theatre,
             folder,
             recipe.steps,
@@ -194,5 +196,9 @@ def observe(
             judge=judge,
             resumption=resumption,
         )
-    for remark in kind.remarks(engine.case):
+
+
+def report_remarks(kind: CalibrationKind[Looks, Result], case: Case) -> None:
+    """Why measurements are missing: reported before the computation, which may fail because they are."""
+    for remark in kind.remarks(case):
         terminal.tell(remark)

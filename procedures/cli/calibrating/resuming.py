@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.calibrating.calibration import CalibrationKind, conclude, looked, show
+from procedures.cli.calibrating.calibration import CalibrationKind, conclude, looked, report_remarks, show
 from procedures.cli.calibrating.files import finished_figures
 from procedures.cli.calibrating.kinds import kind_of
 from procedures.cli.calibrating.running import opened_steps
@@ -80,6 +80,7 @@ def _every_look_taken(recipe: Recipe, left: LeftRun) -> bool:
 def _conclude(kind: CalibrationKind[Any, Any], run: CalibrationRun, recipe: Recipe, left: LeftRun) -> None:
     """Compute from what was observed: nothing is moved for it, and no device is asked."""
     case = left.restored(order_of(recipe.steps, ()))
+    report_remarks(kind, case)
     try:
         conclude(kind, run, kind.observed(case), left.run.path)
     except RonnaError as problem:
