@@ -120,6 +120,13 @@ class FaultOfRun(RefusedError):
     action = "Acknowledge it in that run."
 
 
+class TheatreNotNoted(RefusedError):
+    """The file that remembers the last run that moved the arm of a theatre cannot be written."""
+
+    code = "PRO-045"
+    action = "Make that file writable for everyone who uses this theatre."
+
+
 class TheatreInUse(RefusedError):
     """Another program has the devices of this theatre."""
 

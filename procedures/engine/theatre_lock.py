@@ -1,4 +1,8 @@
-"""One program at a time has the devices of a theatre file; it says beside the file for which run."""
+"""One program at a time has the devices of a theatre file; a note next to the file says for which run.
+
+Both files are locked: the note survives an editor that replaces the theatre file, and the theatre file is
+there for a user who can neither write nor make the note.
+"""
 
 from __future__ import annotations
 
@@ -6,20 +10,20 @@ import fcntl
 import os
 import shlex
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
-from procedures.engine.errors import TheatreInUse
+from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, holder_of_lock
 
-READABLE_BY_ALL = 0o644
+READABLE_BY_ALL = 0o444
 
 
 class TheatreNote(BaseModel):
@@ -29,7 +33,9 @@ class TheatreNote(BaseModel):
 
     run: Path | None = None
     pid: int | None = None
-    lines_before: int = 0  # of that run's journal: what it had moved before it had the devices does not count
+    lines_before: NonNegativeInt = (
+        0  # of that run's journal: what it had moved before it had the devices does not count
+    )
     moved_before: Path | None = None
 
     @property
@@ -62,25 +68,26 @@ class TheatreUser:
 
 
 @contextmanager
-def held_theatre(theatre: Path, run: Path | None) -> Iterator[Path | None]:
+def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[Path | None]:
     """Hold the devices of a theatre file for a run; yields the last run before it that moved their arm.
 
-    Raises PRO-043 while another program has them.
+    Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one,
+    unless it is `only_leaving`: nothing keeps an arm over the head.
     """
     if user := _user_of_own_run(theatre):
         raise _in_use(user)
     path = _lock_file(theatre)
-    try:
-        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        with suppress(OSError):  # of another user: it names a run only, so all may see who has the theatre
-            os.fchmod(file, READABLE_BY_ALL)
-    except OSError:  # the file of another user, or a folder that cannot be written: held without a note
-        file = os.open(path if path.exists() else theatre, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise _in_use(_user(path, file)) from None
+    with ExitStack() as stack:
+        noted = _opened(path, os.O_RDWR | os.O_CREAT)
+        for file in (_opened(path) if noted is None else noted, _opened(theatre)):
+            if file is not None:
+                stack.callback(os.close, file)
+                _lock(file, path, needed=noted in (None, file))
+        if noted is not None:
+            with suppress(
+                OSError
+            ):  # of another user; it names a run only, so all may see who has the theatre
+                os.fchmod(noted, os.fstat(noted).st_mode | READABLE_BY_ALL)
         moved = read_note(path).last_moved
         note = TheatreNote(
             run=run and run.resolve(),
@@ -88,12 +95,41 @@ def held_theatre(theatre: Path, run: Path | None) -> Iterator[Path | None]:
             lines_before=0 if run is None else _journal_lines(run),
             moved_before=moved,
         )
-        with suppress(OSError):
-            os.ftruncate(file, os.pwrite(file, note.model_dump_json().encode(), 0))
-            os.fdatasync(file)
+        if not (_written(noted, note) or only_leaving):
+            raise TheatreNotNoted(
+                f"cannot write {path}: a later run could not know that this one left the arm away from home"
+            )
         yield moved
-    finally:
-        os.close(file)
+
+
+def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
+    """None for a file, or a folder, of another user, and for one that is not there."""
+    try:
+        return os.open(path, how | os.O_CLOEXEC, 0o666)
+    except OSError:
+        return None
+
+
+def _lock(file: int, path: Path, *, needed: bool) -> None:
+    """Raise PRO-043 while another program has locked it; another failure counts only if it is `needed`."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise _in_use(_user(path, file)) from None
+    except OSError:  # a network file system may lock only what is open for writing
+        if needed:
+            raise
+
+
+def _written(file: int | None, note: TheatreNote) -> bool:
+    if file is None:
+        return False
+    try:
+        os.ftruncate(file, os.pwrite(file, note.model_dump_json().encode(), 0))
+        os.fdatasync(file)
+    except OSError:
+        return False
+    return True
 
 
 def theatre_user(theatre: Path) -> TheatreUser | None:
@@ -101,14 +137,15 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
     if user := _user_of_own_run(theatre):
         return user
     path = _lock_file(theatre)
-    try:
-        file = os.open(path if path.exists() else theatre, os.O_RDONLY | os.O_CLOEXEC)
-    except OSError:
-        return None
-    try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
-        return None if holder_of_lock(file) is None else _user(path, file)
-    finally:
-        os.close(file)
+    for file in (_opened(path), _opened(theatre)):
+        if file is None:
+            continue
+        try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
+            if holder_of_lock(file) is not None:
+                return _user(path, file)
+        finally:
+            os.close(file)
+    return None
 
 
 def last_moved(theatre: Path) -> Path | None:
@@ -173,8 +210,16 @@ def _may_have_moved(run: Path, lines_before: int) -> bool:
     try:
         chain = read_chain(run / JOURNAL_FILE)
     except (OSError, RonnaError):
-        return run.exists()
+        return is_there(run)
     return bool(chain.torn) or any(line["entry"] == Entry.MOTION for line in chain.lines[lines_before:])
+
+
+def is_there(run: Path) -> bool:
+    """Whether its folder is there, or in a place that is hidden from this user."""
+    try:
+        return run.exists()
+    except OSError:
+        return True
 
 
 def _journal_lines(run: Path) -> int:

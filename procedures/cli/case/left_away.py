@@ -9,6 +9,7 @@ import shlex
 from pathlib import Path
 
 from procedures.cli.case.request_file import read_request
+from procedures.engine.theatre_lock import is_there
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.errors import RonnaError
@@ -28,9 +29,8 @@ def left_away(last: Path | None, run: Path) -> str | None:
         if not (away or chain.torn):
             return None
     except (RonnaError, OSError):
-        return (
-            f"run {last.name} moved the arm last, and its journal cannot be read" if last.exists() else None
-        )
+        unread = f"run {last.name} moved the arm last, and its journal cannot be read"
+        return unread if is_there(last) else None
     verb = "left" if away else "has lost the end of its journal, and may have left"
     left = f"run {last.name} {verb} the arm away from its home"
     try:

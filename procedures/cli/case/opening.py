@@ -89,7 +89,9 @@ def opened_engine(
             operator = watcher.pilot.operator(operator)
         away = None
         if file is not None:
-            away = left_away(stack.enter_context(held_theatre(file, folder)), folder)
+            leaving = resumption is not None and resumption.only_leaving
+            last = stack.enter_context(held_theatre(file, folder, only_leaving=leaving))
+            away = left_away(last, folder)
             room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
             if watcher.pilot is not None:
                 from procedures.cli.console.room import ConsoleRoom

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
-from procedures.engine.errors import CommandRefused
+from procedures.engine.errors import CommandRefused, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.command_line.errors import PathProblem
@@ -149,7 +149,7 @@ def run_folder(request: CaseRequest) -> Iterator[Path]:
 
 def forget_if_refused(folder: Path, problem: BaseException) -> None:
     """Remove a run folder whose theatre, patient or records were refused: what they began is of no use."""
-    refused = isinstance(problem, CalibrationExpired) or (
+    refused = isinstance(problem, CalibrationExpired | TheatreNotNoted) or (
         isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
     )
     if refused and not (folder / JOURNAL_FILE).exists():

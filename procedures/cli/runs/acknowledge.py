@@ -65,7 +65,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
     by = _person(by)
     require_free_theatre(file)
     _require_own_fault(file, None)
-    with Theatre.from_file(file) as theatre, held_theatre(file, None):
+    with Theatre.from_file(file) as theatre, held_theatre(file, None, only_leaving=True):
         devices = theatre.devices
         _recover_all(
             devices,

@@ -9,10 +9,12 @@ import pytest
 from recording_cell import HOME, RecordingCell
 from user_commands import in_this_process
 
+from procedures.cli.case import left_away as left_away_module
 from procedures.cli.case.left_away import left_away
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
+from procedures.engine import theatre_lock
 from procedures.engine.order import order_of
 from procedures.engine.theatre_lock import held_theatre
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
@@ -75,6 +77,20 @@ def test_a_run_whose_journal_cannot_be_read_is_named_and_not_forgotten(tmp_path:
     (damaged / JOURNAL_FILE).write_bytes(b"".join(lines[1:]))
     for _ in range(2):
         assert warning(tmp_path) == f"run {damaged.name} moved the arm last, and its journal cannot be read"
+
+
+def test_a_run_in_a_place_hidden_from_this_user_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    away = earlier(tmp_path, 1, "go")
+
+    def hidden(*_: object, **__: object) -> None:
+        raise PermissionError
+
+    monkeypatch.setattr(theatre_lock, "read_chain", hidden)
+    monkeypatch.setattr(left_away_module, "read_chain", hidden)
+    monkeypatch.setattr(Path, "exists", hidden)
+    assert warning(tmp_path) == f"run {away.name} moved the arm last, and its journal cannot be read"
 
 
 @pytest.mark.hazard(5)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
 
-from procedures.engine.errors import TheatreInUse
+from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.engine.theatre_lock import held_theatre, require_free_theatre, theatre_user
 
 
@@ -69,18 +71,56 @@ def test_a_damaged_note_is_as_good_as_none(theatre: Path, content: bytes) -> Non
         assert last is None
 
 
-def test_a_theatre_in_a_folder_that_cannot_be_written_is_held_too(
-    theatre: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.fixture
+def read_only(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextManager[None]]:
+    """Opens nothing for writing while it is entered, as for a user who may not write there."""
     opened = os.open
 
-    def read_only(path: Path, flags: int, *mode: int) -> int:
+    def for_reading(path: Path, flags: int, *mode: int) -> int:
         if flags & os.O_CREAT:
             raise PermissionError
         return opened(path, flags, *mode)
 
-    monkeypatch.setattr("procedures.engine.theatre_lock.os.open", read_only)
-    with held_theatre(theatre, theatre.parent / "run-1"):
-        assert not lock_file(theatre).exists()
+    @contextmanager
+    def entered() -> Iterator[None]:
+        with monkeypatch.context() as patch:
+            patch.setattr("procedures.engine.theatre_lock.os.open", for_reading)
+            yield
+
+    return entered
+
+
+ReadOnly = Callable[[], AbstractContextManager[None]]
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("other_users_note", [True, False])
+def test_a_run_that_cannot_be_noted_for_the_next_one_is_refused(
+    theatre: Path, read_only: ReadOnly, other_users_note: bool
+) -> None:
+    if other_users_note:
+        with held_theatre(theatre, theatre.parent / "run-1"):
+            pass
+    with read_only(), pytest.raises(TheatreNotNoted, match="PRO-045"):
+        held_theatre(theatre, theatre.parent / "run-2").__enter__()
+    assert theatre_user(theatre) is None
+
+
+@pytest.mark.hazard(5)
+def test_a_user_who_can_write_next_to_the_theatre_is_kept_out_by_one_who_cannot(
+    theatre: Path, read_only: ReadOnly
+) -> None:
+    with ExitStack() as first:
+        with read_only():
+            first.enter_context(held_theatre(theatre, theatre.parent / "run-1", only_leaving=True))
+        with pytest.raises(TheatreInUse):
+            held_theatre(theatre, theatre.parent / "run-2").__enter__()
         assert theatre_user(theatre) is not None
     assert theatre_user(theatre) is None
+
+
+def test_a_note_that_a_group_may_write_stays_so(theatre: Path) -> None:
+    lock_file(theatre).touch()
+    lock_file(theatre).chmod(0o660)
+    with held_theatre(theatre, None):
+        assert lock_file(theatre).stat().st_mode & 0o777 == 0o664
