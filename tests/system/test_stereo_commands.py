@@ -176,7 +176,10 @@ def test_an_incomplete_baseline_is_reported_and_not_written(
         "warning: ronna-stereo check cannot use this calibration: "
         "the baseline has too few orientations; expected 8, got 5\n"
     )
-    assert not (Path(said.content["folder"]) / BASELINE_FILE).exists()
+    folder = said.content["folder"]
+    assert not (Path(folder) / BASELINE_FILE).exists()
+    check = stereo("check", "--config", theatre_file(head, tmp_path), "--baseline", folder)
+    assert one_error(check.errors)[0].startswith(f"CAL-008: {folder} has no {BASELINE_FILE}")
 
 
 @pytest.mark.parametrize("orientations", [5, 0])

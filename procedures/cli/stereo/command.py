@@ -84,12 +84,19 @@ def check(
     """
     theatre = asked.theatre()
     from procedures.calibration import Baseline, compare_with_baseline
+    from procedures.calibration.errors import NotTheBaseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
     from procedures.cli.case.leaving_report import leaving_report
     from procedures.cli.stereo import files
 
-    then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
+    file = baseline / BASELINE_FILE if baseline.is_dir() else baseline
+    if baseline.is_dir() and not file.exists():
+        raise NotTheBaseline(
+            f"{baseline} has no {BASELINE_FILE}",
+            action="Give the folder of a calibration that measured every orientation of the check twice.",
+        )
+    then = read_strict(Baseline, file)
     then.require_complete()
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.reporting.calibration.result_file import write_figures
