@@ -30,7 +30,7 @@ from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.exchange import allowed_fields
 from procedures.operator.question import words
-from procedures.operator.topic import Topic
+from procedures.operator.topic import DELIBERATE, Topic
 from procedures.planning.plan.model import Plan
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
@@ -69,7 +69,11 @@ def tables() -> dict[str, str]:
     """File name -> what stands below the mark."""
     return {
         "answers.md": table(
-            ("topic", "words"), [(f"`{topic}`", words(ANSWER_WORDS[topic])) for topic in Topic]
+            ("topic", "words", "on real devices"),
+            [
+                (f"`{topic}`", words(ANSWER_WORDS[topic]), "only a person" if topic in DELIBERATE else "")
+                for topic in Topic
+            ],
         ),
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),

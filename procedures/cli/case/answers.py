@@ -5,8 +5,8 @@
     registration = "yes"
     "approach:T1" = "no"
 
-Without `default`, whoever answers without the file answers what is not listed. On real devices a file
-answers nothing that a person is to read back: the patient and what moves the arm.
+Without `default`, whoever answers without the file answers what is not listed. On real devices a person
+answers what a slip must not: what moves the arm or lets a result count, a pause, and what is read back.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import Operator, Question, words
-from procedures.operator.topic import Topic
+from procedures.operator.topic import DELIBERATE, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.config import describe_mistakes
+from ronna_hw.config import describe_mistakes, read_theatre_file
+from ronna_hw.theatre_kind import is_simulated
 
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
 
@@ -50,8 +51,16 @@ class Answers(BaseModel):
             )
 
 
-def read_answers(path: Path) -> Answers:
-    """Read a file of answers. Raises PRO-026 with everything in it that does not fit, OSError."""
+def rehearsed(config: Path | None) -> bool:
+    """Whether all devices are simulated: of a scene, or of this theatre file. Raises CFG-001, OSError."""
+    return config is None or is_simulated(read_theatre_file(config))
+
+
+def read_answers(path: Path, config: Path | None = None) -> Answers:
+    """Read a file of answers; `config` is the theatre file of the devices, if they are not of a scene.
+
+    Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
+    """
     content = read_toml(path, AnswersUnfit)
     for key, kind in OTHER_FILES.items():
         if key in content:
@@ -64,11 +73,20 @@ def read_answers(path: Path) -> Answers:
         raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
         raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
+    if (deliberate := [key for key in read.answers if _topic(key) in DELIBERATE]) and not rehearsed(config):
+        raise AnswersUnfit(
+            f"{path}: on real devices only a person answers {', '.join(deliberate)}",
+            action="Remove these lines; the questions are asked at the terminal or the console.",
+        )
     return read
 
 
+def _topic(key: str) -> str:
+    return key.partition(":")[0]
+
+
 def _mistake(key: str, word: str) -> str | None:
-    name = key.partition(":")[0]
+    name = _topic(key)
     if name not in set(Topic):
         return f"there is no topic {name!r}, only {', '.join(Topic)}"
     known = ANSWER_WORDS[Topic(name)]
@@ -76,7 +94,7 @@ def _mistake(key: str, word: str) -> str | None:
 
 
 class AnsweringOperator:
-    """Answers by a file; `otherwise` answers what is not in it, and `reads_back` what is to be read back."""
+    """Answers by a file; `otherwise` answers what is not in it, and `reads_back` what only a person may."""
 
     def __init__(self, answers: Answers, otherwise: Operator, reads_back: Operator | None = None) -> None:
         """Without `reads_back`, as in a simulated theatre, the file answers these questions as well."""
@@ -86,7 +104,8 @@ class AnsweringOperator:
 
     def ask(self, question: Question) -> str:
         """The word of the file."""
-        if question.read_back is not None and self._reads_back is not None:
+        for_a_person = question.deliberate or question.read_back is not None
+        if for_a_person and self._reads_back is not None:
             return self._reads_back.ask(question)
         word = self._answers.word_for(question)
         if word is not None:

@@ -85,12 +85,12 @@ class TheatreOptions:
         )
 
     def scripted_operator(self) -> Answers | None:
-        """Whoever answers by a file. Raises PRO-026."""
+        """Whoever answers by a file. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
         from procedures.cli.case.answers import read_answers
 
-        return read_answers(self.answers)
+        return read_answers(self.answers, self.config)
 
     def theatre(self) -> TheatreRequest:
         """The theatre of a calibration. Raises CLI-001 for conflicting options, CFG-001, CAL-005."""

@@ -21,6 +21,10 @@ NOBODY_ANSWERS = (
     "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
     "with --console, or with --answers FILE"
 )
+NO_PERSON = (
+    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
+    "run at a terminal or with --console"
+)
 
 
 def operator_of(
@@ -31,21 +35,27 @@ def operator_of(
 ) -> Operator:
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
-    On real devices the person reads values back, whatever the file says. The script resumes a run only if
-    it was told to accept the findings; in a simulated theatre with a theatre file that is all it answers.
+    On real devices the person answers what is deliberate or read back, whatever the file says. The script
+    resumes a run only if it was told to accept the findings; in a simulated theatre with a theatre file that
+    is all it answers.
     """
     person: Operator = TerminalOperator(watcher.asking)
+    simulated = True  # a file may answer everything
+    if answers is not None:
+        from procedures.cli.case.answers import rehearsed
+
+        simulated = rehearsed(request.config)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     if (
         isinstance(request, CaseRequest)  # a measurement may ask nothing
         and request.config is not None
-        and answers is None
+        and (answers is None or not simulated)
         and not at_terminal
         and watcher.pilot is None
         and watcher.at_pause is None
         and (resumption is None or resumption.asks)
     ):
-        tell(NOBODY_ANSWERS)
+        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
     persons: dict[Topic, Operator] = {Topic.PAUSE: person, Topic.REPEAT: person} if at_terminal else {}
     if watcher.at_pause is not None:
         persons[Topic.PAUSE] = watcher.at_pause
@@ -62,8 +72,5 @@ def operator_of(
     if answers is None:
         return operator
     from procedures.cli.case.answers import AnsweringOperator
-    from ronna_hw.config import read_theatre_file
-    from ronna_hw.theatre_kind import is_simulated
 
-    rehearsed = request.config is None or is_simulated(read_theatre_file(request.config))
-    return AnsweringOperator(answers, operator, reads_back=None if rehearsed else person)
+    return AnsweringOperator(answers, operator, reads_back=None if simulated else operator)

@@ -37,7 +37,7 @@ def request_of(
     if answers is not None:
         from procedures.cli.case.answers import read_answers
 
-        request = replace(request, answers=read_answers(answers))
+        request = replace(request, answers=read_answers(answers, request.config))
     if accept and request.config is not None:
         from ronna_hw.config import read_theatre_file
         from ronna_hw.theatre_kind import is_simulated

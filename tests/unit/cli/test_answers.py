@@ -77,9 +77,39 @@ def test_every_topic_has_its_words() -> None:
 @pytest.mark.hazard(36)
 def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
-    operator = AnsweringOperator(Answers(default="first", answers={"approach": "yes"}), Person(), Person())
-    assert operator.ask(moves) == "person"
-    assert operator.ask(APPROACH) == "yes"
+    patient = replace(moves, topic=Topic.PATIENT)
+    operator = AnsweringOperator(Answers(default="first", answers={"patient": "yes"}), Person(), Person())
+    assert [operator.ask(question) for question in (moves, patient)] == ["person", "person"]
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("default", ["first", "silence"])
+@pytest.mark.parametrize("topic", [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.PAUSE, Topic.HEAD_UNSEEN])
+def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: Topic, default: str) -> None:
+    answers = Answers.model_validate({"default": default, "answers": {str(topic): "yes"}})
+    question = Question(topic, "go on", "the arm moves")
+    assert AnsweringOperator(answers, Person(), reads_back=Person()).ask(question) == "person"
+    tool = Question(Topic.TOOL_CHANGE, "mount the guide", "tool 2")
+    assert AnsweringOperator(answers, Person(), reads_back=Person()).ask(tool) != "person"
+
+
+@pytest.mark.hazard(36)
+def test_a_pause_on_real_devices_is_answered_where_it_is_asked_without_a_file(tmp_path: Path) -> None:
+    request = CaseRequest(out=tmp_path, config=mini_theatre_file(tmp_path, simulated=False), case=tmp_path)
+    operator = operator_of(request, Watcher(at_pause=Person()), Answers(default="first"))
+    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "person"
+
+
+@pytest.mark.hazard(36)
+def test_a_file_for_real_devices_that_answers_for_the_person_is_refused_when_it_is_read(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "answers.toml"
+    path.write_text("[answers]\ntool_change = 'yes'\n'instrument_out:T1' = 'out'\nresume = 'yes'\n")
+    with pytest.raises(AnswersUnfit, match="only a person answers instrument_out:T1, resume"):
+        read_answers(path, mini_theatre_file(tmp_path, simulated=False))
+    assert len(read_answers(path, mini_theatre_file(tmp_path, simulated=True)).answers) == 3
+    assert len(read_answers(path).answers) == 3
 
 
 @pytest.mark.hazard(36)
