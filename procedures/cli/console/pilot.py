@@ -109,12 +109,14 @@ class Pilot:
         """
         while (name := comes_next(engine)) is not None:
             self.note_seat()
-            if self.desk.gone and not self._runs:
+            in_charge = self.in_charge  # read first: a console that dies now still has this turn, and waits
+            gone = self.desk.gone
+            if gone and not self._runs:
                 return
-            if self.desk.gone and self.desk.waits and not self._rested:
+            if gone and self.desk.waits and not self._rested:
                 self._rested = True
                 engine.checkpoint.pause(WITHOUT)  # met before the step begins
-            if self._must_wait():
+            if self._must_wait(in_charge=in_charge):
                 self._carry_out(engine, self.desk.wish(self._wait(engine)))
                 continue
             self._run_step(engine, name)
@@ -124,9 +126,10 @@ class Pilot:
         self._wait(engine)
         while not select.select([sys.stdin], [], [], 0.0)[0]:
             self.note_seat()
+            in_charge = self.in_charge
             if self.desk.gone or engine.machine.ended or (name := comes_next(engine)) is None:
                 select.select([sys.stdin], [], [], LOOK_AGAIN_S)
-            elif self._going and not self._must_wait():
+            elif self._going and not self._must_wait(in_charge=in_charge):
                 self._run_step(engine, name)
             else:
                 if self._going:  # whoever ordered it has left the seat
@@ -135,8 +138,8 @@ class Pilot:
                 self._carry_out(engine, self.desk.wish(name, LOOK_AGAIN_S))
         self._going = False
 
-    def _must_wait(self) -> bool:
-        if not self.in_charge:
+    def _must_wait(self, *, in_charge: bool) -> bool:
+        if not in_charge:
             self._going = self._going or self._runs  # the console is gone, and the case goes on
             return not self._going
         return not self._going or not self.desk.occupied_since(self._vacated)

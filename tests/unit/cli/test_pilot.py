@@ -121,6 +121,42 @@ def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_wit
     assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
 
 
+class Dying(Desk):
+    """A desk whose console ends right before it is looked at."""
+
+    def __init__(self, before: str) -> None:
+        super().__init__(waits=True)
+        self._before = before
+
+    @property
+    def in_charge(self) -> bool:
+        self._end_before("in_charge")
+        return super().in_charge
+
+    @property
+    def gone(self) -> bool:
+        self._end_before("gone")
+        return super().gone
+
+    def _end_before(self, looked_at: str) -> None:
+        if looked_at == self._before:
+            self.leave()
+
+
+@pytest.mark.parametrize("before", ["in_charge", "gone"])
+def test_a_case_pauses_before_its_next_step_whenever_its_console_ends(
+    cell: RecordingCell, before: str
+) -> None:
+    cell.operator.refusing = (Topic.PAUSE,)
+    case = Operated(cell.engine(plain_order()))
+    case.pilot.desk = Dying(before)
+    case.pilot.attach(case.engine)
+    case._run()
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
+    assert not case.stands("image")
+
+
 def test_a_case_continued_without_its_console_runs_to_its_end(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()))
     case.pilot.desk.leave()
