@@ -182,7 +182,13 @@ def _require_ready(engine: Engine) -> None:
 def _conclude(engine: Engine, comparison: Comparison) -> None:
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
-        raise RecoveryRefused("the run cannot be resumed: " + "; ".join(comparison.differences))
+        by_other = engine.setting.left_away in comparison.differences
+        raise RecoveryRefused(
+            "the run cannot be resumed: " + "; ".join(comparison.differences),
+            action="Nothing was moved. Bring the arm home as said, then repeat this command."
+            if by_other
+            else None,
+        )
 
 
 def _exchange_begun(engine: Engine, left: LeftRun) -> bool:

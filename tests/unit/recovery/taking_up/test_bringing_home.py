@@ -115,8 +115,9 @@ def test_an_arm_that_another_run_left_away_is_not_moved_by_this_one(
     joints_rad = again.arm.joints_rad
     again.arm.joints_rad = (*joints_rad[:5], joints_rad[5] + 0.1)
     engine.setting = replace(engine.setting, left_away=B_LEFT)
-    with pytest.raises(RecoveryRefused, match=f"PRO-032.*{B_LEFT}"):
+    with pytest.raises(RecoveryRefused, match=f"PRO-032.*{B_LEFT}") as refused:
         way(engine, left)
+    assert "new run" not in refused.value.advice  # it would take that position for its home
     assert again.arm.motions == []
     assert again.operator.asked == []
 
