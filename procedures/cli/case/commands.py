@@ -37,7 +37,7 @@ def _list(engine: Engine, _argument: str, say: Say) -> None:
 
 def _next(engine: Engine, _argument: str, say: Say) -> None:
     if engine.upcoming is None:
-        say("the case is finished")
+        say(_nothing_upcoming(engine))
         return
     engine.run_step(engine.upcoming)
 
@@ -99,7 +99,7 @@ def _skip(engine: Engine, argument: str, _say: Say) -> None:
 def _why(engine: Engine, argument: str, say: Say) -> None:
     key = engine.order.find(argument) if argument else engine.upcoming
     if key is None:
-        say("the case is finished")
+        say(_nothing_upcoming(engine))
         return
     if engine.case.stands(key):
         say(f"{key} is done and its result is valid; back {key} repeats it")
@@ -177,8 +177,12 @@ def _named(engine: Engine, argument: str) -> StepKey:
     if argument:
         return engine.order.find(argument)
     if engine.upcoming is None:
-        raise StepRefused("the case is finished", action="Name a step.")
+        raise StepRefused(_nothing_upcoming(engine), action="Name a step.")
     return engine.upcoming
+
+
+def _nothing_upcoming(engine: Engine) -> str:
+    return "the case is finished" if engine.over else "every step is done; home brings the arm home"
 
 
 COMMANDS: dict[str, Command] = {

@@ -266,6 +266,7 @@ def test_a_fault_on_the_way_home_is_acknowledged_at_the_prompt_when_every_step_i
     cell.arm.state = Lifecycle.FAULT
     typed = Typed(monkeypatch, "why", "lst", "acknowledge Ann", "resume", resumes=True)
     outcome._run(engine, Watcher(held=typed.prompt))
+    assert "every step is done; home brings the arm home" in typed.said
     assert "recovered by Ann" in cell.arm.calls
     assert (cell.arm.joints_rad, engine.machine.state) == (HOME, "finished")
     assert cell.entries("home") == [("home", "")]
