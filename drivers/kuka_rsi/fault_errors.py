@@ -12,6 +12,7 @@ from drivers.kuka_rsi.errors import (
     LinkStopped,
     LinkUnusable,
     MotionRefused,
+    MotionStopped,
     MotionTripped,
     NoTelegram,
     PathFailed,
@@ -34,7 +35,6 @@ _REFUSALS = {
     Result.REFUSED_START: "it was planned from a pose other than the last one sent",
     Result.REFUSED_PHASE: "no correction stream is running",
     Result.REFUSED_NUMBERS: "no motion profile exists for its values",
-    Result.REFUSED_STOP: "a stop was requested after it was planned",
 }
 
 
@@ -136,8 +136,10 @@ def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:
     )
 
 
-def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
-    """The error for a motion that the real-time process refused."""
+def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopped:
+    """The error for a motion that the real-time process refused; one that a stop forestalled was stopped."""
+    if state.result is Result.REFUSED_STOP:
+        return MotionStopped(f"{name}: stopped before it began", got=axes_text(state))
     why = _REFUSALS.get(state.result, f"result {state.result.name}")
     return MotionRefused(f"{name}: the motion was refused: {why}")
 

@@ -30,8 +30,9 @@ class MotionFollower:
     def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
         """Execute a plan made when `stops` stops were known; returns the state once it has settled.
 
-        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of controller cycles or did
-        not settle at the end of its path, RSI-012 when it was refused, and the fault that ended it.
+        Raises RSI-010 when it was stopped, also before it began, RSI-011 when it used up `timeout_s` of
+        controller cycles or did not settle at the end of its path, RSI-012 when it was refused, and the fault
+        that ended it.
         """
         if not self._under_way.acquire(blocking=False):
             raise MotionRefused(f"{self._name}: another motion is running")

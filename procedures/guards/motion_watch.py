@@ -23,7 +23,7 @@ from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.frame_as_tool import with_its_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
-from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
@@ -83,7 +83,7 @@ class MotionWatch:
         except RonnaError as error:
             seen = looking.end()
             # An alarm before the motion began makes the arm refuse it: what was seen is what has to be told.
-            if isinstance(error, MotionInterrupted) or seen.moved_mm is not None:
+            if isinstance(error, MotionInterrupted | WrongState) or seen.moved_mm is not None:
                 self._conclude(seen, what)
             raise
         except BaseException:  # also an interruption: the arm comes to rest

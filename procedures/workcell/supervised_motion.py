@@ -18,7 +18,7 @@ from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.motion_facts import motion_facts
 from ronna_hw.devices import Lifecycle, RobotArm
-from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import RonnaError
 
@@ -110,7 +110,10 @@ class SupervisedMotion:
                 continue
             try:
                 return self._recorded(motion, drive)
-            except MotionInterrupted:
+            except (MotionInterrupted, WrongState) as error:
+                # A stop right before the motion, or between its legs, puts the arm into HOLD: it refuses.
+                if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
+                    raise
                 self._confirmed = False
                 checkpoint.stopped(named, "re-plans it from the arm's present position")
 

@@ -31,7 +31,7 @@ from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices import Motion
-from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
@@ -181,6 +181,8 @@ class RecordingArm(RecordingDevice):
         return self.read_state()
 
     def _be_stopped(self, goal: JointVector) -> None:
+        if self.state is Lifecycle.HOLD:
+            raise WrongState("a motion is not allowed in hold")
         if self.interruptions:
             self.interruptions -= 1
             self.state = Lifecycle.HOLD

@@ -71,7 +71,7 @@ def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
         active_arm.stop(StopKind.HOLD)
 
     monkeypatch.setattr(guard, "require", check_and_be_stopped)
-    with pytest.raises(RonnaError):
+    with pytest.raises(MotionStopped, match="stopped before it began"):
         active_arm.move_joints(FAR)
     assert active_arm.read_state().commanded_rad == held
 

@@ -1,5 +1,8 @@
 """The first motion is confirmed, and a stopped one is planned again only if the operator agrees."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import pytest
 from plain_steps import plain_order
 from recording_cell import HOME, RecordingCell, RecordingOperator
@@ -91,6 +94,23 @@ def test_a_stop_during_the_first_question_holds_the_arm_until_it_is_answered(cel
     cell.workcell.go(turned(0.1))
     assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
     assert at_pause == [(Lifecycle.HOLD, [])]
+
+
+@pytest.mark.hazard(5)
+def test_a_stop_right_before_a_motion_pauses_the_step(cell: RecordingCell) -> None:
+    engine = supervised(cell)
+    unwatched = engine.checkpoint.watching
+
+    @contextmanager
+    def stopped_once(_what: str, _arm_moves: bool) -> Iterator[None]:
+        engine.checkpoint.watching = unwatched
+        cell.arm.state = Lifecycle.HOLD
+        yield
+
+    engine.checkpoint.watching = stopped_once
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
+    assert cell.arm.motions == [("joints", turned(0.2))]
 
 
 def test_a_stopped_motion_does_not_resume_if_the_operator_aborts(cell: RecordingCell) -> None:
