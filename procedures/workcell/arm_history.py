@@ -6,18 +6,24 @@ from the file. So a resumed case knows what the running one knew.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import cast
 
 from procedures.journal.journal import Entry, JournalValue, Line
+from procedures.workcell.arm_view import stands_at
 from procedures.workcell.cell_motion import MotionName
 from procedures.workcell.insertion import Insertion
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.errors import JournalCorrupt
 
-TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
+# Joint angles that are kept to find the way back: without the first ones it could end where the way home is
+# not clear. A localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5
+# spheres each made 92 between two homes, so 4 with 8 come near 200 without any search.
+TRAIL = 2000
+AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability
 Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed to be done
 Stop = Mapping[str, JournalValue]  # how a depth stop was set
 
@@ -81,7 +87,16 @@ class ArmHistory:
             return self
         if self.unfinished == MotionName.WITHDRAW and self.insertion is not None:
             return replace(self, insertion=None, withdrawn_from=self.insertion.trajectory)
+        if self.unfinished == MotionName.BACK:
+            return replace(self, trail=self._trail_to(joints_rad))
         return replace(self, trail=(*self.trail, joints_rad)[-TRAIL:])
+
+    def _trail_to(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
+        """The trail up to a place on it: the arm went back there, and what lies beyond is behind it."""
+        for number in range(len(self.trail), 0, -1):
+            if stands_at(joints_rad, self.trail[number - 1], AT_PLACE_RAD):
+                return self.trail[:number]
+        return self.trail
 
     def _after_stage(self, line: Line) -> ArmHistory:
         trajectory, stop = str(line["trajectory"]), line.get("stop")

@@ -2,12 +2,15 @@
 
 import pytest
 
+from procedures.journal.journal import Entry
+from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
+from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.way_home import AT_HOME_RAD, WayHome
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector, Stamp, Validity
 
-HOME, ONE, TWO = ((A1, -1.5, 1.5, 0.0, 1.5, 0.0) for A1 in (0.0, 0.1, 0.2))
+HOME, ONE, TWO, THREE = ((A1, -1.5, 1.5, 0.0, 1.5, 0.0) for A1 in (0.0, 0.1, 0.2, 0.3))
 
 
 class Arm:
@@ -17,15 +20,19 @@ class Arm:
         self.joints_rad: JointVector = HOME
         self.clear_rad = 1.0
         self.moves: list[tuple[str, JointVector]] = []
-        self.trail: tuple[JointVector, ...] = ()
-        self.way = WayHome(lambda: self.joints_rad, lambda: self.trail, self.move)
+        self.stopped_after: int | None = None  # moves
+        self.history = ArmHistory()
+        self.way = WayHome(lambda: self.joints_rad, lambda: self.history.trail, self.move)
 
     def move(self, what: str, joints_rad: JointVector) -> ArmReading:
         if abs(joints_rad[0] - self.joints_rad[0]) > self.clear_rad:
             raise NotClear("the head is in the way")
+        self.history = self.history.after({"entry": Entry.MOTION, "what": what})
+        if len(self.moves) == self.stopped_after:
+            raise OperatorAborted("left while the motion was stopped")
         self.moves.append((what, joints_rad))
         self.joints_rad = joints_rad
-        self.trail = () if what == "home" else (*self.trail, joints_rad)
+        self.history = self.history.after({"entry": Entry.MOVED, "joints_rad": list(joints_rad)})
         return ArmReading(Stamp(0, 0, 0.0), Validity.OK, joints_rad, None, moving=False)
 
 
@@ -51,6 +58,17 @@ def test_the_arm_goes_back_the_way_it_came_if_the_straight_way_is_blocked(arm: A
     assert arm.moves == [("back", TWO), ("back", ONE), ("home", HOME)]
 
 
+def test_an_interrupted_way_back_continues_without_visiting_its_far_end_again(arm: Arm) -> None:
+    arm.move("go", THREE)
+    arm.moves.clear()
+    arm.clear_rad, arm.stopped_after = 0.15, 2  # on the way from TWO to ONE
+    with pytest.raises(OperatorAborted):
+        arm.way.go_back()
+    arm.stopped_after = None
+    arm.way.go_back()
+    assert arm.moves[2:] == [("back", TWO), ("back", ONE), ("home", HOME)]
+
+
 def test_the_way_is_forgotten_at_home(arm: Arm) -> None:
     arm.way.go_back()
     arm.joints_rad, arm.clear_rad = TWO, 0.15  # brought there by other hands
@@ -70,7 +88,7 @@ def test_a_restored_way_leads_back_like_the_original_one(arm: Arm) -> None:
     again = Arm()
     again.joints_rad, again.clear_rad = TWO, 0.15
     again.way.take_up(HOME)
-    again.trail = (ONE, TWO)
+    again.history = ArmHistory(trail=(ONE, TWO))
     again.way.go_back()
     assert [place for _, place in again.moves] == [TWO, ONE, HOME]
 
