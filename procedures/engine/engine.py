@@ -353,19 +353,28 @@ class Engine:
         self.setting.workcell.stop()
         self.machine.hold()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
-        attachments = problem.attachments if isinstance(problem, RonnaError) else {}
         _log.error("step failed", step=self._logged(str(key)), error=code)  # its words are in the journal
-        for name, text in attachments.items():
-            (self.case.folder / name).write_text(text, encoding="utf-8")
         advice = problem.advice if isinstance(problem, RonnaError) else ""
         self.events.publish(Fault(code=code, what=str(problem), advice=advice))
         self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
         self._show_state(str(problem))
-        files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
         with suppress(JournalNotWritable):  # what the step met is told
             self.faults.doubt_results()
+        kept = self._kept_attachments(problem) if isinstance(problem, RonnaError) else []
+        files: dict[str, JournalValue] = {"files": kept} if kept else {}
         with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
+
+    def _kept_attachments(self, problem: RonnaError) -> list[JournalValue]:
+        """Write what is attached to an error; the names of the files that the disk accepted."""
+        kept: list[JournalValue] = []
+        for name, text in sorted(problem.attachments.items()):
+            try:
+                (self.case.folder / name).write_text(text, encoding="utf-8")
+                kept.append(name)
+            except OSError as error:  # such as a full disk: the error itself must be reported all the same
+                _log.error("attachment not written", file=name, error=type(error).__name__)
+        return kept
 
     def _write(self, entry: Entry, **data: JournalValue) -> None:
         self._journal.write(entry, self.setting.clock.now_s(), **data)

@@ -106,6 +106,22 @@ def test_files_attached_to_an_error_are_kept_in_the_run_folder(cell: RecordingCe
     assert last["files"] == ["flight-record-robot.master.txt"]
 
 
+def test_an_attachment_that_cannot_be_written_hides_neither_the_error_nor_the_other_files(
+    cell: RecordingCell,
+) -> None:
+    (cell.folder / "blocked.txt").mkdir()
+
+    def fail(_context: StepContext) -> Outcome[StepResult]:
+        error = LinkTimeout("telegrams ceased")
+        error.attachments |= {"blocked.txt": "", "cycles.txt": "cycle  IPOC\n"}
+        raise error
+
+    with pytest.raises(LinkTimeout, match="telegrams ceased"):
+        run(cell.engine(plain_order(image=fail)), "image")
+    last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
+    assert (last["entry"], last["files"]) == ("failed", ["cycles.txt"])
+
+
 def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell) -> None:
     def interrupt(_context: StepContext) -> Outcome[StepResult]:
         cell.arm.activate()
