@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from finished_runs import changed_files, gone_home, sealed
 
+from procedures.engine.closing import close_run
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.evidence.errors import RunChanged
@@ -13,7 +14,7 @@ from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
 
-PLAN = "case/plan.toml"
+READINGS = "readings.jsonl"
 
 
 def renamed(run: Path) -> Path:
@@ -25,8 +26,14 @@ def with_a_stray_file(run: Path) -> Path:
     return run
 
 
-def with_a_changed_plan(run: Path) -> Path:
-    (run / PLAN).write_bytes(b"schema = 2\n")
+def with_edited_readings(run: Path) -> Path:
+    """A later session left them."""
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.RESTARTED, 0.0)
+    (run / READINGS).write_text("as read")
+    close_run(run, journal, 0.0, "done", None)
+    sealed(run)
+    (run / READINGS).write_text("edited")
     return run
 
 
@@ -74,11 +81,12 @@ def test_homing_does_not_vouch_for_a_changed_file(run: Path) -> None:
 
 
 @pytest.mark.hazard(39)
-@pytest.mark.parametrize(("spoil", "name"), [(with_a_stray_file, "notes.txt"), (with_a_changed_plan, PLAN)])
+@pytest.mark.parametrize(
+    ("spoil", "name"), [(with_a_stray_file, "notes.txt"), (with_edited_readings, READINGS)]
+)
 def test_a_session_that_was_killed_does_not_hide_what_it_found_changed(
     run: Path, spoil: Callable[[Path], Path], name: str
 ) -> None:
-    as_it_was = (run / PLAN).read_bytes()
     spoil(run)
     for _ in range(2):
         killed_on_its_way_home(run)
@@ -86,7 +94,8 @@ def test_a_session_that_was_killed_does_not_hide_what_it_found_changed(
     gone_home(run)
     assert changed_files(run) == {name}
     (run / "notes.txt").unlink(missing_ok=True)
-    (run / PLAN).write_bytes(as_it_was)
+    if name == READINGS:
+        (run / READINGS).write_text("as read")
     assert inspected(run).problems == ()
 
 
