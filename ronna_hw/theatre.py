@@ -19,7 +19,7 @@ from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatr
 from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
 from ronna_hw.devices.errors import NotInTheatre, TheatreClosed
 from ronna_hw.devices.interfaces import require_interface
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.devices.tracker import OpticalTracker
@@ -122,10 +122,10 @@ class Theatre:
 
     def stop(self) -> None:
         """Bring all arms to rest at once, as far as their links still permit; never raises."""
-        moving = [
+        moving = [  # in HOLD as well: a stop that was ordered before may still be under way
             threading.Thread(target=_stop, args=(device,))
             for device in self._devices.values()
-            if isinstance(device, RobotArm) and device.observe().state is Lifecycle.ACTIVE
+            if isinstance(device, RobotArm) and device.observe().state in RUNNING
         ]
         for stop in moving:
             stop.start()

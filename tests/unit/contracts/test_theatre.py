@@ -120,6 +120,16 @@ def test_every_arm_is_stopped_before_any_device_is_closed(path: Path, installed:
     assert installed[2:] == ["close robot.left", "close robot.right", "close device.force"]
 
 
+def test_a_stop_also_waits_for_an_arm_that_another_stop_has_put_into_hold(
+    path: Path, installed: list[str]
+) -> None:
+    with open_theatre(path) as theatre:
+        theatre.arms["left"].activate()
+        theatre.stop()
+        theatre.stop()
+    assert installed[:3] == ["stop robot.left"] * 3  # the last by leaving
+
+
 def test_an_error_while_closing_one_device_does_not_keep_the_others_open(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
