@@ -4,6 +4,7 @@ import os
 import random
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,7 +30,16 @@ def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Comm
     assert_nothing_half_written(out)
 
 
+@pytest.fixture
+def _hang_ups_count() -> Iterator[None]:
+    """Also where the tests themselves run under `nohup`, which a command that they start would inherit."""
+    kept = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, kept)
+
+
 @pytest.mark.hazard(4)
+@pytest.mark.usefixtures("_hang_ups_count")
 def test_a_closed_terminal_ends_the_case_in_good_order(commands: Commands, tmp_path: Path) -> None:
     out = tmp_path / "runs"
     process = commands.start("ronna-procedure", *CASE, "--out", str(out))
