@@ -33,9 +33,7 @@ class TheatreNote(BaseModel):
 
     run: Path | None = None
     pid: int | None = None
-    lines_before: NonNegativeInt = (
-        0  # of that run's journal: what it had moved before it had the devices does not count
-    )
+    lines_before: NonNegativeInt = 0  # of its journal: what it moved before it had the devices does not count
     moved_before: Path | None = None
 
     @property
@@ -84,9 +82,7 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
                 stack.callback(os.close, file)
                 _lock(file, path, needed=noted in (None, file))
         if noted is not None:
-            with suppress(
-                OSError
-            ):  # of another user; it names a run only, so all may see who has the theatre
+            with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
                 os.fchmod(noted, os.fstat(noted).st_mode | READABLE_BY_ALL)
         moved = read_note(path).last_moved
         note = TheatreNote(

@@ -120,19 +120,9 @@ def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     before = read_theatre_file(theatre).calibration
     assert before is not None
     new = tmp_path / "theatre.calibrated.toml"
-    said = stereo(
-        *(
-            "calibrate",
-            "--from",
-            recorded(head, tmp_path, tool_tip=before.tool_tip.model_copy(update={"expires": NEVER})),
-            "--out",
-            tmp_path / "out",
-            "--days",
-            "7",
-            "--json",
-        ),
-        *("--config", theatre, "--write", new),
-    )
+    looks = recorded(head, tmp_path, tool_tip=before.tool_tip.model_copy(update={"expires": NEVER}))
+    options = ("--out", tmp_path / "out", "--days", "7", "--config", theatre, "--write", new, "--json")
+    said = stereo("calibrate", "--from", looks, *options)
     assert said.code == 0, said.errors
     folder = Path(said.content["folder"])
     assert said.content["poses"] == 84

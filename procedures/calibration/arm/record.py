@@ -24,7 +24,7 @@ MADE_BY = "ronna-arm calibrate"
 class ArmResult:
     """The new records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
 
-    Head and tip keep their dates: where the head is on the flange was measured, its cameras were not.
+    Head and tip keep their dates: where the head is on the flange was measured, cameras and tip were not.
     """
 
     fit: ArmFit
@@ -64,6 +64,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
             update={
                 "identifier": new_identifier("stereo-head", observed.created),
                 "flange_from_tool": pose_record(after),
+                "made_by": MADE_BY,  # by another method: not compared with one of the head alone
             }
         ),
         tool_tip=None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after),

@@ -94,19 +94,19 @@ def _mistake(key: str, word: str) -> str | None:
 
 
 class AnsweringOperator:
-    """Answers by a file; `otherwise` answers what is not in it, and `reads_back` what only a person may."""
+    """Answers by a file; `otherwise` answers what is not in it, and `person` what only a person may."""
 
-    def __init__(self, answers: Answers, otherwise: Operator, reads_back: Operator | None = None) -> None:
-        """Without `reads_back`, as in a simulated theatre, the file answers these questions as well."""
+    def __init__(self, answers: Answers, otherwise: Operator, person: Operator | None = None) -> None:
+        """Without a `person`, as in a simulated theatre, the file answers these questions as well."""
         self._answers = answers
-        self._reads_back = reads_back
+        self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
 
     def ask(self, question: Question) -> str:
         """The word of the file."""
         for_a_person = question.deliberate or question.read_back is not None
-        if for_a_person and self._reads_back is not None:
-            return self._reads_back.ask(question)
+        if for_a_person and self._person is not None:
+            return self._person.ask(question)
         word = self._answers.word_for(question)
         if word is not None:
             return word

@@ -73,4 +73,4 @@ def operator_of(
         return operator
     from procedures.cli.case.answers import AnsweringOperator
 
-    return AnsweringOperator(answers, operator, reads_back=None if simulated else operator)
+    return AnsweringOperator(answers, operator, person=None if simulated else operator)

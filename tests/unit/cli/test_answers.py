@@ -88,9 +88,9 @@ def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
 def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: Topic, default: str) -> None:
     answers = Answers.model_validate({"default": default, "answers": {str(topic): "yes"}})
     question = Question(topic, "go on", "the arm moves")
-    assert AnsweringOperator(answers, Person(), reads_back=Person()).ask(question) == "person"
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(question) == "person"
     tool = Question(Topic.TOOL_CHANGE, "mount the guide", "tool 2")
-    assert AnsweringOperator(answers, Person(), reads_back=Person()).ask(tool) != "person"
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(tool) != "person"
 
 
 @pytest.mark.hazard(36)

@@ -239,7 +239,7 @@ def test_an_abort_ends_a_case_whose_guard_is_not_restored_before_it_nor_on_the_w
     case = Operated(cell.engine(plain_order()))
     cell.workcell.set_home()
     A1, *others = cell.arm.joints_rad
-    cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]
+    cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]  # six again
     case.engine.checkpoint.guards.append(NeverRestored())
     with running(case):
         case.await_waiting()

@@ -95,6 +95,7 @@ def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
     assert result.arm.expires - result.arm.created == timedelta(days=10)
     assert result.stereo_head.created == observed.stereo_head.created
     assert result.stereo_head.expires == observed.stereo_head.expires
+    assert result.stereo_head.made_by == result.arm.made_by
     assert result.tool_tip is None
     assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
 
