@@ -122,10 +122,10 @@ class Theatre:
 
     def stop(self) -> None:
         """Bring all arms to rest at once, as far as their links still permit; never raises."""
-        moving = [  # in HOLD as well: a stop that was ordered before may still be under way
+        moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
             threading.Thread(target=_stop, args=(device,))
             for device in self._devices.values()
-            if isinstance(device, RobotArm) and device.observe().state in RUNNING
+            if isinstance(device, RobotArm) and device.observe().state in (Lifecycle.CONFIGURED, *RUNNING)
         ]
         for stop in moving:
             stop.start()

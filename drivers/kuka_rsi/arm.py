@@ -172,7 +172,8 @@ class KukaRsiArm:
 
         Raises EKI-006 when the controller does not report which context it runs (see `confirm_start`),
         EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no telegram comes, RSI-015 when
-        RSI and EKI disagree about the axes. Errors after the start are latched; `recover` clears them.
+        RSI and EKI disagree about the axes. Errors after the start are latched; `recover` clears them. A stop
+        during the start leaves the arm in HOLD.
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         person, self._micro_move_confirmed_by = self._micro_move_confirmed_by, ""
@@ -181,21 +182,24 @@ class KukaRsiArm:
                 self.activate_unverified(person, timeout_s)
                 return
             raise Unverified(f"{self._name}: the controller does not report which context it runs")
+        stops = self._connections.link.stop_number
         self._start(timeout_s)
-        self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
+        self._enter_active(stops)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
         """Like `activate`, for a controller that does not report what it runs: a micro-move tests it.
 
         Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
-        has confirmed. Raises RSI-018, latched, when an axis does anything else.
+        has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped.
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)
+        link = self._connections.link
+        stops = link.stop_number
         self._start(timeout_s)
         try:
             limits = self._planner.limits(self._watch.mode)
-            verify_by_motion(self._name, self._connections.link, self._kinematics, limits)
+            verify_by_motion(self._name, link, self._kinematics, limits, stops)
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
@@ -203,7 +207,7 @@ class KukaRsiArm:
                     self._connections.eki, self._connections.link, time.monotonic() + CLOSING_STOP_S
                 )
             raise
-        self._guard.enter(Lifecycle.ACTIVE)
+        self._enter_active(stops)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Bring the arm to rest and end the RSI program. Raises a fault that comes up before it has ended."""
@@ -325,13 +329,14 @@ class KukaRsiArm:
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
         self._watch.notice()
-        self._guard.require("stop", (*RUNNING, Lifecycle.FAULT))
+        self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self._connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
         held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
         number = link.stop(_STOP_ORDERS[kind])
+        held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or held  # a start that ended meanwhile
         resting = self._follower.wait(
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
         )
@@ -360,6 +365,12 @@ class KukaRsiArm:
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         clear = self._planner.clear(planned, link, mode)
         return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))
+
+    def _enter_active(self, stops: int) -> None:
+        """Or HOLD, if more than `stops` stops are known now: one was ordered during the start."""
+        self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
+        if self._connections.link.stop_number != stops:
+            self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
 
     def _start(self, timeout_s: float) -> None:
         t1_allowed, self._t1_confirmed_by = bool(self._t1_confirmed_by), ""

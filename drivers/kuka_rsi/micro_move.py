@@ -10,7 +10,7 @@ import time
 from dataclasses import replace
 from math import degrees, dist, radians
 
-from drivers.kuka_rsi.errors import HandshakeFailed
+from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
@@ -32,8 +32,11 @@ CYCLES_WATCHED = 25  # before anything moves
 PROBE_RAD = 1e-4
 
 
-def verify_by_motion(name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits) -> None:
-    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded.
+def verify_by_motion(
+    name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
+) -> None:
+    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded, and RSI-010 when
+    more than `stops` stops have been ordered.
 
     The caller then ends the stream, since accumulating corrections continue as long as they are sent.
     """
@@ -42,11 +45,11 @@ def verify_by_motion(name: str, link: LinkClient, kinematics: Kinematics, limits
     for axis in reversed(range(len(AXIS_NAMES))):
         angle = micro_angle(kinematics, start, axis)
         there = _turned(start, axis, angle)
-        _go(name, link, kinematics, limits, start, there, axis)
+        _go(name, link, kinematics, limits, start, there, axis, stops)
         answered = link.state.measured_rad[axis] - start[axis]
         if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
             _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
-        _go(name, link, kinematics, limits, start, start, axis)
+        _go(name, link, kinematics, limits, start, start, axis, stops)
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
@@ -75,11 +78,12 @@ def _go(
     start: JointVector,
     target: JointVector,
     axis: int,
+    stops: int,
 ) -> None:
     # An axis close to an end of its range moves away from it.
     to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
     plan = plan_joint_move(kinematics, link.state.commanded_rad, target, to_the_ends)
-    number = link.command(CommandKind.MOVE, plan)
+    number = link.command(CommandKind.MOVE, plan, stops)
     begun = link.state.cycles
     while True:
         state = link.state
@@ -89,6 +93,11 @@ def _go(
         if state.cycles - begun > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
         time.sleep(LOOK_S)
+    if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
+        raise MotionStopped(
+            f"{name}: stopped while {AXIS_NAMES[axis]} was tested",
+            action="Acknowledge the arm and start it again: what it does with corrections is not verified.",
+        )
     if state.fault or state.result is not Result.DONE:
         _refuse(name, link, f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
 

@@ -149,6 +149,12 @@ def last_moved(theatre: Path) -> Path | None:
     return read_note(_lock_file(theatre)).last_moved
 
 
+def unwritable_note(theatre: Path) -> Path | None:
+    """The note that this user may not write, as `held_theatre` needs to; None if it may."""
+    path = _lock_file(theatre)
+    return None if os.access(path if path.exists() else path.parent, os.W_OK) else path
+
+
 def last_runs(theatre: Path) -> tuple[Path, ...]:
     """The last run that moved the arm of a theatre file, and the last that had its devices."""
     note = read_note(_lock_file(theatre))

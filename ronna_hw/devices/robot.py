@@ -113,7 +113,8 @@ class RobotArm(Device, Protocol):
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; may be called from another thread than the motion.
 
-        No motion begins while it is carried out: it raises StateError or MotionInterrupted.
+        No motion begins while it is carried out: it raises StateError or MotionInterrupted. A start under way
+        fails, or ends in HOLD.
         """
         ...
 

@@ -16,12 +16,12 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
 
-def left_away(last: Path | None, run: Path) -> str | None:
-    """What the operator of `run` must know of the `last` run that moved the arm of this theatre.
+def left_away(last: Path | None, run: Path | None) -> str | None:
+    """What the operator of `run`, or of a new one, must know of the `last` one that moved this theatre's arm.
 
     None if it brought the arm home, is that run itself, or nothing is known of one.
     """
-    if last is None or last.resolve() == run.resolve():
+    if last is None or (run is not None and last.resolve() == run.resolve()):
         return None
     try:
         chain = read_chain(last / JOURNAL_FILE)

@@ -13,8 +13,8 @@ from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
+from procedures.cli.doctor.theatre_use import RUN, use_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
-from procedures.engine.theatre_lock import theatre_user
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
@@ -24,7 +24,6 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND
 from ronna_hw.registry import endpoint_probes, load_probe
 
-RUN = "run"  # subject of a theatre that is in use
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 
 Look = Callable[[Progress], Sequence[Diagnostic]]
@@ -69,12 +68,8 @@ def examine(
             *tool_diagnostics(file, now),
             *setting_diagnostics(file),
         )
-        case = tuple(case_diagnostics(file))
-        user = theatre_user(config)
-        if user is not None:
-            seen = f"{user.seen}: its devices were not checked"
-            case = (Diagnostic(RUN, False, seen, user.advice("check again")), *case)
-        else:
+        case = (*use_diagnostics(config), *case_diagnostics(file))
+        if all(one.subject != RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
                 looks[name] = partial(_probe, name, device, inspection(name, file))

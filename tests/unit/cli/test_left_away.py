@@ -13,6 +13,7 @@ from procedures.cli.case import left_away as left_away_module
 from procedures.cli.case.left_away import left_away
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
+from procedures.cli.doctor.theatre_use import use_diagnostics
 from procedures.cli.procedure import app
 from procedures.engine import theatre_lock
 from procedures.engine.order import order_of
@@ -160,3 +161,21 @@ def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -
     with pytest.raises(NotConfirmed, match="run A left the arm away"):
         engine.run_to()
     assert not cell.workcell.at_home
+
+
+def test_the_doctor_says_what_a_new_case_would_be_warned_of(tmp_path: Path) -> None:
+    away = earlier(tmp_path, 1, "go")
+    (found,) = use_diagnostics(tmp_path / "theatre.toml")
+    assert not found.well
+    assert f"ronna-procedure home {away}" in found.seen
+
+
+def test_the_doctor_says_that_a_later_run_could_not_be_warned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "procedures.engine.theatre_lock.os.access", lambda path, how: False
+    )  # root may write anywhere
+    (found,) = use_diagnostics(tmp_path / "theatre.toml")
+    assert not found.well
+    assert str(tmp_path / ".theatre.toml.in-use") in found.seen

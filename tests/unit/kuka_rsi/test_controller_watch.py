@@ -10,9 +10,11 @@ from typing import Any
 import pytest
 from waiting import eventually
 
+from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.errors import (
     ControllerNotReady,
     HandshakeFailed,
+    MotionStopped,
     NoAnswer,
     Unverified,
 )
@@ -186,6 +188,41 @@ def test_a_controller_that_follows_the_micro_move_wrongly_is_refused(
     assert not silent_controller.streaming.is_set()
     moved = [abs(a - b) for a, b in zip(before, silent_controller.axes_deg, strict=True)]
     assert max(moved) < 5.0  # this machine may stall; on one that does not it is hundredths
+
+
+def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: Any) -> None:
+    silent_controller.pace_s = 0.001
+    arm = _configured(make_arm)
+
+    def stop_once_moving() -> None:
+        eventually(lambda: any(any(reply[1]) for reply in silent_controller.replies))
+        arm.stop()
+
+    stopping = threading.Thread(target=stop_once_moving)
+    stopping.start()
+    with pytest.raises(MotionStopped):
+        arm.activate_unverified("Ana")
+    stopping.join()
+    assert not any(reply[1][0] for reply in silent_controller.replies)  # A1 is the last one tested
+    assert not silent_controller.streaming.is_set()
+
+
+def test_a_stop_during_a_start_leaves_the_arm_in_hold(
+    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    start = stream.start_stream
+
+    def started(*details: Any) -> Any:
+        mode = start(*details)
+        arm.stop()
+        return mode
+
+    monkeypatch.setattr(stream, "start_stream", started)
+    arm.activate()
+    assert arm.state is Lifecycle.HOLD
 
 
 @pytest.mark.hazard(20)
