@@ -29,6 +29,10 @@ class Course:
             return True
         return key.trajectory is not None and key.trajectory in self.case.past_trajectories
 
+    def remains(self, name: str) -> bool:
+        """Whether a step of that name is still to be done."""
+        return any(str(key) == name and not self.settled(key) for key in self.order.sequence)
+
     @property
     def _all_finished_before(self) -> bool:
         """Whether every target was finished before something moved: the steps would lead to none."""

@@ -168,7 +168,7 @@ class Engine:
             self._show_state()
 
     def run_to(self, last: StepKey | None = None) -> None:
-        """Run the upcoming steps up to and including `last`, or all."""
+        """Run the upcoming steps up to and including `last`, or all; not beyond the one that leaves `last` out."""
         while (key := self.upcoming) is not None:
             try:
                 self.run_step(key)
@@ -176,7 +176,7 @@ class Engine:
                 if not self.goes_on(problem):
                     raise
                 key = last or key  # an order ends here: the steps that come now were not meant
-            if key == last:
+            if key == last or (last is not None and self.course.settled(last)):
                 return
 
     # While a step runs: see `StepSupport`

@@ -57,8 +57,9 @@ def why_not_up_to(engine: Engine, key: StepKey) -> str:
     """Why a case cannot be run up to a step; empty when it can."""
     if engine.case.stands(key):
         return f"{key} is already done"
-    reason = engine.course.left_out(key)
-    return "" if reason is None else f"{key.trajectory} was left out: {reason}"
+    if (reason := engine.course.left_out(key)) is not None:
+        return f"{key.trajectory} was left out: {reason}"
+    return f"{key.trajectory} is finished" if engine.course.settled(key) else ""
 
 
 def _to(engine: Engine, argument: str, say: Say) -> None:

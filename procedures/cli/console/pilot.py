@@ -176,7 +176,8 @@ class Pilot:
                 tell(HELD)
             self._wait(engine)
             return
-        if self._until == name:
+        until = self._until
+        if until == name or (until is not None and not engine.course.remains(until)):
             self._going, self._until = False, None
         if not self._going:
             self._wait(engine)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plain_steps import only_home_remains, plain_order
+from plain_steps import Fit, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
 from waiting import eventually
 
@@ -101,6 +101,19 @@ def test_run_to_stops_after_its_step_and_resume_runs_to_the_end(cell: RecordingC
         assert case.give("resume", upcoming=str(case.engine.upcoming)) == ""
         eventually(lambda: case.ended_by == [None])
         assert case.engine.machine.state == "finished"
+
+
+def test_run_to_stops_where_its_step_is_left_out(cell: RecordingCell) -> None:
+    def leaves_out(context: StepContext) -> Outcome[StepResult]:
+        return Outcome(Fit(not_for=("T2",) if context.trajectory == "T2" else ()))
+
+    with running(Operated(cell.engine(plain_order("T1", "T2", "T3", fit=leaves_out)))) as case:
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        assert case.give("run_to", upcoming="image", step="approach:T2") == ""
+        eventually(lambda: case.stands("fit:T2"))
+        case.await_waiting()
+        assert case.pilot.desk._waiting_for == "localization:T3"
 
 
 def test_a_simulated_case_runs_without_an_operator_in_the_seat(cell: RecordingCell) -> None:

@@ -35,6 +35,13 @@ def test_no_further_step_runs_for_a_trajectory_that_was_left_out(cell: Recording
     assert engine.machine.state == "finished"
 
 
+def test_an_order_up_to_a_step_ends_where_that_step_is_left_out(cell: RecordingCell) -> None:
+    engine = fitted(cell, "T2")
+    engine.run_to(engine.order.find("approach:T2"))
+    assert [step for _, step in cell.entries("result")][-1] == "fit:T2"
+    assert engine.upcoming == engine.order.find("localization:T3")
+
+
 def test_leaving_out_a_trajectory_is_reported_as_a_finding(cell: RecordingCell) -> None:
     engine = fitted(cell, "T2")
     reader = engine.events.subscribe()

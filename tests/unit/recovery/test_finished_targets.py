@@ -26,6 +26,7 @@ from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
 from procedures.cli.case import opening
+from procedures.cli.case.commands import why_not_up_to
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import finished
 from procedures.cli.case.request import CaseRequest
@@ -88,6 +89,19 @@ POSE = FramedPose.of(Transform.of(Frame.ROBOT, Frame.TOOL))
 STOP = DepthStop(bore_mm=1.0, standoff_mm=30.0, depth_mm=1.0, computed_mm=32.0, read_mm=32.0)
 GUIDE = PositionedGuide(tool_pose=POSE, joints_rad=HOME_RAD)
 REACHED = ReachedTarget(tool_pose=POSE, nominal_error_mm=0.0, too_deep_mm=0.0, depth_stop=STOP, pushed_mm=0.0)
+
+
+def test_a_case_is_not_run_up_to_a_step_of_a_target_finished_before_the_move(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = cell.begin(
+        checked_plan(),
+        done_later(registered_robot()),
+        done_later(REACHED, RegisteredRobot, scope=Scope.TRAJECTORY, finishes=True),
+        done_later(Target(), scope=Scope.TRAJECTORY),
+    )
+    engine.run_to(engine.order.find(f"at_target:{FIRST}"))
+    engine.void(StepKey(RegisteredRobot.kind), MOVED)
+    assert why_not_up_to(engine, engine.order.find(f"target:{FIRST}")) == f"{FIRST} is finished"
 
 
 def registered_twice(cell: ClinicalCell) -> Engine:
