@@ -168,7 +168,7 @@ class Engine:
             self._show_state()
 
     def run_to(self, last: StepKey | None = None) -> None:
-        """Run the upcoming steps up to and including `last`, or all; not beyond the one that leaves `last` out."""
+        """Run the upcoming steps up to and including `last`, or the one that leaves it out; or all."""
         while (key := self.upcoming) is not None:
             try:
                 self.run_step(key)
@@ -273,9 +273,9 @@ class Engine:
         self._write(Entry.INTERRUPTED)
         _log.warning("case aborted")
 
-    def seated(self, session: str, name: str) -> None:
-        """Record who operates from a console; without a name nobody does any more."""
-        self._write(Entry.SEAT, session=session, by=name)
+    def seated(self, session: str, name: str, since_s: float | None) -> None:
+        """Record who operates from a console, since when; without a name nobody does any more."""
+        self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
         """Record what was read again and compared after a restart."""

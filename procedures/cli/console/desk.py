@@ -80,7 +80,7 @@ class Desk:
         self._wish: Wish | None = None
         self._standing: _Standing | None = None
         self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
-        self._taken: deque[tuple[str, str]] = deque()  # changes of the seat, for the journal: session, name
+        self._taken: deque[tuple[str, str, float | None]] = deque()  # as `changes_of_seat`
         self._vacated = 0
         self._gone = False
 
@@ -115,9 +115,9 @@ class Desk:
         with self._changed:
             return self._gone
 
-    def changes_of_seat(self) -> list[tuple[str, str]]:
-        """Session and name of the person who took the seat since this was last asked; no name: it became
-        free."""
+    def changes_of_seat(self) -> list[tuple[str, str, float | None]]:
+        """Session and name of each person who took the seat since this was last asked; no name: it became
+        free. Then the theatre time, None before the theatre was open."""
         with self._changed:
             self._notice_lapse()
             changes = list(self._taken)
@@ -151,7 +151,7 @@ class Desk:
                 self._seat.renew(session)
                 return ""
             case Stop():
-                return self._stop()
+                return self._stop(order.session)
         if not self._seat.held_by(order.session):
             return "you are not in the operator's seat"
         if isinstance(order, Release):
@@ -173,12 +173,12 @@ class Desk:
                     return "no step is running"
                 engine.checkpoint.pause(f"{name} asked for a pause")
             case Abort() if paused:
-                self._settle(ABORT, order.session)
+                self._settle(ABORT, Signature(name, order.session, shown=""))  # it quotes nothing
             case Abort():
                 if self._waiting_for is None:
                     engine.checkpoint.abort()
                     if self._standing is not None:
-                        self._settle(self._standing.question.silence, order.session)
+                        self._settle(self._standing.question.silence)
                 self._wish = Wish("abort", by=name, vacated=vacated)
             case _ if self._waiting_for is None:
                 return "the engine is not waiting for an order: a step is running, or a question is open"
@@ -200,11 +200,13 @@ class Desk:
                 self._wish = Wish("acknowledge", by=name, vacated=vacated)
         return ""
 
-    def _stop(self) -> str:
+    def _stop(self, session: str) -> str:
         engine = self._engine
         if engine is None:
             return "the theatre is not open yet: nothing moves"
-        engine.checkpoint.pause(f"{self._seat.holder or 'someone at the console'} stopped the arm")
+        seated = self._seat.held_by(session)
+        who = self._seat.holder if seated else f"someone outside the operator's seat (session {session})"
+        engine.checkpoint.pause(f"{who} stopped the arm")
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
@@ -231,13 +233,12 @@ class Desk:
             if wrong := [f"{one:g}" for one in order.readings if not low <= one <= high]:
                 return f"{', '.join(wrong)} is implausible: expected {low:g} to {high:g}"
             standing.readings = order.readings
-        self._settle(order.answer, order.session)
+        self._settle(order.answer, Signature(self._seat.holder, order.session, standing.shown))
         return ""
 
-    def _settle(self, answer: str, session: str) -> None:
+    def _settle(self, answer: str, signature: Signature | None = None) -> None:
         if self._standing is not None and self._standing.answer is None:
-            self._standing.answer = answer
-            self._standing.signature = Signature(self._seat.holder, session, self._standing.shown)
+            self._standing.answer, self._standing.signature = answer, signature
 
     def _notice_lapse(self) -> None:
         if self._seat.lapsed:
@@ -252,9 +253,10 @@ class Desk:
         self._tell_seat("", "", reason)
 
     def _tell_seat(self, session: str, name: str, reason: str = "") -> None:
-        self._taken.append((session, name))
+        since_s = None
         if self._engine is not None:
-            self._engine.events.publish(SeatEvent(holder=name, reason=reason))
+            since_s = self._engine.events.publish(SeatEvent(holder=name, reason=reason)).theatre_time_s
+        self._taken.append((session, name, since_s))
 
     # The engine's own thread
 

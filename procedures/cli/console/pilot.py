@@ -91,9 +91,9 @@ class Pilot:
 
     def note_seat(self) -> None:
         """Write into the journal who has taken the seat, or left it, since this was last done."""
-        for session, name in self.desk.changes_of_seat():
+        for session, name, since_s in self.desk.changes_of_seat():
             if self._engine is not None:
-                self._engine.seated(session, name)
+                self._engine.seated(session, name, since_s)
 
     def await_operator(self) -> None:
         """Wait until someone is in the seat of a case that waits for it, or the console has ended."""

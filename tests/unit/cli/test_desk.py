@@ -14,9 +14,11 @@ from waiting import eventually
 
 from procedures.cli.console.desk import Desk, Wish
 from procedures.cli.console.seat import LEASE_S
+from procedures.engine.events import Seat
 from procedures.engine.events.shown import shown_digest
 from procedures.engine.orders import read_order
 from procedures.engine.questions import as_shown
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.question import Question, ReadBack, Signature
 from procedures.operator.topic import Topic
 
@@ -152,7 +154,8 @@ def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Sta
     assert stand.give("renew") == ""
     assert stand.give("pause") == "you are not in the operator's seat"
     assert stand.give("claim", BEN, name="Ben") == ""
-    assert stand.desk.changes_of_seat() == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
+    changes = stand.desk.changes_of_seat()
+    assert [(session, name) for session, name, _since_s in changes] == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
 
 
 def test_of_two_simultaneous_claims_exactly_one_is_refused(tmp_path: Path) -> None:
@@ -191,6 +194,42 @@ def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_th
     eventually(lambda: answers == ["no"])
     assert stand.engine.checkpoint.wanted
     assert stand.desk.aborting
+
+
+def test_an_abort_signs_no_answer_to_a_question_that_its_page_may_not_show(stand: Stand) -> None:
+    signatures: list[Signature] = []
+    answers = stand.ask(question(signed=signatures.append))
+    stand.give("abort")
+    eventually(lambda: answers == ["no"])
+    assert signatures == []
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), signed=signatures.append)
+    answers = stand.ask(pause)
+    stand.give("abort")
+    eventually(lambda: answers == ["abort"])
+    assert signatures == [Signature("Ana", ANA, shown="")]
+
+
+@pytest.mark.parametrize(
+    ("session", "who"), [(ANA, "Ana"), (BEN, f"someone outside the operator's seat (session {BEN})")]
+)
+def test_a_stop_is_recorded_under_the_name_of_the_seat_only_if_it_came_from_there(
+    stand: Stand, session: str, who: str
+) -> None:
+    assert stand.give("stop", session) == ""
+    stand.engine.checkpoint.here("here")
+    lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
+    assert [line["reason"] for line in lines if line["entry"] == "rested"] == [f"{who} stopped the arm"]
+
+
+def test_the_journal_says_since_when_the_seat_is_taken_however_late_it_is_written(stand: Stand) -> None:
+    reader = stand.engine.events.subscribe()
+    stand.give("release")
+    (event,) = [one for one in reader.read(0.0).events if isinstance(one.what, Seat) and not one.what.holder]
+    for change in stand.desk.changes_of_seat():
+        stand.engine.seated(*change)
+    lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
+    (freed,) = [line for line in lines if line["entry"] == "seat" and not line["by"]]
+    assert freed["since_s"] == event.theatre_time_s
 
 
 @pytest.mark.parametrize("name", ["", " ", "a" * 61, "a\nb"])
