@@ -38,7 +38,7 @@ class Hub(Bell):
         self.ended = False  # the engine has closed its end
         self.live = False  # fed by a running engine
         self.review: RecordedCase | None = None  # of a case that this console does not operate
-        self.seated = ""  # session in the operator's seat
+        self._granted = ("", "")  # session and name to which the engine last gave the seat
         self.broken_off = ""  # why nothing more can be read of a case under review
         self.pair = b""  # PNG of the stereo head's last pair
         self.pairs = 0  # number of pairs received
@@ -60,10 +60,17 @@ class Hub(Bell):
 
     def show(self, view: CaseView) -> None:
         """Show another view: the next moment, or one that was selected."""
-        if self.view.seat is not None and view.seat is None:
-            self.seated = ""
         self.view = view
         self.tell()
+
+    @property
+    def seated(self) -> str:
+        """Session in the operator's seat, unless the engine's events name someone else.
+
+        The engine's reply to its claim may arrive before the event that its predecessor has left.
+        """
+        session, name = self._granted
+        return session if self.view.seat is None or self.view.seat.holder == name else ""
 
     @property
     def aged(self) -> CaseView:
@@ -175,7 +182,7 @@ class Hub(Bell):
         finally:
             self._replies.pop(order.nonce, None)
         if order.kind == "claim" and not refused:
-            self.seated = session.identifier
+            self._granted = session.identifier, order.name.strip()
             self.tell()
         return refused
 

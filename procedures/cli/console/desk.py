@@ -124,6 +124,11 @@ class Desk:
             self._taken.clear()
             return changes
 
+    def look(self) -> None:
+        """Free the seat of an operator whose page is silent, also while the engine is busy."""
+        with self._changed:
+            self._notice_lapse()
+
     # The thread that reads orders
 
     def take(self, order: AnyOrder) -> str:

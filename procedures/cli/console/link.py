@@ -139,6 +139,7 @@ class ConsoleLink:
         reader, ended = events.subscribe(), False
         while not ended:
             reader.wait(BEAT_S)
+            self._desk.look()
             batch = reader.read(0.0)
             ended = batch.ended
             lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]

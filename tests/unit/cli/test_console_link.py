@@ -10,10 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from waiting import eventually
 
 from procedures.cli.console import link
 from procedures.cli.console.desk import Desk
 from procedures.cli.console.options import ConsoleOptions
+from procedures.cli.console.seat import LEASE_S
+from procedures.engine.orders import Claim
 from ronna_hw.command_line.errors import UsageMistake
 
 
@@ -45,6 +50,31 @@ def test_a_console_receives_a_heartbeat_before_the_theatre_is_open(
     finally:
         console.close()
     assert heard.startswith(b'{"beat":1}\n')
+
+
+def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "ChildProcess", Listening)
+    now_s = [0.0]
+    desk = Desk(waits=True, now_s=lambda: now_s[0])
+    engine = RecordingCell(tmp_path).engine(plain_order())  # neither asks nor waits
+    desk.attach(engine)
+    console: Any = link.ConsoleLink(tmp_path, desk, 0, lambda _words: None)
+    heard = bytearray()
+
+    def is_heard(words: bytes) -> bool:
+        heard.extend(console._child.socket.recv(1 << 16))
+        return words in heard
+
+    try:
+        console.follow(engine.events)
+        desk.take(Claim(nonce="nonce-01", session="session-ana", name="Ana"))
+        eventually(lambda: is_heard(b'"holder":"Ana"'))
+        now_s[0] = LEASE_S + 1.0
+        eventually(lambda: is_heard(b'"holder":"","reason":"the operator\'s page has not responded'))
+    finally:
+        console.close()
 
 
 @pytest.mark.parametrize("fails", [False, True])

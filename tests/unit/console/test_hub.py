@@ -16,8 +16,17 @@ from console.hub import NOT_RUNNING, SILENT_S, Hub
 from console.listening import HOST, listen
 from console.reviewing import review
 from console.sessions import MOST_SESSIONS, Role, Session, Sessions
-from procedures.engine.events import CaseState, DeviceAge, DeviceState, Event, Happening, JournalLine, Pose
-from procedures.engine.orders import Reply, read_order
+from procedures.engine.events import (
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Event,
+    Happening,
+    JournalLine,
+    Pose,
+    Seat,
+)
+from procedures.engine.orders import AnyOrder, Reply, read_order
 
 OPERATOR = Session(Role.OPERATOR, "session-1")
 
@@ -116,6 +125,22 @@ def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:
         return told[0], told[1]
 
     assert asyncio.run(give()) == ("", "the seat is taken by Ana")
+
+
+def test_a_claim_is_known_though_its_reply_overtakes_what_came_before_it() -> None:
+    hub = Hub(Path())
+    hub.take(event(1, Seat(holder="Ana")))
+
+    async def carry_out(order: AnyOrder) -> None:
+        hub.reply(Reply(nonce=order.nonce))
+
+    hub.connect(carry_out)
+    assert asyncio.run(hub.order(OPERATOR, {"kind": "claim", "name": " Ben "})) == ""
+    for number, holder in enumerate(("", "Ben"), start=2):
+        hub.take(event(number, Seat(holder=holder)))
+        assert hub.seated == OPERATOR.identifier
+    hub.take(event(4, Seat(holder="Cleo")))
+    assert hub.seated == ""
 
 
 def test_an_order_is_refused_when_no_case_is_running() -> None:
