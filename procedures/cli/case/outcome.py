@@ -82,7 +82,8 @@ def _run(engine: Engine, watcher: Watcher) -> None:
                 engine.retreat_home()
             return
         except OperatorAborted:
-            if held is not None:
+            led_home = watcher.pilot is not None and watcher.pilot.has_led_home
+            if held is not None and not led_home:
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:

@@ -49,6 +49,7 @@ class Pilot:
     def __init__(self, desk: Desk, *, runs: bool) -> None:
         """`runs` where the case goes on by itself until the operator says otherwise."""
         self.desk = desk
+        self.has_led_home = False  # the case was aborted, and led out and home as far as that was confirmed
         self._runs = runs
         self._going = runs and not desk.in_charge
         self._vacated = 0  # how often the seat had become free when that was ordered
@@ -219,6 +220,7 @@ class Pilot:
         raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
 
     def _leave(self, engine: Engine) -> None:
+        self.has_led_home = True
         try:
             leave_head(engine)
         except RonnaError as error:

@@ -14,6 +14,9 @@ from plain_steps import Fit, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
 from waiting import eventually
 
+from procedures.cli.case import outcome
+from procedures.cli.case.opening import Watcher
+from procedures.cli.case.prompt import Prompt
 from procedures.cli.console.attaching import check_console
 from procedures.cli.console.desk import Desk
 from procedures.cli.console.pilot import Pilot
@@ -232,6 +235,24 @@ def test_an_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
     assert case.engine.machine.state == "aborted"
 
 
+def away(cell: RecordingCell) -> None:
+    """Lead the arm away from home."""
+    cell.workcell.set_home()
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]  # six again
+
+
+def test_an_abort_at_the_console_asks_for_the_way_home_once_also_at_a_terminal(cell: RecordingCell) -> None:
+    case = Operated(cell.engine(plain_order()))
+    away(cell)
+    case.give("claim", name="Ana")
+    case.give("abort")
+    with pytest.raises(OperatorAborted):
+        outcome._run(case.engine, Watcher(held=Prompt("", print), pilot=case.pilot))
+    assert [question.topic for question in cell.operator.asked].count(Topic.PARK) == 1
+    assert cell.entries("home") == [("home", "")]
+
+
 class NeverRestored:
     """A guard that asks at once, and stays unmet."""
 
@@ -250,9 +271,7 @@ def test_an_abort_ends_a_case_whose_guard_is_not_restored_before_it_nor_on_the_w
 ) -> None:
     cell.operator.refusing = (Topic.HEAD_UNSEEN,)
     case = Operated(cell.engine(plain_order()))
-    cell.workcell.set_home()
-    A1, *others = cell.arm.joints_rad
-    cell.arm.joints_rad = (A1 + 0.5, *others)  # type: ignore[assignment]  # six again
+    away(cell)
     case.engine.checkpoint.guards.append(NeverRestored())
     with running(case):
         case.await_waiting()
