@@ -90,8 +90,12 @@ def _ordered(one: OrderedStep) -> StepRow:
 
 def _step(view: CaseView, step: StepState) -> dict[str, Any]:
     if step.state == "superseded":
-        gone = step.record
-        rows = tuple(replace(row, state="superseded") if row.record == gone else row for row in view.steps)
+        rows = tuple(
+            replace(row, state="superseded", summary=step.summary or row.summary)
+            if row.record == step.record
+            else row
+            for row in view.steps
+        )
         return {"steps": rows, "results": view.results + 1}
     rows = tuple(
         replace(row, state=step.state, summary=step.summary, record=step.record or row.record)

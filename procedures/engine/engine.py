@@ -216,8 +216,7 @@ class Engine:
         gone = [record.identifier for record in self.course.voided_with(key)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
         self.course.void(key)
-        for identifier in gone:
-            self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
+        self._tell_gone(key, gone, reason.summary)
 
     # Between steps
 
@@ -345,9 +344,14 @@ class Engine:
             **more,
         )
         self.course.accept(key, stored)
-        for identifier in gone:
-            self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
+        self._tell_gone(key, gone)
         return stored
+
+    def _tell_gone(self, key: StepKey, gone: Sequence[str], reason: str = "") -> None:
+        for identifier in gone:
+            self.events.publish(
+                StepState(step=str(key), state="superseded", summary=reason, record=identifier)
+            )
 
     def _fail(self, key: StepKey, problem: Exception) -> None:
         self.setting.workcell.stop()

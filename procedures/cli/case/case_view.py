@@ -50,8 +50,9 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
     match event.what:
         case StepState(state="begun"):
             return None
-        case StepState(step=step, state="superseded", record=record):
-            return Entry(*MARKS["superseded"], f"{record} is superseded by a new {step}")
+        case StepState(step=step, state="superseded", record=record, summary=reason):
+            how = f"no longer holds: {reason}" if reason else f"is superseded by a new {step}"
+            return Entry(*MARKS["superseded"], f"{record} {how}")
         case StepState(step=step, state="failed", summary=summary) if not errors:
             return Entry(*FAILED, f"{step:<26} {_code(summary)}")
         case StepState(step=step, state=state, summary=summary):
@@ -63,10 +64,12 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
 
 
 def done_or_note(event: Event) -> str | None:
-    """One plain line: the step that is done, and findings; None for the rest."""
+    """One plain line: a step done, a result that no longer holds, a finding; None for the rest."""
     match event.what:
         case StepState(step=step, state="done", summary=summary):
             return f"done {step}: {summary}"
+        case StepState(state="superseded", record=record, summary=reason) if reason:
+            return f"note: {record} no longer holds: {reason}"
         case Finding(text=text):
             return f"note: {text}"
         case _:

@@ -12,7 +12,7 @@ from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
 from rich.console import Console
 
-from procedures.cli.case.case_view import CaseView, entry_of
+from procedures.cli.case.case_view import CaseView, done_or_note, entry_of
 from procedures.cli.case.display import following
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.watching import line_of
@@ -75,6 +75,17 @@ def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(
 ) -> None:
     said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
     assert [text.split() for text in said] == [["image", GateFailed.code]]
+
+
+def test_a_result_that_no_longer_holds_is_told_with_the_reason_and_not_as_repeated(tmp_path: Path) -> None:
+    engine = RecordingCell(tmp_path).engine(plain_order("T1"))
+    engine.run_to(engine.order.find("localization:T1"))
+    reader = engine.events.subscribe()
+    engine.void(engine.order.find("localization:T1"), GateFailed("the head has moved"))
+    voided = [one for one in reader.read(0.0).events if "superseded" in str(one.what)]
+    told = [(entry.text, done_or_note(one)) for one in voided if (entry := entry_of(one)) is not None]
+    text = "02-localization-T1 no longer holds: the head has moved"
+    assert told == [(text, f"note: {text}")]
 
 
 def test_a_live_view_that_reappears_keeps_text_written_meanwhile() -> None:

@@ -97,8 +97,11 @@ def test_a_completed_step_is_shown_as_done_and_a_superseded_one_as_superseded() 
     done = StepState(step="fit:T1", state="done", summary="0.2 mm", record="03-fit-T1")
     view = view_after(ORDER, StepState(step="fit:T1", state="begun"), done)
     assert (view.steps[2].state, view.steps[2].summary, view.running) == ("done", "0.2 mm", "")
-    again = view_after(ORDER, done, StepState(step="image", state="superseded", record="03-fit-T1"))
-    assert again.steps[2].state == "superseded"
+    gone = StepState(step="image", state="superseded", record="03-fit-T1")
+    again = view_after(ORDER, done, gone)
+    assert (again.steps[2].state, again.steps[2].summary) == ("superseded", done.summary)
+    voided = view_after(ORDER, done, gone.model_copy(update={"summary": "the cart has moved"}))
+    assert (voided.steps[2].state, voided.steps[2].summary) == ("superseded", "the cart has moved")
 
 
 def test_a_resumed_run_shows_its_results_as_done_and_drops_open_question_and_seat() -> None:
