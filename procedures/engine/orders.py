@@ -6,7 +6,7 @@ done. Only to stop needs nothing. Each order has a nonce of its own and is carri
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
@@ -24,7 +24,6 @@ class _Order(BaseModel):
     """One order."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
-    quotes: ClassVar[bool] = False  # whether it says which step the session saw as the next
 
     nonce: Nonce
     expires_s: Finite | None = Field(default=None, description="Monotonic host time; too late after it.")

@@ -63,10 +63,9 @@ class PredictionFigure:
 
 @dataclass(frozen=True)
 class CaseFigures:
-    """Everything known; `coarse` while only the tracker has located the head."""
+    """Everything known."""
 
     robot_from_ct: Transform | None = None
-    coarse: bool = True
     robot_from_tracker: Transform | None = None
     spheres: tuple[SphereFigure, ...] = ()
     trajectories: tuple[TrajectoryFigure, ...] = ()
@@ -95,7 +94,6 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     predictions = [one for used in reading.registrations for one in used.predictions]
     return CaseFigures(
         robot_from_ct=pose,
-        coarse=not registered,
         robot_from_tracker=tracked.robot_from_tracker.transform if tracked else None,
         spheres=_spheres(reading, pose),
         trajectories=_trajectories(plan, poses, pose),
