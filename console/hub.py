@@ -18,9 +18,11 @@ from console.feed.view import CaseView
 from console.sessions import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
 from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
+from ronna_hw.devices.lifecycle import Lifecycle
 
 UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are reported five times a second
 SILENT_S = 1.0  # host time without a line from the engine, which sends one every quarter of a second
+SILENT_FILE_S = 3.0  # host time without an event in a run's file, which gets an age every half second
 REPLY_S = 3.0  # host time
 NO_REPLY = "no reply from the engine; the order may still be carried out"
 NOT_RUNNING = "this case is not running: read-only"
@@ -78,7 +80,7 @@ class Hub(Bell):
         view = self.view
         unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
         old_s = {name: age_s for name, age_s in unseen_s.items() if age_s > UNSEEN_S}
-        if not self.live or view.outcome or not old_s:
+        if view.outcome or not old_s:
             return view
         devices = {
             name: replace(row, age_s=row.age_s + old_s.get(name, 0.0)) if row.age_s is not None else row
@@ -94,9 +96,18 @@ class Hub(Bell):
         self._heard_s = self._now_s()
 
     @property
+    def _is_silent(self) -> bool:
+        """Whether the engine should have been heard from."""
+        if self.review is None:
+            return self.live and self.silent_s > SILENT_S
+        rows = self.view.devices.values()
+        speaks = any(row.age_s is not None and row.seen.state != Lifecycle.CLOSED for row in rows)
+        return speaks and self.silent_s > SILENT_FILE_S
+
+    @property
     def silent_s(self) -> float:
-        """Host time since the engine was last heard from, while it should be; else 0."""
-        return self._now_s() - self._heard_s if self.live else 0.0
+        """Host time since the engine was last heard from."""
+        return self._now_s() - self._heard_s
 
     @property
     def over(self) -> bool:
@@ -110,12 +121,12 @@ class Hub(Bell):
             return f"{self.broken_off} The data shown is out of date."
         if self.view.outcome:
             return ""
-        if self.ended:
+        if self.ended or self.over:
             return (
                 "THE ENGINE HAS ENDED. The data shown is out of date; "
                 "the arm may have stopped anywhere on its path."
             )
-        if self.live and self.silent_s > SILENT_S:
+        if self._is_silent:
             return f"NO DATA FROM THE ENGINE FOR {self.silent_s:.0f} s. The data shown is out of date."
         return ""
 

@@ -37,7 +37,9 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
 
         def take(events: list[Event]) -> None:
             recorded.extend(events)
-            hub.show(recorded.latest)
+            hub.heard()
+            for event in events:
+                hub.take(event)
 
         def follow() -> None:
             try:

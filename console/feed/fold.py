@@ -44,7 +44,12 @@ def fold(view: CaseView, event: Event) -> CaseView:
         theatre_time_s=event.theatre_time_s,
         host_time=event.host_time.isoformat(timespec="milliseconds"),
     )
-    return replace(changed, **_changes(changed, event.what))
+    changed = replace(changed, **_changes(changed, event.what))
+    if event.what.signal and event.number < view.number:  # written late to a run's file
+        return replace(
+            changed, number=view.number, theatre_time_s=view.theatre_time_s, host_time=view.host_time
+        )
+    return changed
 
 
 def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
@@ -53,8 +58,8 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
             return {"state": state, "reason": reason}
         case StepState() as step:
             return _step(view, step)
-        case Progress(share=share, text=text):
-            return {"share": share, "doing": text}
+        case Progress(step=step, share=share, text=text):
+            return {"share": share, "doing": text} if step == view.running else {}
         case Questioned():
             return {"question": what, "asked_at": view.host_time}
         case Answered(question=number):

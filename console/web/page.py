@@ -210,14 +210,15 @@ class CasePage:
         return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
     def _show(self, now_s: float) -> None:
-        view = self._hub.aged if self._moment is None else self._moment.view(self._hub.view)
+        latest = self._hub.aged
+        view = latest if self._moment is None else self._moment.view(latest)
         self._slow = int(now_s / SLOW_KEYS_S)
         for place, render, key, shown in self._panels:
             current = key(view)
             if current != shown[0]:
                 shown[0] = current
                 place.set_content(render(view))
-        mine, frozen = self._is_mine, self._hub.frozen
+        mine, frozen = self._is_mine, self._hub.frozen if view is latest else ""  # a past moment stands still
         self._question.show(view, is_mine=mine and not frozen, has_seat=view.seat is not None)
         self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
         if self._orders is not None:

@@ -130,6 +130,14 @@ def test_the_first_journal_line_names_the_theatre_and_the_last_the_outcome() -> 
     assert view_after(JournalLine(line={"entry": "opened", "banner": None})).banner == ""
 
 
+def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_step() -> None:
+    late = Progress(step="image", share=0.9, text="reading")
+    early, begun = events_of([late, StepState(step="fit:T1", state="begun")])
+    view = fold(fold(CaseView(), begun), early)
+    assert (view.running, view.share, view.doing) == ("fit:T1", 0.0, "")
+    assert (view.number, view.theatre_time_s) == (2, 0.2)
+
+
 def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
     lines = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(2 * JOURNAL_KEPT)]
     assert len(view_after(*lines).journal) == JOURNAL_KEPT

@@ -12,7 +12,8 @@ import pytest
 
 from console.errors import NothingToShow, PortTaken
 from console.feed.engine_socket import follow_engine
-from console.hub import NOT_RUNNING, SILENT_S, Hub
+from console.feed.recorded import RecordedCase
+from console.hub import NOT_RUNNING, SILENT_FILE_S, SILENT_S, Hub
 from console.listening import HOST, listen
 from console.reviewing import review
 from console.sessions import MOST_SESSIONS, Role, Session, Sessions
@@ -68,6 +69,38 @@ def test_arm_data_without_updates_ages_while_the_engine_is_alive() -> None:
     assert hub.aged.pose is not None
     assert hub.aged.theatre_time_s - hub.aged.pose.said_s == 7.0
     assert hub.aged.devices["arm"].age_s == 7.1
+
+
+def test_a_case_under_review_whose_engine_ended_without_closing_it_says_so() -> None:
+    hub = Hub(Path())
+    hub.review = RecordedCase()
+    hub.take(event(1, CaseState(state="held")))
+    assert hub.frozen == ""
+    hub.review.over = True
+    assert "THE ENGINE HAS ENDED" in hub.frozen
+    hub.take(event(2, JournalLine(line={"entry": "closed", "outcome": "done"})))
+    assert hub.frozen == ""
+
+
+def test_a_case_under_review_with_open_devices_and_no_more_events_is_reported_and_its_data_age() -> None:
+    clock = Clock()
+    hub = Hub(Path(), clock)
+    hub.review = RecordedCase()
+    hub.take(event(1, DeviceState(device="arm", state="active")))
+    clock.now_s = 60.0
+    assert hub.frozen == ""  # nothing is due yet
+    hub.heard()
+    hub.take(event(2, Pose(arm="arm", joints_rad=(0.0,) * 6, age_s=0.1)))
+    hub.take(event(3, DeviceAge(device="arm", age_s=0.1)))
+    assert hub.frozen == ""
+    clock.now_s += SILENT_FILE_S + 1.0
+    assert "NO DATA FROM THE ENGINE FOR 4 s" in hub.frozen
+    assert hub.aged.pose is not None
+    assert hub.aged.theatre_time_s - hub.aged.pose.said_s == 4.0
+    hub.heard()
+    hub.take(event(4, DeviceState(device="arm", state="closed")))
+    clock.now_s += SILENT_FILE_S + 1.0
+    assert hub.frozen == ""
 
 
 def event(number: int, what: Happening) -> Event:
