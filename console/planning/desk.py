@@ -56,6 +56,7 @@ class PlanDesk(Bell):
         self.not_kept: RonnaError | None = None  # why a crash would lose unsaved changes
         self._markers: tuple[Marker, ...] = ()  # those that were found
         self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
+        self._to_check = asyncio.Event()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
         self._lock = PlannerLock(plan)
         self._begun = False
@@ -268,7 +269,9 @@ class PlanDesk(Bell):
 
     async def work(self) -> None:
         """Build the head, find the spheres, judge and store the draft whenever it changes; never ends."""
-        await asyncio.gather(self._prepare(), self._judge_all(), self._keep_all(), self._await_the_plan())
+        await asyncio.gather(
+            self._prepare(), self._judge_all(), self._check_all(), self._keep_all(), self._await_the_plan()
+        )
 
     async def _await_the_plan(self) -> None:
         while self.problem is None and not self._begun:
@@ -310,13 +313,25 @@ class PlanDesk(Bell):
         while True:
             await self._changed.wait()
             self._changed.clear()
-            draft = self.draft
-            for thorough in (False, True):
-                if self._changed.is_set() or (thorough and self.judged.thorough):
-                    break
-                judged = await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
-                self.judged = judged
-                self.tell()
+            self._announce(await self._judged(self.draft, thorough=False))
+            if not self.judged.thorough and not self._changed.is_set():
+                self._to_check.set()
+
+    async def _check_all(self) -> None:
+        """Thoroughly, which takes long: changes are judged meanwhile, and make its result a late one."""
+        while True:
+            await self._to_check.wait()
+            self._to_check.clear()
+            judged = await self._judged(self.draft, thorough=True)
+            if judged.draft is self.draft:
+                self._announce(judged)
+
+    async def _judged(self, draft: Draft, *, thorough: bool) -> Judged:
+        return await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
+
+    def _announce(self, judged: Judged) -> None:
+        self.judged = judged
+        self.tell()
 
     async def _keep_all(self) -> None:
         while True:

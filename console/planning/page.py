@@ -242,7 +242,7 @@ class PlannerPage:
         self._looked()
         self._scene.show()
         self._markers.show()
-        self._structures.show(desk.judged.distances)
+        self._structures.show()
         self._verdict.set_content(verdict(desk.judged, desk.draft))
         self._expected.set_content(expected(desk.judged, desk.draft))
         self._beat += 1

@@ -14,6 +14,7 @@ from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
 from console.planning.fields import NumberField
 from console.planning.look import Look
+from console.planning.verdict import marked
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
 from procedures.planning.errors import StructureUnreadable
 from procedures.planning.head.structures import Structure, StructureDistance
@@ -58,9 +59,9 @@ class StructurePanel:
         self._last_mm = place_mm
         self._change(lambda draft: drawn(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
 
-    def show(self, distances: Iterable[StructureDistance]) -> None:
+    def show(self) -> None:
         """Show the current draft and the known distances."""
-        structures = self._desk.draft.structures
+        judged, structures = self._desk.judged, self._desk.draft.structures
         names = tuple(one.name for one in structures)
         if names != self._names:
             self._names = names
@@ -71,7 +72,8 @@ class StructurePanel:
                     self._build(name)
         for one in structures:
             self._margins[one.name].show(one.margin_mm)
-        self._distances.set_content(_table(structures, distances))
+        table = _table(structures, judged.distances)
+        self._distances.set_content(marked(table, judged, self._desk.draft))
 
     @property
     def _chosen(self) -> str:

@@ -12,11 +12,8 @@ SHARES_SHOWN = 6
 
 
 def verdict(judged: Judged, draft: Draft) -> str:
-    """Assessment of the current draft or, until it is checked, of the previous one."""
-    late = judged.draft is not draft or not judged.thorough
-    head = _outcome(judged)
-    parts = [tag("p", head, class_="judging") if late else head]
-    parts += [
+    """Assessment of the current draft; until it is checked, the details of the previous one, marked so."""
+    parts = [
         tag(
             "li",
             f"{text(f'{one.code} {one.summary}')} {tag('span', text(one.advice), class_='advice')}",
@@ -27,9 +24,11 @@ def verdict(judged: Judged, draft: Draft) -> str:
     parts += [tag("li", text(one), class_="warn") for one in judged.warnings]
     parts += [tag("li", text(_to_skull(name, angle))) for name, angle in judged.angles_deg.items()]
     parts += [tag("li", text(one), class_="ok") for one in judged.reached]
-    more = tag("ul", "".join(parts[1:]), class_="findings") if parts[1:] else ""
-    state = "judging" if late else "judged"
-    return tag("div", parts[0] + more, data_state=state, data_findings=str(len(judged.findings)))
+    current = judged.draft is draft
+    head = _outcome(judged) if current else tag("p", "Checking…", class_="dim")
+    more = marked(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
+    state = "judged" if current and judged.thorough else "judging"
+    return tag("div", head + more, data_state=state, data_findings=str(len(judged.findings)))
 
 
 def expected(judged: Judged, draft: Draft) -> str:
@@ -39,10 +38,17 @@ def expected(judged: Judged, draft: Draft) -> str:
         return tag("p", words, class_="dim")
     rows = "".join(
         _target(one.identifier, judged.expected[one.identifier], one.margin_mm)
-        for one in draft.ways
+        for one in judged.draft.ways
         if one.identifier in judged.expected
     )
-    return rows + tag("p", _basis(judged.expected.values()), class_="dim")
+    return marked(rows + tag("p", _basis(judged.expected.values()), class_="dim"), judged, draft)
+
+
+def marked(content: str, judged: Judged, draft: Draft) -> str:
+    """What was found for a draft; grey, and so in words, once that is not the current one."""
+    if judged.draft is draft or not content:
+        return content
+    return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")
 
 
 def _outcome(judged: Judged) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import errno
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,8 @@ from plan_desks import ENTRY, draw, reopened, save, scan
 from console.planning import desk as desk_module
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
-from console.planning.judging import judge
+from console.planning.judging import Expected, Judged, judge
+from console.planning.verdict import expected, verdict
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
 from procedures.planning.plan.file import read_plan, write_plan
@@ -223,6 +225,72 @@ def test_a_ct_without_spheres_is_reported_while_the_head_is_still_shown(desk: Pl
     assert desk.notice is not None
     assert desk.notice.code == "CT-016"
     assert desk.head
+
+
+def test_a_change_is_judged_while_the_thorough_check_before_it_still_runs_and_its_late_result_is_dropped(
+    desk: PlanDesk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun, released = threading.Event(), threading.Event()
+    checked = []
+
+    def slow(draft: Draft, *_: object, thorough: bool) -> Judged:
+        if thorough:
+            begun.set()
+            checked.append(draft)
+            released.wait(30.0)
+        return Judged(draft, thorough=thorough, arm_known=True, complete=True)
+
+    monkeypatch.setattr(desk_module, "judge", slow)
+    shown = []
+
+    async def dragged() -> None:
+        work = asyncio.create_task(desk.work())
+        heard = desk.subscribe()
+
+        async def until(done: Callable[[], bool]) -> None:
+            while not done():
+                await heard.wait()
+                heard.clear()
+                shown.append(desk.judged)
+
+        await until(lambda: not desk.searching)
+        draw(desk)
+        await asyncio.to_thread(begun.wait, 30.0)
+        draw(desk, standoff_mm=31.0)
+        await asyncio.wait_for(until(lambda: desk.judged.draft is desk.draft), 10.0)
+        assert not desk.judged.thorough
+        released.set()
+        await asyncio.wait_for(until(lambda: desk.judged.thorough), 10.0)
+        work.cancel()
+
+    try:
+        asyncio.run(dragged())
+    finally:
+        released.set()
+    assert [one.draft for one in shown if one.thorough] == [desk.draft]
+    assert len(checked) >= 2
+
+
+def test_what_was_found_for_an_earlier_draft_is_not_told_as_that_of_the_current_one(desk: PlanDesk) -> None:
+    draw(desk)
+    earlier = desk.draft
+    found = Judged(
+        earlier,
+        thorough=True,
+        expected={"T1": Expected(1.5, 3.0, (), with_arm=False)},
+        reached=("every motion is clear",),
+        complete=True,
+    )
+    assert "would be accepted" in verdict(found, earlier)
+    assert "Before the last change" not in verdict(found, earlier) + expected(found, earlier)
+    desk.change(earlier.with_way("T1", replace(earlier.way("T1"), margin_mm=1.0)))
+    now = verdict(found, desk.draft)
+    assert "would be accepted" not in now
+    assert "Checking…" in now
+    for shown in (now, expected(found, desk.draft)):
+        assert "Before the last change" in shown
+        assert 'class="stale"' in shown
+    assert "exceeds the margin" not in expected(found, desk.draft)  # of the margin at that time
 
 
 @pytest.mark.parametrize(
