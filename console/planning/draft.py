@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -189,18 +188,6 @@ class History:
     def can_redo(self) -> bool:
         """Whether anything was undone."""
         return bool(self._future)
-
-
-# A number as typed: a comma or a point before the decimals.
-_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
-
-
-def typed_number(words: str) -> float:
-    """A typed number. Raises ValueError with what is wrong."""
-    given = words.strip().replace("\N{MINUS SIGN}", "-")
-    if not _NUMBER.fullmatch(given):
-        raise ValueError(f"expected a number such as -12.5, got {words.strip()[:20]!r}")
-    return float(given.replace(",", "."))
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,7 @@
-"""A number field: committed on Enter or on leaving it; an invalid entry shows the reason next to it."""
+"""A number field: committed on Enter or on leaving it; an invalid entry shows the reason next to it.
+
+Emptied, it shows the present value again.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from console.planning.draft import typed_number
+from ronna_hw.text.typed_number import typed_number
 
 
 class NumberField:
@@ -15,6 +18,8 @@ class NumberField:
     def __init__(self, label: str, name: str, take: Callable[[float], None], decimals: int = 1) -> None:
         self._take, self._decimals = take, decimals
         self._shown = ""
+        self.name = name
+        self.is_wrong = False  # what was typed is none, so the value is not what the field shows
         self._field = (
             ui.input()
             .classes("number")
@@ -30,22 +35,33 @@ class NumberField:
         if words != self._shown:
             self._shown = words
             self._field.set_value(words)
-            self._field.props(remove="error error-message")
+            self._complain("")
 
     def enable(self, enabled: bool) -> None:
         """Enable or disable typing."""
         self._field.set_enabled(enabled)
 
     def _typed(self) -> None:
-        words = str(self._field.value or "")
-        if words == self._shown or not words:
+        words = str(self._field.value or "").strip()
+        if words in ("", self._shown):
+            self._field.set_value(self._shown)
+            self._complain("")
             return
         try:
             value = typed_number(words)
         except ValueError as mistake:
-            self._field.props("error").props(f'error-message="{str(mistake).replace(chr(34), chr(39))}"')
+            self._complain(f"expected a number such as -12.5, got {mistake}")
             return
-        self._field.props(remove="error error-message")
+        if not self._decimals and not value.is_integer():
+            self._complain(f"expected a whole number, got {words}")
+            return
+        self._complain("")
         self._shown = words
         self._take(value)
         self._field.update()  # the previous value may still be on its way, and would overwrite this one
+
+    def _complain(self, mistake: str) -> None:
+        self.is_wrong = bool(mistake)
+        self._field.props(remove="error error-message")
+        if mistake:
+            self._field.props("error").props(f'error-message="{mistake.replace(chr(34), chr(39))}"')

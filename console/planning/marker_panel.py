@@ -47,7 +47,8 @@ class MarkerPanel:
             )
             self._position.props('dense outlined options-dense aria-label="patient position in the scanner"')
             self._position.set_enabled(may_edit and not desk.volume.patient_position)
-            for one in (self._implanted, self._standoff, self._length):
+            self.fields = (self._implanted, self._standoff, self._length)
+            for one in self.fields:
                 one.enable(may_edit)
 
     def show(self) -> None:
@@ -97,7 +98,7 @@ class MarkerPanel:
         )
 
     def _set_implanted(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, implanted=round(value)))
+        self._desk.change(replace(self._desk.draft, implanted=int(value)))
 
     def _set_position(self) -> None:
         position = str(self._position.value or "")

@@ -26,6 +26,7 @@ from console.sessions import Role, Session
 from console.web.changes import changed_within
 from console.web.library import page_head, use_library
 from console.web.sockets import own_page
+from procedures.planning.errors import PlanMistakes
 from procedures.planning.plan.model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
@@ -179,7 +180,14 @@ class PlannerPage:
             self._say(None)
 
     async def _save_plan(self) -> None:
+        fields = (*self._ways.fields.values(), *self._structures.margins.values(), *self._markers.fields)
         try:
+            for one in fields:
+                if one.is_wrong:
+                    raise PlanMistakes(
+                        f"{one.name} is not as it was typed",
+                        action="Correct its field or empty it, then save again.",
+                    )
             await self._desk.save(str(self._author.value or ""))
         except RonnaError as refused:
             self._say(refused)

@@ -34,7 +34,7 @@ class StructurePanel:
         self._desk, self._look, self._go, self._say, self._may_edit = desk, look, go, say, may_edit
         self._last_mm: Point | None = None
         self._names: tuple[str, ...] | None = None
-        self._margins: dict[str, NumberField] = {}
+        self.margins: dict[str, NumberField] = {}
         with ui.element("section").classes("card structures").props('aria-label="Structures"'):
             ui.html("<h2>Structures to avoid</h2>", sanitize=False)
             if may_edit:
@@ -66,12 +66,12 @@ class StructurePanel:
         if names != self._names:
             self._names = names
             self._list.clear()
-            self._margins = {}
+            self.margins = {}
             with self._list:
                 for name in names:
                     self._build(name)
         for one in structures:
-            self._margins[one.name].show(one.margin_mm)
+            self.margins[one.name].show(one.margin_mm)
         table = _table(structures, judged.distances)
         self._distances.set_content(marked(table, judged, self._desk.draft))
 
@@ -82,8 +82,8 @@ class StructurePanel:
     def _build(self, name: str) -> None:
         with ui.element("div").classes("sphere").props(f'role=group aria-label="structure {name}"'):
             self._button(name, partial(self._look_at, name), f"crosshair to {name}")
-            self._margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
-            self._margins[name].enable(self._may_edit)
+            self.margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
+            self.margins[name].enable(self._may_edit)
             if self._may_edit:
                 self._button("−", partial(self._remove, name), f"remove {name}")
 

@@ -23,7 +23,7 @@ class WayPanel:
     def __init__(self, desk: PlanDesk, look: Look, looked: Callable[[], None], *, may_edit: bool) -> None:
         self._desk, self._look, self._looked, self._may_edit = desk, look, looked, may_edit
         self._names: tuple[tuple[str, ...], str] = ((), "")
-        self._fields: dict[str, NumberField] = {}
+        self.fields: dict[str, NumberField] = {}
         with ui.element("section").classes("card ways").props('aria-label="Trajectories"'):
             ui.html("<h2>Trajectories</h2>", sanitize=False)
             self._tabs = ui.element("div").classes("views").props('role=group aria-label="Trajectories"')
@@ -62,13 +62,13 @@ class WayPanel:
         way = self._way
         for end, place in (("entry", way.entry_mm), ("target", way.target_mm)):
             for axis, letter in enumerate("LPS"):
-                self._fields[f"{end} {letter}"].show(None if place is None else place[axis])
+                self.fields[f"{end} {letter}"].show(None if place is None else place[axis])
         axis_of = Axis.of(*way.ends) if way.ends else None
-        self._fields["azimuth"].show(axis_of.azimuth_deg if axis_of else None)
-        self._fields["elevation"].show(axis_of.elevation_deg if axis_of else None)
-        self._fields["depth"].show(way.depth_mm)
-        self._fields["free angle"].show(way.free_angle_deg)
-        self._fields["margin"].show(way.margin_mm)
+        self.fields["azimuth"].show(axis_of.azimuth_deg if axis_of else None)
+        self.fields["elevation"].show(axis_of.elevation_deg if axis_of else None)
+        self.fields["depth"].show(way.depth_mm)
+        self.fields["free angle"].show(way.free_angle_deg)
+        self.fields["margin"].show(way.margin_mm)
 
     def place(self, end: str, place_mm: Point, *, goes_on: bool = False) -> None:
         """Move an end of the current trajectory."""
@@ -151,7 +151,7 @@ class WayPanel:
     def _field(self, name: str, label: str, take: Callable[[float], None], decimals: int = 1) -> None:
         field = NumberField(label, name, take, decimals)
         field.enable(self._may_edit)
-        self._fields[name] = field
+        self.fields[name] = field
 
     def _button(self, sign: str, act: Callable[[], None], name: str) -> ui.button:
         button = ui.button(sign, on_click=act, color=None).classes("plain small")

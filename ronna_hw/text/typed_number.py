@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
 def without_unit(typed: str, unit: str) -> str:
@@ -16,11 +19,8 @@ def typed_number(typed: str, unit: str = "") -> float:
 
     The `unit` may follow it, with or without a space; another one may not.
     """
-    words = typed.strip()
-    try:
-        number = float(without_unit(words, unit).replace(",", "."))
-    except ValueError:
-        number = math.nan
+    words = without_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
+    number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
     if not math.isfinite(number):
-        raise ValueError(repr(words))
+        raise ValueError(repr(typed.strip()))
     return number

@@ -1,4 +1,4 @@
-"""A plan while it is drawn: typed numbers, changes, undo and redo."""
+"""A plan while it is drawn: changes, undo and redo."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from console.planning.draft import Axis, Draft, History, typed_number
+from console.planning.draft import Axis, Draft, History
 from procedures.planning.plan.file import parse_plan
 
 ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
@@ -16,20 +16,6 @@ ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
 def drawn() -> Draft:
     draft = Draft("HFS", 4, instrument_length_mm=250.0)
     return draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET))
-
-
-@pytest.mark.parametrize(
-    ("words", "number"),
-    [("-12.5", -12.5), ("8,4", 8.4), (" +3 ", 3.0), ("−7", -7.0), (".5", 0.5), ("12.", 12.0)],
-)
-def test_typed_numbers_are_read_with_comma_sign_and_blanks(words: str, number: float) -> None:
-    assert typed_number(words) == number
-
-
-@pytest.mark.parametrize("words", ["", "1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5"])
-def test_text_that_is_not_a_number_is_refused_with_an_example(words: str) -> None:
-    with pytest.raises(ValueError, match=r"such as -12\.5"):
-        typed_number(words)
 
 
 def test_a_draft_becomes_a_plan_of_its_complete_trajectories() -> None:
