@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from procedures.planning.errors import PlanInUse, PlanUnreadable
+from procedures.planning.errors import PlanInUse, PlanNotSaved, PlanUnreadable
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 
@@ -44,7 +44,7 @@ def held_plan(path: Path) -> Iterator[HeldPlan]:
 
 @contextmanager
 def replaced_plan(path: Path) -> Iterator[None]:
-    """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-026.
+    """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-025, PLAN-026.
 
     A file that does not exist yet is held by no one.
     """
@@ -55,6 +55,8 @@ def replaced_plan(path: Path) -> Iterator[None]:
     except FileNotFoundError:
         yield
         return
+    except OSError as error:
+        raise PlanNotSaved(f"{path.name} cannot be locked: {error.strerror}") from error
     try:
         yield
     finally:

@@ -189,6 +189,23 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
     assert read_plan(file).trajectory("T1").entry_mm == ENTRY
 
 
+def test_a_plan_where_files_cannot_be_locked_is_not_saved_and_says_so(
+    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw(desk)
+    save(desk)
+    before = file.read_bytes()
+    draw(desk, standoff_mm=31.0)
+
+    def unsupported(_file: int, _kind: int) -> None:
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr("fcntl.flock", unsupported)
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025: plan\.toml cannot be locked: No locks available"):
+        save(desk)
+    assert file.read_bytes() == before
+
+
 def test_the_planner_does_not_take_its_own_save_for_a_running_case(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
