@@ -161,9 +161,10 @@ class PlanDesk(Bell):
         self.not_kept = None
         if not self._begun:
             return None
-        saved = None if self._saved is None else replace(self._saved, markers=())
+        saved, drawn = self._saved, replace(self.draft, markers=())
+        unsaved = self.history.can_undo if saved is None else drawn != replace(saved, markers=())
         try:
-            if self.problem is None and self.history.can_undo and replace(self.draft, markers=()) != saved:
+            if self.problem is None and unsaved:
                 self._unsaved.keep(self.draft, self._on_disk)
                 return self._unsaved.path
             if self.problem is None:

@@ -47,6 +47,21 @@ def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: P
     assert not kept.exists()
 
 
+def test_an_undo_back_to_the_beginning_after_a_save_is_not_lost(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    desk.close()
+    second = PlanDesk(scan(), file, None)
+    draw(second, standoff_mm=31.0)
+    save(second)
+    second.undo()
+    assert second.close() is not None
+    third = PlanDesk(scan(), file, None)
+    assert third.notice is not None
+    assert third.notice.code == "PLAN-029"
+    assert third.draft.standoff_mm == 30.0
+
+
 def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues_its_draft(
     desk: PlanDesk, file: Path
 ) -> None:
