@@ -77,7 +77,7 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
         case MeasuringVolume():
             return {"volume": what}
         case LinkHealth():
-            return {"link": what}
+            return {"link": what, "link_said_s": view.theatre_time_s}
         case Pose():
             return {"pose": StoodPose(what, view.theatre_time_s)}
         case DeviceState(device=device) | DeviceAge(device=device):

@@ -14,9 +14,6 @@ from procedures.engine.events import (
     Seat,
     Waiting,
 )
-from procedures.operator.evidence import Evidence
-
-__all__ = ["CaseView", "DeviceRow", "Evidence", "Notice", "StepRow", "StoodPose"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +83,7 @@ class CaseView:
     seat: Seat | None = None
     devices: dict[str, DeviceRow] = field(default_factory=dict)
     link: LinkHealth | None = None
+    link_said_s: float = 0.0  # when that was reported, theatre time
     bodies: Bodies | None = None
     volume: MeasuringVolume | None = None
     pose: StoodPose | None = None

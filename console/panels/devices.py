@@ -66,7 +66,7 @@ def _link(view: CaseView) -> str:
     counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
     return tag(
         "p",
-        f"Robot link: {link.cycles} cycles, "
+        f"Robot link {view.theatre_time_s - view.link_said_s:.0f} s ago: {link.cycles} cycles, "
         + tag("span", counts, class_=late)
         + f"; turnaround {link.turnaround_median_us:.0f} µs median, {link.turnaround_p99_us:.0f} µs p99",
     )

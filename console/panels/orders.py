@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
-from typing import Any
 
 from nicegui import ui
 
 from console.feed.view import CaseView
 from console.panels.bar import seat_line
-from console.panels.question import HeldButton
+from console.panels.question import Give, HeldButton
 
-Give = Callable[[dict[str, Any]], Awaitable[None]]
 AT_PAUSE = "pause"  # topic of the question answered by Resume: no button here answers it
 NOT_EMERGENCY = (
     "Stop motion makes the driver bring the arm to rest. "

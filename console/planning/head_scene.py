@@ -9,7 +9,7 @@ from nicegui import ui
 
 from console.planning.desk import PlanDesk
 from console.planning.look import Look
-from console.planning.overlay import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE, SPHERE_RADIUS_MM
+from console.planning.overlay import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
 from console.scene.actors import Call, Rod
 from console.scene.bodies import METRES
 from console.scene.theatre_scene import (
@@ -20,6 +20,7 @@ from console.scene.theatre_scene import (
     LOW_OPACITY,
     SKIN,
 )
+from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
 OUTSIDE_MM = 40.0  # length of a trajectory drawn outside the entry

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from console.panels.html import tag, text
 from console.pictures.cuts import SIZE_PX, Cut
 from console.planning.draft import Draft, Way
+from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
 CROSS, SPHERE, CHOSEN, OTHER = "#35c8ff", "#ffa64d", "#ff5fa2", "#d8a6ff"
 AVOIDED = "#ff4d4d"
 POINT_WITHIN_MM = 1.5  # from the image: points of a structure that are drawn in it
 NEAR_MM = 3.0  # from the image: a closer end is drawn opaque, one farther off faint
-SPHERE_RADIUS_MM = 5.75
 GAP_PX = 9.0  # left free by the crosshair around its centre
 HANDLE_PX = 9.0  # within which an end can be grasped
 FONT = "bold 13px system-ui,sans-serif"

@@ -11,14 +11,15 @@ from console.scene.actors import Call, Capsule, Rod, placed
 from console.scene.bodies import METRES, Closest, Point, closest_pair, ends
 from console.scene.sights import Sights
 from procedures.engine.events import Bodies, Pose
+from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
+from ronna_hw.frames import Transform
 
 BACKGROUND = "#26333e"  # dark in both themes, so that bodies of every colour stand out
 ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
 SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
 LINKS = 4  # the first of the moving bodies are the arm's own: drawn in its colour
-SPHERE_RADIUS_MM = 5.75
 OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
 OLD_S = 0.5  # theatre time after which a pose is greyed out
 BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
@@ -66,7 +67,10 @@ class TheatreScene:
                 self._figures = key
                 self._build_marks(figures, heads)
             self._sights.show(view, figures)
-            if view.pose is not None and view.pose.pose is not self._pose:
+            if view.pose is None:
+                self._pose = None
+                self._show_closest(None)
+            elif view.pose.pose is not self._pose:
                 self._place(view.pose.pose)
         self._grey_if_old(view)
 
@@ -93,16 +97,21 @@ class TheatreScene:
     def _place(self, pose: Pose) -> None:
         self._pose, bodies = pose, self._bodies
         if bodies is None or len(pose.bodies_mm) != len(bodies.moving):
+            self._show_closest(None)
             return
         if not self._moving:
             self._build_moving(bodies, pose)
         calls: list[Call] = []
         for capsule, place in zip(self._moving, pose.bodies_mm, strict=True):
             calls += capsule.place(*ends(place))
-        self.closest = closest_pair(bodies, pose)
-        if self.closest is not None:
-            calls += self._near.place(self.closest.from_mm, self.closest.to_mm)
-        self.scene.run_method("run_methods", calls)
+        self.scene.run_method("run_methods", calls + self._show_closest(closest_pair(bodies, pose)))
+
+    def _show_closest(self, closest: Closest | None) -> list[Call]:
+        self.closest = closest
+        if closest is None:
+            self._near.group.visible(False)
+            return []
+        return self._near.place(closest.from_mm, closest.to_mm)
 
     def _grey_if_old(self, view: CaseView) -> None:
         stood = view.pose
@@ -121,17 +130,18 @@ class TheatreScene:
         for one in self._marks:
             one.delete()
         self._marks = []
+        self._show_head(None if figures is None else figures.robot_from_ct, heads)
         if figures is None:
             return
-        self._show_head(figures, heads)
         for sphere in figures.spheres:
             self._sphere(sphere)
         for path in figures.trajectories:
             self._path(path.name, path.entry_mm, path.target_mm)
 
-    def _show_head(self, figures: CaseFigures, heads: int) -> None:
-        pose = figures.robot_from_ct
+    def _show_head(self, pose: Transform | None, heads: int) -> None:
         if pose is None or not heads:
+            if self._head is not None:
+                self._head.visible(False)
             return
         if heads != self._head_count:
             if self._head is not None:
@@ -139,6 +149,7 @@ class TheatreScene:
             self._head = self.scene.stl("/picture/head.stl").with_name("head")
             self._head.material(SKIN, LOW_OPACITY if self._low else HEAD_OPACITY)
             self._head_count = heads
+        self._head.visible()
         rotation = pose.rotation_matrix.tolist()
         x, y, z = pose.translation_mm.tolist()
         self.scene.run_method("run_methods", placed(self._head, (x, y, z), rotation))

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from console.feed.fold import JOURNAL_KEPT, fold
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView
+from console.panels.devices import devices
 from console.panels.notices import notices
 from procedures.engine.events import (
     Answered,
@@ -20,6 +21,7 @@ from procedures.engine.events import (
     Fault,
     Happening,
     JournalLine,
+    LinkHealth,
     Order,
     OrderedStep,
     Progress,
@@ -136,6 +138,16 @@ def test_a_signal_that_was_written_late_changes_neither_the_time_nor_the_next_st
     view = fold(fold(CaseView(), begun), early)
     assert (view.running, view.share, view.doing) == ("fit:T1", 0.0, "")
     assert (view.number, view.theatre_time_s) == (2, 0.2)
+
+
+def test_the_health_of_the_robot_link_is_shown_with_its_age() -> None:
+    health = LinkHealth(
+        cycles=100, late=0, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0
+    )
+    said = Event(number=1, host_time=MOMENT, theatre_time_s=3.0, what=health)
+    seen = DeviceState(device="arm", state="fault")
+    later = Event(number=2, host_time=MOMENT, theatre_time_s=45.0, what=seen)
+    assert "Robot link 42 s ago: 100 cycles" in devices(fold(fold(CaseView(), said), later))
 
 
 def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
