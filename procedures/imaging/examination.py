@@ -176,6 +176,7 @@ def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: f
         quality=sphere.measured.edge.surface_share / (1.0 + disagreement**2),
         agreement_mm=combined.agreement_mm,
         flags=_flags(sphere, others, radius_mm),
+        odds=sphere.candidate.odds,
     )
 
 

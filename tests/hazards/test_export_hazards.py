@@ -57,13 +57,14 @@ def run(tmp_path: Path) -> Path:
         quality=1.0,
         agreement_mm=0.01,
         flags=(),
+        odds=1.0,
     )
     imported = imported_from_a_sown_series(tmp_path / "import")
     spheres = LocalizedFiducials(
         series_instance_uid=imported.series_instance_uid,
         diameter_mm=11.5,
         markers=(marker,),
-        candidates_refused=0,
+        doubtful=(),
     )
     done = registered_robot()
     (first, *_) = done.predictions

@@ -77,12 +77,11 @@ def localized_fiducials(centres_mm: Array = CENTRES_CT_MM) -> LocalizedFiducials
             quality=1.0,
             agreement_mm=0.01,
             flags=(),
+            odds=1.0,
         )
         for centre in centres_mm.tolist()
     )
-    return LocalizedFiducials(
-        series_instance_uid=SERIES, diameter_mm=11.5, markers=markers, candidates_refused=0
-    )
+    return LocalizedFiducials(series_instance_uid=SERIES, diameter_mm=11.5, markers=markers, doubtful=())
 
 
 def plan(**changes: object) -> Plan:

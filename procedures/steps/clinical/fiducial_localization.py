@@ -9,7 +9,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
-from procedures.imaging.markers import Marker
+from procedures.imaging.markers import Candidate, Marker
 from procedures.imaging.pictures import marker_pictures
 from procedures.results.result import Matrix3, StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -28,6 +28,7 @@ class LocalizedMarker(Values):
     )
     agreement_mm: float = Field(description="Distance between the two estimates of the centre.")
     flags: tuple[str, ...] = Field(description="Reasons that make it less certain.")
+    odds: float = Field(description="That it is a marker, 0 to 1, at least even.")
 
     @classmethod
     def of(cls, marker: Marker) -> LocalizedMarker:
@@ -39,16 +40,30 @@ class LocalizedMarker(Values):
             quality=float(marker.quality),
             agreement_mm=float(marker.agreement_mm),
             flags=tuple(marker.flags),
+            odds=float(marker.odds),
         )
 
 
-class LocalizedFiducials(StepResult, kind="fiducial_localization"):
+class DoubtfulSphere(Values):
+    """A body of the right size that was not taken for a sphere."""
+
+    centre_mm: Numbers3 = Field(description="Centre, LPS.")
+    reason: str = Field(description="Why it is doubtful.")
+    odds: float = Field(description="That it is a marker, below even.")
+
+    @classmethod
+    def of(cls, candidate: Candidate) -> DoubtfulSphere:
+        """The localizer's candidate as plain numbers."""
+        return cls(centre_mm=candidate.centre_mm, reason=candidate.reason, odds=float(candidate.odds))
+
+
+class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     """The spheres of the CT, from superior to inferior."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
     diameter_mm: float = Field(description="Nominal diameter searched for.")
     markers: tuple[LocalizedMarker, ...] = Field(description="The spheres.")
-    candidates_refused: int = Field(description="Candidates examined.")
+    doubtful: tuple[DoubtfulSphere, ...] = Field(description="What may be a sphere, likeliest first.")
 
     @property
     def centres_mm(self) -> NDArray[np.float64]:
@@ -72,9 +87,10 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
             series_instance_uid=found.series_instance_uid,
             diameter_mm=found.diameter_mm,
             markers=tuple(LocalizedMarker.of(marker) for marker in found.markers),
-            candidates_refused=sum(not candidate.accepted for candidate in found.candidates),
+            doubtful=tuple(DoubtfulSphere.of(candidate) for candidate in found.doubtful),
         ),
-        summary=f"{len(found.markers)} spheres",
+        summary=f"{len(found.markers)} spheres"
+        + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else ""),
     )
 
 

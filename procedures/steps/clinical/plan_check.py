@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +24,11 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.clinical.fiducial_localization import (
+    DoubtfulSphere,
+    LocalizedFiducials,
+    LocalizedMarker,
+)
 from procedures.steps.conditions import localizable
 
 SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
@@ -60,7 +63,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check = check_plan(
         plan, volume, fiducials_mm=localization.centres_mm, bore=context.workcell.tools.guide.bore
     )
-    check, spheres = _counted(context, check, localization.markers)
+    check, spheres = _counted(context, check, localization)
     check.require()
     _keep_cuts(context, volume, plan)
     _confirm_patient(context, plan)
@@ -126,30 +129,32 @@ def _shown(plan: Plan) -> str:
     return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {instrument}; {ways}"
 
 
-def _counted(
-    context: StepContext, check: PlanCheck, candidates: Sequence[LocalizedMarker]
-) -> tuple[PlanCheck, int]:
+def _counted(context: StepContext, check: PlanCheck, localized: LocalizedFiducials) -> tuple[PlanCheck, int]:
     """The check without a wrong count of spheres that the operator agreed to, and how many are to be matched.
 
     Of too many, tracker and matching show which are on the head; with too few it continues without the
     missing ones.
     """
-    planned, found = check.plan.implanted, len(candidates)
+    planned, found = check.plan.implanted, len(localized.markers)
     others = tuple(one for one in check.findings if not isinstance(one, WrongMarkerCount))
     if others or check.passed or found < FEWEST_SPHERES:
         return check, planned
+    shown = [
+        f"{number}: {_place(one)}, radius {one.radius_mm:.2f} mm, quality {one.quality:.2f}, odds {one.odds:.2f}"
+        for number, one in enumerate(localized.markers, start=1)
+    ]
+    shown += [f"not taken: {_place(one)}, {one.reason}, odds {one.odds:.2f}" for one in localized.doubtful]
     question = SPHERE_COUNT.question(
-        f"the CT shows {found} spheres, {planned} were implanted",
-        "; ".join(
-            f"{number}: at ({', '.join(f'{value:.1f}' for value in one.centre_mm)}) mm, "
-            f"radius {one.radius_mm:.2f} mm, quality {one.quality:.2f}"
-            for number, one in enumerate(candidates, start=1)
-        ),
+        f"the CT shows {found} spheres, {planned} were implanted", "; ".join(shown)
     )
     if context.choose(question) != GO_ON:
         return check, planned
     said = f"the CT shows {found} spheres, {planned} were implanted: the operator continued"
     return replace(check, findings=(), warnings=(*check.warnings, said)), min(planned, found)
+
+
+def _place(sphere: LocalizedMarker | DoubtfulSphere) -> str:
+    return f"at ({', '.join(f'{value:.1f}' for value in sphere.centre_mm)}) mm"
 
 
 STEP = StepSpec(

@@ -40,3 +40,19 @@ def test_a_sphere_is_stored_with_its_covariance_parent_and_picture(
     assert stored.result.disagreement_mm == {0: found.agreement_mm}
     assert list(stored.record.parents) == ["01-ct_import"]
     assert (cell.folder / "pictures" / "ct-1.png").read_bytes().startswith(b"\x89PNG")
+    assert found.odds > 0.9
+    assert stored.result.doubtful == ()
+
+
+def test_a_doubtful_sphere_is_stored_with_its_reason_and_odds(cell: ClinicalCell) -> None:
+    scan, hollow = Scan(shape=(40, 80, 120)), np.array([20.0, 20.0, 45.0])
+    scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
+    scan.ball(hollow)
+    scan.ball(hollow, 2.8, -1000.0)
+    write_series(cell.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
+    localized = cell.run(ImportedCt.of(read_series(cell.series)), STEP).result
+    assert len(localized.markers) == 1
+    (doubtful,) = localized.doubtful
+    assert doubtful.centre_mm == pytest.approx((25.0, -10.0, 60.0), abs=0.2)
+    assert "of its core is a different material" in doubtful.reason
+    assert 0.0 < doubtful.odds < 0.5

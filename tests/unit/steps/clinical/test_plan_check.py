@@ -17,6 +17,7 @@ from procedures.operator.topic import Topic
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan.model import Plan
 from procedures.results.errors import GateFailed
+from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 
 Array = NDArray[np.float64]
@@ -43,6 +44,7 @@ def checked(
     planned: Plan | None = None,
     *,
     spheres_mm: Array = CENTRES_CT_MM,
+    doubtful: tuple[DoubtfulSphere, ...] = (),
     series: str = SERIES,
     edit: SeriesEdit | None = None,
 ) -> CheckedPlan:
@@ -51,7 +53,8 @@ def checked(
     cell.plan.write_text(
         tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True, exclude_none=True))
     )
-    engine = cell.begin(imported_ct(), localized_fiducials(spheres_mm), STEP)
+    spheres = localized_fiducials(spheres_mm).model_copy(update={"doubtful": doubtful})
+    engine = cell.begin(imported_ct(), spheres, STEP)
     engine.setting.memory.keep(head_volume(series))
     engine.run_to()
     assert engine.setting.memory.find(Volume) is None, "the largest input is still in memory"
@@ -80,9 +83,19 @@ def test_a_different_sphere_count_lists_all_spheres_and_continues_if_the_operato
     done = checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
     question, _patient = cell.operator.asked
     assert question.subject == "the CT shows 5 spheres, 4 were implanted"
-    assert question.value.count("radius 5.75 mm") == 5
+    assert question.value.count("radius 5.75 mm, quality 1.00, odds 1.00") == 5
     assert done.implanted == 4
     assert done.warnings[-1] == "the CT shows 5 spheres, 4 were implanted: the operator continued"
+
+
+@pytest.mark.branch("SPHERE_COUNT")
+def test_a_doubtful_sphere_is_shown_with_its_reason_and_odds_when_one_is_missing(cell: ClinicalCell) -> None:
+    covered = DoubtfulSphere(centre_mm=(1.0, 2.0, 3.0), reason="is doubtful: ends under its cover", odds=0.45)
+    checked(cell, plan().model_copy(update={"implanted": 5}), doubtful=(covered,))
+    question, _patient = cell.operator.asked
+    assert question.value.endswith(
+        "not taken: at (1.0, 2.0, 3.0) mm, is doubtful: ends under its cover, odds 0.45"
+    )
 
 
 def test_a_ct_with_fewer_spheres_than_implanted_is_accepted_if_the_operator_agrees(
