@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from prepared_results import (
     checked_paths,
     checked_plan,
@@ -25,6 +25,7 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning, registration
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.workcell import MountedTool
 
@@ -34,10 +35,12 @@ Array = NDArray[np.float64]
 NAME = f"registration:{FIRST}"
 
 
-def moved_mm(way_mm: tuple[float, float, float], turn_deg: float = 0.5) -> Array:
+def moved_mm(
+    way_mm: tuple[float, float, float], turn_deg: float = 0.5, about: ArrayLike = (0.0, 0.0, 1.0)
+) -> Array:
     """The spheres after the head has turned about its middle and moved."""
     middle = SPHERES_MM.mean(axis=0)
-    turn = Rotation.from_rotvec((0.0, 0.0, turn_deg), degrees=True)
+    turn = Rotation.from_rotvec(turn_deg * np.asarray(about), degrees=True)
     return np.asarray(turn.apply(SPHERES_MM - middle) + middle + way_mm)
 
 
@@ -102,6 +105,28 @@ def test_with_consent_the_registration_follows_the_head_and_states_the_added_err
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.MOVE_FOLLOWED]
     assert "2.29 mm and 0.50 deg" in question.subject
     assert any("follows a head movement" in text for text in findings(cell))
+
+
+@pytest.mark.parametrize("about_the_axis", [True, False])
+def test_the_guide_turns_with_the_head_except_about_its_axis_and_that_is_in_the_predicted_error(
+    about_the_axis: bool, tmp_path: Path
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = under_the_guide(cell)
+    pose = cell.case.get(CheckedPaths).result.targets[FIRST].tool_pose.transform.rotation_matrix
+    before = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
+    cell.tracker.spheres_mm = moved_mm((1.0, -2.0, 0.5), 1.9, pose[:, 2 if about_the_axis else 0])
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{FIRST}")
+    run(engine, NAME)
+    after = cell.case.get(RegisteredRobot, FIRST).result.prediction(FIRST)
+    shares = [{share.source: share.rms_mm for share in one.budget} for one in (before, after)]
+    across_mm = 2.0**0.5 * cell.setting().settings.tool_error_mm
+    expected_mm = across_mm * np.radians(1.9) if about_the_axis else 0.0
+    assert shares[0]["tool frame"] == pytest.approx(0.0, abs=1e-6)
+    assert shares[1]["tool frame"] == pytest.approx(expected_mm, abs=1e-3)
+    name = "links and joint offsets"  # the arm holds the guide with other joints
+    assert shares[1][name] != pytest.approx(shares[0][name], rel=1e-3)
 
 
 def test_the_guide_goes_to_where_the_head_is_now_and_a_second_move_is_detected(tmp_path: Path) -> None:

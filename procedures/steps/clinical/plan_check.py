@@ -140,7 +140,8 @@ def _counted(context: StepContext, check: PlanCheck, localized: LocalizedFiducia
     if others or check.passed or found < FEWEST_SPHERES:
         return check, planned
     shown = [
-        f"{number}: {_place(one)}, radius {one.radius_mm:.2f} mm, quality {one.quality:.2f}, odds {one.odds:.2f}"
+        f"{number}: {_place(one)}, radius {one.radius_mm:.2f} mm, quality {one.quality:.2f}, "
+        f"odds {one.odds:.2f}"
         for number, one in enumerate(localized.markers, start=1)
     ]
     shown += [f"not taken: {_place(one)}, {one.reason}, odds {one.odds:.2f}" for one in localized.doubtful]

@@ -39,6 +39,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.arm import arm_errors
 from procedures.steps.clinical.error_budget.evidence import budget_table, two_way_table
 from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
+from procedures.steps.clinical.error_budget.held_guide import held_guide
 from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm, shared_with_target
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -288,7 +289,8 @@ def predict_tip_error(
     """
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
-    held = context.result(CheckedPaths).targets[target].tool_pose.transform.rotation_matrix
+    moved = None if move is None else move.record.robot_from_robot.transform
+    held = held_guide(context, planned, fit.between(Frame.ROBOT, Frame.CT), moved)
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
@@ -298,19 +300,21 @@ def predict_tip_error(
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad
     nothing = np.zeros_like(pairs.ct_mm2)
+    turn = held.rotation
+    sources = (
+        OwnErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+        OwnErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
+        OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
+        *arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
+        shared_with_target(context, pairs.tool_mm, held),
+        OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
+        OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)),
+        *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
+    )
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,
-        [
-            OwnErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
-            OwnErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
-            OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
-            *arm_errors(context, pairs.fiducials, fit.physical_mm, target, tip_mm),
-            shared_with_target(context, pairs.tool_mm, target),
-            OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, held)),
-            OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, held)),
-            *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
-        ],
+        [held.before(one) for one in sources],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
     )
     return Prediction(

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
+from procedures.steps.clinical.error_budget.held_guide import HeldGuide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.relocalization import arriving
 
@@ -23,22 +24,21 @@ Array = NDArray[np.float64]
 
 
 def arm_errors(
-    context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, tip_mm: Array
+    context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Of localizations of spheres (n, 3) mm and the tip (3,) mm at a target, robot frame, as planned."""
+    """Of localizations of spheres (n, 3) mm, robot frame, as planned, and of the tip at a target."""
     paths, settings = context.result(CheckedPaths), context.setting.settings
     planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
     looks = [planned[index] for index in fiducials]
-    at_target = paths.targets[target]
     signs = arriving(context, paths)
     sides = None if signs is None else np.array([signs] * len(looks), dtype=float)
     return arm_sources(
         context.workcell.arm.kinematics.chain,
         ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, sides),
         ArmPoses(
-            np.array([at_target.joints_rad]),
-            tip_mm[None],
-            np.array([at_target.approach_signs], dtype=float),
+            np.array([held.joints_rad]),
+            held.tip_mm[None],
+            np.array([paths.targets[target].approach_signs], dtype=float),
         ),
         ErrorSizes.stated(
             settings.arm_error_mm,

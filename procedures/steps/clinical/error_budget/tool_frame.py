@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import SharedErrors
+from procedures.steps.clinical.error_budget.held_guide import HeldGuide
 from procedures.steps.clinical.path_check import CheckedPaths
 
 Array = NDArray[np.float64]
@@ -27,8 +28,6 @@ def displaced_spheres_mm(context: StepContext, fiducials: Sequence[int]) -> Arra
     return context.setting.settings.tool_error_mm * np.array([rotations[index] for index in fiducials])
 
 
-def shared_with_target(context: StepContext, spheres_mm: Array, target: str) -> SharedErrors:
+def shared_with_target(context: StepContext, spheres_mm: Array, held: HeldGuide) -> SharedErrors:
     """The same with the tip at a target; `spheres_mm` as above."""
-    pose = context.result(CheckedPaths).targets[target].tool_pose.transform
-    at_target_mm = context.setting.settings.tool_error_mm * pose.rotation_matrix
-    return SharedErrors(SOURCE, spheres_mm, at_target_mm)
+    return SharedErrors(SOURCE, spheres_mm, context.setting.settings.tool_error_mm * held.rotation)
