@@ -108,6 +108,18 @@ def test_an_unexpected_count_is_refused_and_every_candidate_listed(series: Path,
     assert ronna_ct("localize", series, "--expected", 3, "--json").stdout == ""
 
 
+def test_a_doubtful_sphere_is_told_with_its_reason_and_odds(tmp_path: Path) -> None:
+    scan = Scan(shape=(40, 80, 120))
+    for place_mm in (20.0, 45.0):
+        scan.ball(np.array([20.0, 20.0, place_mm]))
+    scan.ball(np.array([20.0, 20.0, 45.0]), 2.8, -1000.0)
+    done = ronna_ct("localize", write_series(tmp_path, scan.voxels()))
+    (told,) = done.stderr.splitlines()
+    assert told.startswith("doubtful, not taken: (25.0, -10.0, 60.0) is doubtful: ")
+    assert "of its core is a different material" in told
+    assert "(odds 0." in told
+
+
 def test_without_a_terminal_the_table_is_tab_separated_lines(series: Path) -> None:
     done = ronna_ct("localize", series)
     lines = [line.split("\t") for line in done.stdout.splitlines()]
