@@ -29,13 +29,17 @@ BOX_VARIANCE = 1.0 / 12.0
 
 @dataclass(frozen=True, eq=False)
 class PhantomScan:
-    """A volume and its spheres: centres (n, 3) LPS mm, and whether each is fully in the field of view."""
+    """A volume and its spheres: centres (n, 3) LPS mm, and whether each is fully in the field of view.
+
+    `objects` that are no markers but resemble them are beside these.
+    """
 
     volume: Volume
     centres_mm: Array
     whole: NDArray[np.bool_]
     purpose: str
     bound_mm: float  # Cramér-Rao, 3-D rms over the spheres
+    objects: int = 0
 
 
 @contextmanager
@@ -51,6 +55,7 @@ def phantom_scan(
             np.array([fiducial.get("surface_in_field", 1.0) == 1.0 for fiducial in truth["fiducials"]]),
             truth["purpose"],
             bound_mm(truth),
+            len(truth.get("look_alikes", ())) + len(truth.get("distractors_mm", ())),
         )
 
 

@@ -99,7 +99,7 @@ class LocalizationStudy:
             with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
                 if family in JUDGING and scan.purpose != "judging":
                     raise NotForJudging(f"family {family} is for {scan.purpose}")
-                sums.update({"volumes": 1.0, "bound2": scan.bound_mm**2})
+                sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
                 for method in AUTOMATIC:
                     sums.update(_judged(method, scan))
                 for localizer in own:
@@ -135,16 +135,16 @@ def _counted(
     found = np.empty((0, 3)) if found_mm is None else found_mm
     distance = np.linalg.norm(found[:, None] - scan.centres_mm[None], axis=2)
     near = distance < SAME_SPHERE_MM
-    sums["false"] = int((~near.any(axis=1)).sum())
+    sums["false"] = len(found) - int(near.any(axis=0).sum())  # a second one near a sphere is false too
     for sphere, centre in enumerate(scan.centres_mm):
-        hits = np.flatnonzero(near[:, sphere])
-        if len(hits) == 0:
+        if not near[:, sphere].any():
             sums["missed" if scan.whole[sphere] else "cut missed"] += 1
             continue
         if not scan.whole[sphere]:
             sums["cut found"] += 1
             continue
-        error = found[hits[0]] - centre
+        hit = int(distance[:, sphere].argmin())
+        error = found[hit] - centre
         length_mm = float(np.linalg.norm(error))
         sums["found"] += 1
         sums["error2"] += length_mm**2
@@ -152,7 +152,7 @@ def _counted(
         sums[f"bin {int(length_mm / BIN_MM)}"] += 1
         if not markers:
             continue
-        marker = markers[int(hits[0])]
+        marker = markers[hit]
         sums["chi2"] += float(error @ np.linalg.solve(marker.covariance_mm2, error))
         if length_mm > LARGE_ERROR_MM:
             sums["large"] += 1

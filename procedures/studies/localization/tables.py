@@ -84,7 +84,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             ),
         ),
         Table(
-            "Localization by family", COLUMNS, single, "Goals: 10 µm good, 25 poor; 35 and 50 with streaks."
+            "Localization by family",
+            COLUMNS,
+            single,
+            "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 in `bandage`.",
         ),
     ]
     return [*found, *of_frames]
