@@ -21,7 +21,8 @@ MOST_VALUES_OF_LINES = 3_000_000  # parsed one line at a time
 DEEPEST = 64  # records nest about ten deep
 MOST_DIGITS = 20  # of an integer: nanoseconds since 1970 have 19
 
-_STRING = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
+# An escaped quote begins no string; if it could, one without an end would be scanned from each quote in it.
+_STRING = re.compile(rb'(?<!\\)"(?:[^"\\]|\\.)*+"', re.DOTALL)
 _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 
 

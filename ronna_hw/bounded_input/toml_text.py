@@ -20,7 +20,8 @@ WHOLE = range(-(2**63), 2**63)  # as TOML requires; a long hexadecimal number ca
 DEEPEST = 32  # nested tables and parts of a key; more parts than a DICOM identifier can have
 
 _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
-_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
+# Not from an escaped quote: a string without an end would be scanned from each quote in it.
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-\\]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
 
 LONGEST_SHOWN = 80  # characters of a line with a mistake
 _LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")

@@ -176,7 +176,7 @@ def read_strictly(data: bytes) -> Telegram:
             raise BadTelegram("the count of late packets is impossible", got=str(delay)[:32], wire=data)
         if not (ipoc.isascii() and ipoc.isdigit() and len(ipoc) <= MOST_DIGITS):
             raise BadTelegram("the IPOC is not an integer", got=ipoc[:32], wire=data)
-    except (expat.ExpatError, KeyError, ValueError, OverflowError) as error:
+    except (expat.ExpatError, LookupError, ValueError, OverflowError) as error:  # an encoding: LookupError
         raise BadTelegram(f"malformed telegram: {error}", wire=data) from error
     return Telegram((A1, A2, A3, A4, A5, A6), delay, ipoc.encode())
 

@@ -10,8 +10,9 @@ import re
 from collections.abc import Sequence
 from math import isfinite
 from typing import NamedTuple
-from xml.parsers import expat
+from xml.etree import ElementTree
 
+from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, ReceiveElement
 from sim.kuka.controller_parameters import ControllerParameters
 
@@ -101,74 +102,36 @@ class ReplyReader:
         content = data[: end + len(b"</Sen>")]
         if self._digits_in_names:  # a manufacturer's own client sends GPIO 01="1", which is not XML
             content = _DIGIT_ATTRIBUTE.sub(rb"\1_\2", content)
-        collector = _Collector(self._sentype)
         try:
-            collector.parse(content)
-            return self._reply_of(collector)
-        except (expat.ExpatError, _NoReplyError, UnicodeDecodeError):
+            return self._reply_of(parse_xml(content, len(content)))
+        except InputRefused:
             return None
 
-    def _reply_of(self, collector: _Collector) -> Reply:
-        stamp = collector.found.get(("IPOC", ""), "").strip()
+    def _reply_of(self, root: ElementTree.Element) -> Reply | None:
+        if root.tag != "Sen" or root.get("Type") != self._sentype:
+            return None
+        found: dict[tuple[str, str], str] = {}
+        for element in root:
+            found |= {(element.tag, name): text for name, text in element.items()}
+            if element.text and element.text.strip():
+                found[element.tag, ""] = element.text
+        stamp = found.get(("IPOC", ""), "").strip()
         if not _STAMP.fullmatch(stamp):
-            raise _NoReplyError
+            return None
         values: list[float | None] = [None] * self._count
         for (name, attribute), place in self._places.items():
             key = (name, f"_{attribute}" if attribute[:1].isdigit() else attribute)
-            text = collector.found.get(key)
+            text = found.get(key)
             if text is None:
                 continue
             number = self._number_in(text.strip())
             if number is None and self._spoils:
-                raise _NoReplyError
+                return None
             values[place] = number
-        return Reply(int(stamp), values, collector.found.get(("EStr", ""), ""))
+        return Reply(int(stamp), values, found.get(("EStr", ""), ""))
 
     def _number_in(self, text: str) -> float | None:
         if not self._number.fullmatch(text):
             return None
         number = float(text)
         return number if isfinite(number) else None
-
-
-class _NoReplyError(Exception):
-    """The datagram is XML but not a reply."""
-
-
-class _Collector:
-    """Attributes and texts of the elements directly below the root."""
-
-    def __init__(self, sentype: str) -> None:
-        self.found: dict[tuple[str, str], str] = {}
-        self._sentype = sentype
-        self._path: list[str] = []
-        self._text: list[str] = []
-
-    def parse(self, content: bytes) -> None:
-        parser = expat.ParserCreate()
-        parser.StartElementHandler = self._start
-        parser.EndElementHandler = self._end
-        parser.CharacterDataHandler = self._text.append
-        parser.StartDoctypeDeclHandler = _refuse
-        parser.Parse(content, True)
-
-    def _start(self, name: str, attributes: dict[str, str]) -> None:
-        self._path.append(name)
-        self._text.clear()
-        depth = len(self._path)
-        if depth == 1 and (name != "Sen" or attributes.get("Type") != self._sentype):
-            raise _NoReplyError
-        if depth == 2:
-            for key, value in attributes.items():
-                self.found[name, key] = value
-
-    def _end(self, name: str) -> None:
-        if len(self._path) == 2:
-            text = "".join(self._text)
-            if text.strip():
-                self.found[name, ""] = text
-        self._path.pop()
-
-
-def _refuse(*_: object) -> None:
-    raise _NoReplyError

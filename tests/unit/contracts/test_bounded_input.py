@@ -53,6 +53,7 @@ HOSTILE_TOML = {
     "a hexadecimal number without end": "a = 0x" + "f" * 4000,  # too long to be printed
     "a number of 65 bits in a table": f"a = [{{b = {2**63}}}]",
     "a number of 65 bits below zero": f"a = {-(2**63) - 1}",
+    "escaped quotes in a string without end": "a = " + '"' + '\\"' * 145_000,  # cost three minutes
     "another encoding": "a = 1".encode("utf-16").decode("latin-1"),
 }
 
@@ -117,6 +118,7 @@ HOSTILE_JSON = {
     "Infinity": b"[[Infinity,0,0]]",
     "NaN": b"[[NaN,0,0]]",
     "many values": b"[" + b"[]," * 1_600_000 + b"0]",
+    "escaped quotes in a string without end": b"[" * 65 + b'"' + b'\\"' * 1_000_000,  # cost hours
 }
 
 

@@ -46,6 +46,7 @@ WORST: dict[str, Callable[[bytes], bytes]] = {
     "empty lines": lambda _good: filled(b"\n"),
     "parts of a key": lambda _good: filled(b"a."),
     "quotes": lambda _good: filled(b'"'),
+    "escaped quotes in a string without end": lambda _good: b"[" * 65 + b'"' + filled(b'\\"')[66:],
     "keys": lambda _good: b"{" + b",".join(b'"%x":1' % number for number in range(SIZE_BYTES // 10)) + b"}",
     "lists": lambda _good: b"[" + b"[]," * (SIZE_BYTES // 3 - 1) + b"1]",
     "fewer lists": lambda _good: b"[" + b"[]," * 600_000 + b"1]",

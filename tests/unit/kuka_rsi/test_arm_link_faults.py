@@ -132,7 +132,8 @@ def test_foreign_datagrams_before_the_controllers_first_telegram_get_no_reply_an
     controller: Any, waiting_arm: Any
 ) -> None:
     arm, activated = waiting_arm
-    _strangers_say(controller, b"hello", _elsewhere(controller), b"<Rob", _elsewhere(controller))
+    unknown = b'<?xml version="1.0" encoding="foo"?><Rob Type="KUKA"></Rob>'
+    _strangers_say(controller, b"hello", _elsewhere(controller), unknown, b"<Rob", _elsewhere(controller))
     controller.silent.clear()
     activated.result(5.0)
     assert state_of(arm) is Lifecycle.ACTIVE

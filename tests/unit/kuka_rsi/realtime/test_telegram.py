@@ -79,6 +79,7 @@ def test_a_telegram_without_delay_has_a_delay_of_minus_one() -> None:
         GOOD.replace(b'D="3"', b'D="1e300"'),
         b"<!DOCTYPE Rob [<!ENTITY a 'b'>]>" + GOOD,
         b"\xff\xfe" + GOOD,
+        *(b'<?xml version="1.0" encoding="%b"?>' % name + GOOD for name in (b"foo", b"hex", b"utf-7")),
         b"<Rob>" + b" " * 10_000 + b"</Rob>",
     ],
 )

@@ -168,6 +168,7 @@ def test_a_reply_is_read_in_every_valid_form(reader: ReplyReader, text: str) -> 
         PLAIN.replace("1.500000", ""),
         PLAIN.replace("</Stop>", ""),
         "<!DOCTYPE Sen [<!ENTITY a 'b'>]>" + PLAIN,
+        *(f"<?xml version='1.0' encoding='{name}'?>{PLAIN}" for name in ("foo", "hex", "utf-7")),
         PLAIN + PLAIN,
         PLAIN + "x" * 20000,
     ],
