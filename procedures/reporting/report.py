@@ -27,7 +27,7 @@ from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.reporting.second_reading import as_text, second_reading
+from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
 from procedures.reporting.sessions import sessions
 from procedures.reporting.target_figure import target_figure
 from procedures.reporting.target_table import TargetRow, target_rows
@@ -208,10 +208,11 @@ def _read_twice(
         return {"second_text": "", "agree": True}
     try:
         again = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+        text = as_text(again)
+    except UNREADABLE as error:
         reading.note(f"The figures of the targets could not be read a second time: {error}")
         return {"second_text": "", "agree": False}
-    files.text(NUMBERS_FILE, text := as_text(again))
+    files.text(NUMBERS_FILE, text)
     return {"second_text": text, "agree": again == tuple(row.cells for row in rows)}
 
 

@@ -11,8 +11,11 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 from typing import Any
 
+from ronna_hw.text.printable import printable
+
 HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
 NOTHING = "–"  # unknown
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError, ArithmeticError, RecursionError)
 
 Row = tuple[str, ...]
 
@@ -20,7 +23,7 @@ Row = tuple[str, ...]
 def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
     """The rows from the record files and from the truth file, if there is one.
 
-    Raises OSError, ValueError, KeyError, TypeError for files unlike those a run leaves.
+    Files unlike those a run leaves raise one of `UNREADABLE`.
     """
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
     results = [line for line in journal if line["entry"] == "result"]
@@ -50,8 +53,8 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
 
 def as_text(rows: tuple[Row, ...]) -> str:
-    """The rows under their headings, in columns."""
-    table = [HEADINGS, *rows]
+    """The rows under their headings, in columns. Raises as `second_reading`."""
+    table = [HEADINGS, *(tuple(map(printable, row)) for row in rows)]
     widths = [max(len(row[column]) for row in table) for column in range(len(HEADINGS))]
     return "".join(
         "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + "\n" for row in table

@@ -75,15 +75,18 @@ def _read(link: str, path: Path) -> Iterator[LinkLine]:
                 continue  # torn
             try:
                 content = parse_json(text)
+                host_time = datetime.fromisoformat(content["host_time"])
+                if host_time.tzinfo is None:
+                    continue  # not ours
                 yield LinkLine(
                     link,
-                    datetime.fromisoformat(content["host_time"]),
+                    host_time.astimezone(UTC),
                     float(content["theatre_time_s"]),
                     Direction(content["direction"]) if "direction" in content else None,
                     bytes.fromhex(content.get("hex", "")),
-                    content.get("note", {}),
+                    dict(content.get("note", {})),
                 )
-            except (ValueError, KeyError, TypeError, AttributeError):
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
                 continue  # torn
 
 

@@ -19,7 +19,7 @@ from painted_ct import write_series
 
 from drivers.basler_stereo.images import pixels_of
 from procedures.engine.orders import read_order
-from procedures.engine.replay.recorded_answers import read_answers
+from procedures.engine.replay.recorded_answers import read_in_order
 from procedures.exchange.raw_extent import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
@@ -39,10 +39,11 @@ from procedures.studies.registration import RegistrationStudy
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import read_body
-from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.devices.readings import AreaOfInterest, ArmReading, Stamp, Validity
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
+from ronna_hw.recording.reading_coding import as_plain
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.polaris.line.framing import LineBuffer, parse_request
 from sim.polaris.unit.refusal import Refusal
@@ -99,9 +100,14 @@ LEFT = {
     "mounted_tool": 2,
     "arm": {"joints_rad": [0.0] * 6, "flanks": [0.0] * 6, "motion_number": 3, "moved_s": 1.5},
 }
-TAPE = (
-    b'{"opening":{"clock":1}}\n'
-    b'{"section":1,"device":"tracker","call":"read_frame","state":"active","answer":{"a":[1.5]},"told":{}}\n'
+STATE = as_plain(ArmReading(Stamp(7, 4242, 1.25), Validity.OK, (0.1,) * 6, None, False), lambda _: {})
+TAPE = b"".join(
+    json.dumps(line).encode() + b"\n"
+    for line in (
+        {"opening": {"paced": True, "series": "ct", "began": "2026-11-20T12:00:00+00:00"}},
+        {"section": 1, "device": "robot", "call": "read_state", "state": "active", "theatre_time_s": 1.5}
+        | {"answer": STATE},
+    )
 )
 
 
@@ -127,7 +133,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (b'{"event":"opened","part":"log","a":{"b":1}}\n',),
             of("log.jsonl", lambda _run: sessions(read_for_report(folder).log), folder),
         ),
-        "tape": ((TAPE,), of("readings/readings.jsonl", read_answers)),
+        "tape": ((TAPE,), of("readings/readings.jsonl", lambda run: list(read_in_order(run)))),
         "truth": (
             (json.dumps(SAMPLE).encode() + b"\n",),
             of("theatre/truth.jsonl", read_samples, run / "theatre"),

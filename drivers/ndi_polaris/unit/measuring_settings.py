@@ -5,7 +5,7 @@ from __future__ import annotations
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
 from drivers.ndi_polaris.line.command_link import CommandLink
 from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume, parse_volumes
-from drivers.ndi_polaris.unit.user_parameters import read_parameter
+from drivers.ndi_polaris.unit.user_parameters import read_parameter, whole_number
 from ronna_hw.wire.polaris import (
     ILLUMINATOR_RATES_HZ,
     PARAMETER_ILLUMINATOR_RATE,
@@ -32,10 +32,9 @@ def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> M
 
 def _selected(link: CommandLink, deadline_s: float) -> int:
     try:
-        value = read_parameter(link, PARAMETER_SELECTED_VOLUME, deadline_s)
+        return whole_number(read_parameter(link, PARAMETER_SELECTED_VOLUME, deadline_s)) or 0
     except UnitError:
         return 0
-    return int(value) if value.isdecimal() else 0
 
 
 def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
@@ -48,8 +47,7 @@ def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> 
             continue
         return rate_hz
     try:
-        value = read_parameter(link, PARAMETER_ILLUMINATOR_RATE, deadline_s)
+        kept = whole_number(read_parameter(link, PARAMETER_ILLUMINATOR_RATE, deadline_s))
     except UnitError:
-        value = ""
-    kept = int(value) if value.isdecimal() else min(ILLUMINATOR_RATES_HZ)
-    return ILLUMINATOR_RATES_HZ.get(kept, min(ILLUMINATOR_RATES_HZ.values()))
+        kept = None
+    return ILLUMINATOR_RATES_HZ.get(kept or 0, min(ILLUMINATOR_RATES_HZ.values()))

@@ -10,7 +10,7 @@ from drivers.ndi_polaris.errors import (
     UnitError,
 )
 from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.unit.user_parameters import read_parameter
+from drivers.ndi_polaris.unit.user_parameters import read_parameter, whole_number
 from ronna_hw.errors import DeviceError
 from ronna_hw.wire.polaris import (
     PARAMETER_ALERTS,
@@ -67,15 +67,16 @@ def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None
 def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
     """Alerts raised since they were last read; reading clears the pending bit."""
     value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
-    if not value.isdecimal():
+    alerts = whole_number(value)
+    if alerts is None:
         raise MalformedReply("unknown format of the alerts", got=value)
-    return Alert(int(value))
+    return Alert(alerts)
 
 
 def refuse_standing_trouble(link: CommandLink, deadline_s: float) -> None:
     """Raise NDI-020 or NDI-021 for a fault or a bump from before this connection that is still unread."""
     value = _value_or(link, PARAMETER_ALERTS, "0", deadline_s)
-    alerts = Alert(int(value)) if value.isdecimal() else Alert(0)
+    alerts = Alert(whole_number(value) or 0)
     if alerts & FAILURE_ALERTS:
         raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
     if Alert.BUMP in alerts or _value_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":

@@ -6,6 +6,7 @@ from drivers.ndi_polaris.errors import MalformedReply
 from drivers.ndi_polaris.line.command_link import CommandLink
 
 PARAMETER_REPLY_BYTES = 256
+MOST_DIGITS = 10  # of 32 bits
 
 
 def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
@@ -17,3 +18,8 @@ def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> st
             return value.strip()
         link.distrust()  # a late copy of another reply
     raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())
+
+
+def whole_number(value: str) -> int | None:
+    """The number that a parameter is; None if it is no whole number of 32 bits."""
+    return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None

@@ -13,6 +13,7 @@ from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.terminal import tell
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
+from ronna_hw.text.printable import printable
 
 ROW_BYTES = 16
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
@@ -60,13 +61,13 @@ def _as_json(line: LinkLine) -> str:
 
 def _as_dump(line: LinkLine) -> str:
     """Lines with # are comments, I and O the directions; the text behind the bytes is for people."""
+    head = f"# {printable(line.link)}, theatre {line.theatre_time_s:.6f} s"
     if line.direction is None:
-        facts = ", ".join(f"{name} {value}" for name, value in line.note.items())
-        return f"# {line.link}, theatre {line.theatre_time_s:.6f} s: {facts}\n"
+        return f"{head}: {printable(', '.join(f'{name} {value}' for name, value in line.note.items()))}\n"
     rows = "".join(_rows(line.data))
     moment = f"{line.host_time:%Y-%m-%dT%H:%M:%S.%fZ}"
-    head = f"# {line.link}, theatre {line.theatre_time_s:.6f} s, {line.direction}, {len(line.data)} bytes"
-    return f"{head}\n{MARKS[line.direction]} {moment}\n{rows}\n"
+    size = f"{line.direction}, {len(line.data)} bytes"
+    return f"{head}, {size}\n{MARKS[line.direction]} {moment}\n{rows}\n"
 
 
 def _rows(data: bytes) -> Iterator[str]:

@@ -6,13 +6,14 @@ import json
 from collections import Counter
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+
+from pydantic import ValidationError
 
 from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded, ReplayDiffers
 from procedures.engine.order import order_of
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict
-from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answers
+from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.planning.plan.file import read_plan
@@ -21,8 +22,9 @@ from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.terminal import print_json, print_table, progress_bar
-from ronna_hw.config import Calibrations, read_theatre_file
+from ronna_hw.config import Calibrations, describe_mistakes, read_theatre_file
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.recording.reading_tape import READINGS_FILE
 
 CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
 
@@ -51,21 +53,22 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
 def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     opening = answers.opening
 
-    def placed(name: str) -> Path:
-        return run_folder / str(opening[name])  # an absolute path stays what it is
+    def placed(path: str | None) -> Path:
+        if path is None:
+            raise NotRecorded(f"the first line of {READINGS_FILE} does not say what the run was begun with")
+        return run_folder / path  # an absolute path stays what it is
 
-    if opening["series"] is None:
-        return _given_calibration(opening.get("calibration"), placed("theatre_file"))
-    plan = placed("plan")
-    strategy = strategy_named(str(opening["strategy"]))
-    measure_targets = bool(opening.get("measure_targets"))
+    if opening.series is None:
+        return _given_calibration(opening.calibration, placed(opening.theatre_file))
+    plan = placed(opening.plan)
+    strategy = strategy_named(opening.strategy or "")
     order = order_of(
-        clinical_steps(measure_targets=measure_targets),
+        clinical_steps(measure_targets=opening.measure_targets),
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
-    clinical = ClinicalInput(placed("series"), plan, strategy, measure_targets)
-    return ReplayInput(order, clinical, read_theatre_file(placed("theatre_file")))
+    clinical = ClinicalInput(placed(opening.series), plan, strategy, opening.measure_targets)
+    return ReplayInput(order, clinical, read_theatre_file(placed(opening.theatre_file)))
 
 
 def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
@@ -79,13 +82,16 @@ def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
     return replace(given, theatre=given.theatre.model_copy(update=tables))
 
 
-def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:
+def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Path) -> ReplayInput:
     if calibration is None:
         raise NotRecorded(
             "the run is a check or a single measurement of a calibration, which cannot be replayed"
         )
-    recipe = Recipe.read(calibration["recipe"])
-    records = Calibrations.model_validate_json(json.dumps(calibration["records"]))
+    recipe = Recipe.read(calibration.recipe)
+    try:
+        records = Calibrations.model_validate_json(json.dumps(calibration.records))
+    except ValidationError as error:
+        raise NotRecorded(f"the calibration records: {'; '.join(describe_mistakes(error))}") from error
     theatre = read_theatre_file(theatre_file)
     return ReplayInput(order_of(recipe.steps, ()), None, theatre, records, recipe.starts)
 

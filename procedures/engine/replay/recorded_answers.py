@@ -7,22 +7,89 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, cast
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from procedures.engine.errors import NotRecorded
 from ronna_hw.bounded_input import parse_json, read_json_lines
+from ronna_hw.config import describe_mistakes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
 from ronna_hw.host.regular_file import open_regular
 from ronna_hw.recording.device_calls import ANSWERS, PROPERTIES
-from ronna_hw.recording.pixel_coding import unpack_pixels
+from ronna_hw.recording.pixel_coding import LARGEST_BYTES, unpack_pixels
 from ronna_hw.recording.reading_coding import GetPixels, as_recorded
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
 
-Line = Mapping[str, object]
+Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(frozen=True, strict=True)
+
+
+class CalibrationOpening(_Strict):
+    """Of what is no clinical case: its steps, and the records that were in use."""
+
+    recipe: dict[str, object]
+    records: dict[str, object]
+
+
+class Opening(_Strict):
+    """What a replay must know besides the answers. A run of steps alone says little."""
+
+    theatre_file: str | None = None
+    paced: bool = False
+    series: str | None = None
+    plan: str | None = None
+    strategy: str | None = None
+    measure_targets: bool = False
+    began: Annotated[AwareDatetime | None, Field(strict=False)] = None
+    calibration: CalibrationOpening | None = None
+
+
+class _Raised(_Strict):
+    """An error that a call raised."""
+
+    code: str
+    kind: str = Field(alias="class")
+    what: str
+    expected: str | None = None
+    limit: str | None = None
+    got: str | None = None
+
+    def again(self) -> RonnaError:
+        """An error of the class that was raised, where it is known here."""
+        known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
+        kind = next(known, DeviceError)
+        error = kind.__new__(kind)  # some take other arguments than their base
+        RonnaError.__init__(error, self.what, expected=self.expected, limit=self.limit, got=self.got)
+        return error
+
+
+class _Answer(_Strict):
+    """A line of the tape: an answer, as it was given."""
+
+    section: int
+    device: str
+    call: str
+    state: Annotated[Lifecycle, Field(strict=False)]
+    theatre_time_s: FiniteFloat
+    answer: object = None
+    error: _Raised | None = None
+    properties: dict[str, object] = {}
+
+
+class _PixelsAt(_Strict):
+    """Where the pixels of an image are."""
+
+    at: Annotated[int, Field(ge=0, lt=2**63)]
+    count: Annotated[Count, Field(alias="bytes")]
+    shape: Annotated[tuple[Count, Count], Field(strict=False)]
+    type: str
 
 
 @dataclass(frozen=True)
@@ -39,12 +106,12 @@ class RecordedAnswer:
 class RecordedAnswers:
     """What the devices of one run answered. `moment_s` is the theatre time of the last that was given."""
 
-    opening: Line
+    opening: Opening
     _pixels: Path
-    _sections: Mapping[int, Mapping[tuple[str, str], deque[Line]]]
+    _sections: Mapping[int, Mapping[tuple[str, str], deque[_Answer]]]
     moment_s: float = 0.0
     peeks: bool = False
-    _section: Mapping[tuple[str, str], deque[Line]] = field(default_factory=dict)
+    _section: Mapping[tuple[str, str], deque[_Answer]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
         """From here on the answers are those of that section."""
@@ -65,7 +132,7 @@ class RecordedAnswers:
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
-        return line.get("answer")
+        return line.answer
 
     def next(self, device: str, call: str) -> RecordedAnswer:
         """The next answer to that call. Raises PRO-024."""
@@ -73,20 +140,18 @@ class RecordedAnswers:
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
         line = waiting[0] if self.peeks else waiting.popleft()
-        self.moment_s = max(self.moment_s, _number(line["theatre_time_s"]))
-        state = Lifecycle(str(line["state"]))
-        if "error" in line:
-            return RecordedAnswer(state, error=_error(line["error"]))
-        value = self.value_of(device, call, line.get("answer"))
+        self.moment_s = max(self.moment_s, line.theatre_time_s)
+        if line.error is not None:
+            return RecordedAnswer(line.state, error=line.error.again())
+        value = self.value_of(device, call, line.answer)
         try:
-            told = line.get("properties", {})
             properties = {
                 name: _value(PROPERTIES[name], part, self._get_pixels)
-                for name, part in (told.items() if isinstance(told, dict) else ())
+                for name, part in line.properties.items()
             }
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
-        return RecordedAnswer(state, value, properties)
+        return RecordedAnswer(line.state, value, properties)
 
     def value_of(self, device: str, call: str, plain: object) -> object:
         """A recorded answer as the call gave it, with its pixels. Raises PRO-024 for what is damaged."""
@@ -95,28 +160,27 @@ class RecordedAnswers:
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
 
-    def _get_pixels(self, where: dict[str, int | str | list[int]]) -> NDArray[np.uint8] | NDArray[np.uint16]:
-        at, count, shape = where["at"], where["bytes"], where["shape"]
-        if not isinstance(at, int) or not isinstance(count, int) or not isinstance(shape, list):
-            raise NotRecorded("a reference to pixels is damaged")
-        with open_regular(self._pixels) as file:
-            file.seek(at)
-            packed = file.read(count)
+    def _get_pixels(self, where: object) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        place = _PixelsAt.model_validate(where)
         try:
-            return unpack_pixels(packed, (shape[0], shape[1]), str(where["type"]))
-        except ValueError as error:
-            raise NotRecorded(f"the pixels at byte {at} of {PIXELS_FILE} are damaged: {error}") from error
+            with open_regular(self._pixels) as file:
+                file.seek(place.at)
+                return unpack_pixels(file.read(place.count), place.shape, place.type)
+        except (OSError, ValueError) as error:
+            raise NotRecorded(
+                f"the pixels at byte {place.at} of {PIXELS_FILE} are damaged: {error}"
+            ) from error
 
 
 def read_answers(run: Path) -> RecordedAnswers:
     """Read a run's tape; a torn last line is left out. Raises PRO-024 when there is none."""
-    sections: dict[int, dict[tuple[str, str], deque[Line]]] = defaultdict(lambda: defaultdict(deque))
-    opening: Line | None = None
+    sections: dict[int, dict[tuple[str, str], deque[_Answer]]] = defaultdict(lambda: defaultdict(deque))
+    opening: Opening | None = None
     for line in _lines(run / READINGS_FOLDER):
-        if "opening" in line:
-            opening = cast("Line", line["opening"])
+        if isinstance(line, Opening):
+            opening = line
         else:
-            sections[cast("int", line["section"])][str(line["device"]), str(line["call"])].append(line)
+            sections[line.section][line.device, line.call].append(line)
     if opening is None:
         raise NotRecorded(f"{READINGS_FILE} has no first line")
     return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
@@ -133,15 +197,13 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ToldAt]]:
     """Section, device, call and answer of all calls that raised nothing, as they came. Raises PRO-024."""
     answers = read_answers(run)
     for line in _lines(run / READINGS_FOLDER):
-        call = str(line.get("call"))
-        if call not in ANSWERS or ANSWERS[call] is None or "error" in line:
+        if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
             continue
-        section, device = cast("int", line["section"]), str(line["device"])
-        told = ToldAt(_number(line["theatre_time_s"]), answers.value_of(device, call, line["answer"]))
-        yield section, device, call, told
+        value = answers.value_of(line.device, line.call, line.answer)
+        yield line.section, line.device, line.call, ToldAt(line.theatre_time_s, value)
 
 
-def _lines(folder: Path) -> Iterator[Line]:
+def _lines(folder: Path) -> Iterator[Opening | _Answer]:
     """Openings and answers, in order; what a process was writing when it was killed is left out."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
@@ -158,41 +220,19 @@ def _lines(folder: Path) -> Iterator[Line]:
             continue
         if not isinstance(line, dict):
             raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: not a JSON object")
-        if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
-            torn = 0
-        elif torn:
+        begins = "opening" in line  # of the next process of the run: what the last one wrote may be torn
+        if torn and not begins:
             raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
-        elif "section" not in line:
-            continue
-        elif missing := {"device", "call"} - line.keys():
-            raise NotRecorded(
-                f"line {number} of {READINGS_FILE} is damaged: no {' or '.join(sorted(missing))}"
-            )
-        yield line
+        torn = 0
+        try:
+            if begins:
+                yield Opening.model_validate(line["opening"])
+            elif "section" in line:
+                yield _Answer.model_validate(line)
+        except ValidationError as error:
+            why = "; ".join(describe_mistakes(error))
+            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {why}") from error
 
 
 def _value(kind: object, plain: object, get: GetPixels) -> object:
     return None if kind is None else as_recorded(kind, plain, get)
-
-
-def _error(content: object) -> RonnaError:
-    """An error of the class that was raised, where it is known here."""
-    told = content if isinstance(content, dict) else {}
-    code, name = told.get("code"), told.get("class")
-    kinds = (kind for kind in concrete_errors() if kind.code == code and kind.__qualname__ == name)
-    kind = next(kinds, DeviceError)
-    error = kind.__new__(kind)  # some take other arguments than their base
-    RonnaError.__init__(
-        error,
-        str(told.get("what", "")),
-        expected=told.get("expected"),
-        limit=told.get("limit"),
-        got=told.get("got"),
-    )
-    return error
-
-
-def _number(value: object) -> float:
-    if not isinstance(value, int | float):
-        raise NotRecorded(f"{value!r} is not a time")
-    return float(value)

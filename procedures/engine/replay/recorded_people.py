@@ -67,7 +67,7 @@ class RecordedClock:
 
     @property
     def paced(self) -> bool:
-        return bool(self._answers.opening["paced"])
+        return self._answers.opening.paced
 
     def now_s(self) -> float:
         return self._answers.moment_s

@@ -98,7 +98,7 @@ class _Replay:
             clinical=given.clinical,
             starts=given.starts,
             today=lambda: began,
-            began=datetime.fromisoformat(str(answers.opening.get("began", began))),
+            began=answers.opening.began or began,
         )
         steps = tuple(_begun(step, answers) for step in given.order.steps)
         self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from bounded_cost import bounded_cost
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
@@ -17,7 +18,7 @@ from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict
-from procedures.engine.replay.recorded_answers import read_answers
+from procedures.engine.replay.recorded_answers import read_answers, read_in_order
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
@@ -31,6 +32,7 @@ from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.recording.reading_coding import PIXELS
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.recording.taped_device import taped
 
@@ -349,6 +351,45 @@ def test_damaged_or_missing_readings_are_refused(tmp_path: Path) -> None:
         read_answers(tmp_path)
     path.unlink()
     with pytest.raises(NotRecorded, match="PRO-024"):
+        read_answers(tmp_path)
+
+
+def pixels_at(**place: object) -> dict[str, object]:
+    return {"answer": {PIXELS: {"at": 0, "bytes": 10, "shape": [1, 1], "type": "uint8", **place}}}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"section": []},
+        {"theatre_time_s": None},
+        {"state": "asleep"},
+        {"properties": []},
+        {"error": {"code": 5}},
+        pixels_at(at=-1),
+        pixels_at(at=2**63 - 1),
+        pixels_at(bytes=10**14),
+        pixels_at(bytes=-1),
+        pixels_at(shape=[]),
+        pixels_at(shape=[10**18, 10**18]),
+    ],
+    ids=repr,
+)
+def test_a_damaged_answer_is_refused(tmp_path: Path, change: dict[str, object]) -> None:
+    folder = tmp_path / READINGS_FOLDER
+    ReadingTape(folder, lambda: 1.0, {}).close()
+    line = {"section": 1, "device": "stereo", "call": "grab_pair", "state": "active", "theatre_time_s": 1.0}
+    with (folder / READINGS_FILE).open("a") as file:
+        file.write(json.dumps(line | change) + "\n")
+    with bounded_cost(), pytest.raises(NotRecorded, match="damaged"):
+        list(read_in_order(tmp_path))
+
+
+@pytest.mark.parametrize("opening", [5, {"series": 5}, {"began": "soon"}, {"calibration": []}], ids=repr)
+def test_a_damaged_first_line_is_refused(tmp_path: Path, opening: object) -> None:
+    (tmp_path / READINGS_FOLDER).mkdir()
+    (tmp_path / READINGS_FOLDER / READINGS_FILE).write_text(json.dumps({"opening": opening}) + "\n")
+    with pytest.raises(NotRecorded, match="line 1 of"):
         read_answers(tmp_path)
 
 

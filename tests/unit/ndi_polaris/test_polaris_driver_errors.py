@@ -120,6 +120,13 @@ def test_a_bump_is_latched_and_cleared_by_a_named_recovery(tracker: PolarisTrack
     assert tracker.state is Lifecycle.CONFIGURED
 
 
+def test_alerts_of_thousands_of_digits_are_a_malformed_reply(tracker: PolarisTracker, unit: Any) -> None:
+    unit.system_status = 0x0100
+    unit.parameters["Info.Status.New Alerts"] = "1" * 5000
+    with pytest.raises(errors.MalformedReply, match="unknown format of the alerts"):
+        tracker.read_frame()
+
+
 def test_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: Any) -> None:
     unit.closed = True
     with pytest.raises(errors.LinkLost):

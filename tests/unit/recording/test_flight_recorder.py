@@ -199,6 +199,27 @@ def test_an_empty_window_names_the_recorded_span_and_a_reversed_one_is_refused(r
     assert "--from 3 --to 2" in reversed_.stderr
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        '"host_time":"2026-11-20T23:58:31","theatre_time_s":1,"note":{}',
+        '"host_time":"0001-01-01T00:00:00+23:59","theatre_time_s":1,"note":{}',
+        '"host_time":"2026-11-20T23:58:31+00:00","theatre_time_s":1,"note":5',
+        '"host_time":"2026-11-20T23:58:31+00:00","theatre_time_s":1,"note":{"a":"\\u001b[2J"}',
+        '"host_time":"2026-11-20T23:58:31+00:00","theatre_time_s":1',
+    ],
+)
+def test_a_line_that_the_recorder_did_not_write_is_skipped_or_shown_as_plain_text(
+    run: Path, folder: Path, line: str
+) -> None:
+    (folder / "tracker.b.jsonl").write_text(f"{{{line}}}\n")
+    (folder / "\x1b[2J.a.jsonl").write_text(f"{{{line}}}\n")
+    printed = in_this_process(ronna_procedure, "bytes", run)
+    assert printed.returncode == 0, printed.stderr
+    assert "0123456789" in printed.stdout
+    assert "\x1b" not in printed.stdout
+
+
 @pytest.mark.skipif(shutil.which("text2pcap") is None, reason="text2pcap is not installed")
 def test_text2pcap_reads_the_printed_text_byte_for_byte(run: Path, tmp_path: Path) -> None:
     dump, capture = tmp_path / "dump.txt", tmp_path / "links.pcap"

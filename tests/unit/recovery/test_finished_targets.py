@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -42,6 +43,7 @@ from procedures.operator.topic import Topic
 from procedures.recovery.moved_cart import MovedCart
 from procedures.recovery.surroundings import head_moved_since, surround
 from procedures.reporting.outcome import Truth
+from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
 from procedures.reporting.target_table import target_rows
@@ -141,6 +143,20 @@ def test_outcome_and_report_show_each_target_with_the_registration_that_led_ther
     rows = target_rows(read_for_report(tmp_path), Truth())
     assert {one.target: one.predicted.rms_mm for one in rows} == PREDICTED_MM
     assert second_reading(tmp_path, tmp_path / "no truth") == tuple(one.cells for one in rows)
+
+
+@pytest.mark.parametrize(("figure", "changed"), [("rms_mm", 1e40), ("target", 5), ("target", "\ud800")])
+def test_a_changed_figure_of_one_registration_does_not_prevent_the_report(
+    tmp_path: Path, figure: str, changed: object
+) -> None:
+    registered_twice(ClinicalCell(tmp_path))
+    path = max((tmp_path / "records").glob("*-registration*.json"))
+    record = json.loads(path.read_text())
+    record["payload"]["predictions"][0][figure] = changed
+    path.write_text(json.dumps(record))
+    report = write_report(tmp_path).read_text()
+    assert path.name in report
+    assert ("could not be read a second time" in report) is (changed in (5, 1e40))
 
 
 def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
