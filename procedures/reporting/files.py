@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 from collections.abc import Iterable, Sequence
@@ -13,17 +14,19 @@ from procedures.reporting.plan_table import MotionRow
 from procedures.reporting.target_table import TargetRow
 from procedures.reporting.timeline import Span
 from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.records import write_whole
 
 REPORT_FOLDER = "report"
 TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
+KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
 
 
 def keep_truth(run: Path, truth: Truth) -> Path:
     """Store the theatre verifier's result in a run's folder."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
-    path = run / REPORT_FOLDER / TRUTH_FILE
+    path = run / KEPT_TRUTH
     content = (truth.model_dump_json(indent=1) + "\n").encode()
     if (
         not path.is_file() or path.read_bytes() != content
@@ -32,10 +35,20 @@ def keep_truth(run: Path, truth: Truth) -> Path:
     return path
 
 
+def forget_unconfirmed_truth(run: Path) -> bool:
+    """Remove the errors that are kept unless the seal confirms them: the next seal would cover them."""
+    found = inspected(run, every_file=False, files=(KEPT_TRUTH,))
+    changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
+    if changed:
+        with contextlib.suppress(OSError):  # what is no file is not read either
+            (run / KEPT_TRUTH).unlink()
+    return changed
+
+
 def kept_truth(run: Path) -> Truth | None:
     """What `keep_truth` stored; None if missing or unreadable."""
     try:
-        return Truth.model_validate_json(read_json_bytes(run / REPORT_FOLDER / TRUTH_FILE))
+        return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
     except (OSError, ValueError):
         return None
 

@@ -16,7 +16,7 @@ from ronna_hw.bounded_input.refusal import InputRefused
 
 LARGEST_JSON_BYTES = 100_000_000  # a case's journal has a hundredth of it
 MOST_VALUES = 2_000_000  # up to 120 bytes each in memory
-MOST_VALUES_OF_A_MODEL = 100_000  # each may be a mistake, and a mistake takes up to two kilobytes
+MOST_VALUES_OF_A_MODEL = 100_000  # two are an empty object, whose missing fields take four kilobytes
 MOST_VALUES_OF_LINES = 3_000_000  # parsed one line at a time
 DEEPEST = 64  # records nest about ten deep
 MOST_DIGITS = 20  # of an integer: nanoseconds since 1970 have 19

@@ -17,6 +17,7 @@ from ronna_hw.errors import RonnaError
 
 LARGEST_TOML_BYTES = 300_000  # a plan with a hundred trajectories has twenty thousand
 WHOLE = range(-(2**63), 2**63)  # as TOML requires; a long hexadecimal number cannot even be printed
+MOST_VALUES = 30_000  # a plan with all the points that it may have has twelve thousand
 DEEPEST = 32  # nested tables and parts of a key; more parts than a DICOM identifier can have
 
 _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
@@ -66,6 +67,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     """The content of a TOML text. Raises INP-001, and ValueError for invalid TOML."""
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
+    if sum(map(text.count, "[{,=")) > MOST_VALUES:  # a model may find several mistakes in each
+        raise InputRefused("too many values in TOML", limit=str(MOST_VALUES))
     if _LONG_KEY.search(text):
         raise InputRefused("a key with too many parts", limit=str(DEEPEST))
     try:

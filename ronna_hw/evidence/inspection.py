@@ -26,7 +26,9 @@ REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
-FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN completes it."
+FINISH_IT = (
+    "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it."
+)
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 SHOWN = 3  # problems named in an error; verify lists all
 

@@ -109,14 +109,16 @@ class ControlPortClient:
             raise ControlRequestRefused(f"{what} is refused: a number is not finite") from error
         try:
             self._socket.sendall(line)
-            answer: dict[str, Any] = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
+            answer = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
         except (OSError, ValueError) as error:
             raise self._silent(error) from error
+        if not isinstance(answer, dict):
+            raise self._silent("what answers is no control port")
         if not answer:
             raise self._silent("the connection was closed")
         if not answer.get("ok"):
             reason = answer.get("reason", "no reason given")
-            raise ControlRequestRefused(f"{what} is refused: {reason}", action=answer.get("advice"))
+            raise ControlRequestRefused(f"{what} is refused: {reason}", action=str(answer.get("advice", "")))
         return answer
 
     def _silent(self, reason: object) -> ControlPortSilent:

@@ -19,6 +19,7 @@ from procedures.engine.run_lock import held_run
 from procedures.engine.theatre_lock import require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
+from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
 from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
@@ -102,6 +103,8 @@ def make_ready(left: LeftRun) -> None:
     folder = left.run.path
     _check_writable(folder)
     _remove_half_written(folder)
+    if forget_unconfirmed_truth(folder):
+        tell(f"{KEPT_TRUTH} was removed: no seal confirms it")
     if left.chain.torn:
         tell(f"the last line of the journal is truncated ({len(left.chain.torn)} bytes): it was set aside")
 

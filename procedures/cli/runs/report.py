@@ -26,12 +26,14 @@ def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation 
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
+    from procedures.reporting.files import forget_unconfirmed_truth
     from procedures.reporting.report import REPORT_FILE, write_report
 
     with contextlib.nullcontext() if out else held_run(run):
         found = inspected(run)
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
+            forget_unconfirmed_truth(run)
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         if out is not None:

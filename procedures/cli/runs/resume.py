@@ -54,9 +54,11 @@ def resume(
             _resume_calibration(request, left, console, accepted=accept, as_json=as_json)
             return
         if left.finished:
-            outcome = _as_it_ended(request, left)
-            if not is_sealed(left.run.path):  # it was killed between its last line and its seal
+            sealed = is_sealed(left.run.path)
+            if not sealed:  # it was killed between its last line and its seal
                 make_ready(left)
+            outcome = _as_it_ended(request, left)
+            if not sealed:
                 report = leave_report(left.run.path, told=False)
                 seal_run(left.run.path)
                 outcome = outcome.model_copy(update={"report": report and str(report)})

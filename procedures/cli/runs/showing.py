@@ -10,14 +10,12 @@ from procedures.cli.runs.folders import runs_in
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import Entry
 from procedures.reporting.ending import ending_of
-from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, kept_truth
+from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from ronna_hw.command_line.terminal import print_json, print_table, say
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable
-
-KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:

@@ -41,9 +41,12 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
                 specific_tags=None if only is None else list(only),
             )
             try:
-                return read(BoundedStream(content, longest))
+                found = read(BoundedStream(content, longest))
             except DataSetDeflated as deflated:
-                return read(BoundedStream(_inflated(content, deflated.begin), longest))
+                found = read(BoundedStream(_inflated(content, deflated.begin), longest))
+            if only is not None:
+                found.buffer = None  # the whole file, of each of a thousand slices
+            return found
     except InputRefused as problem:
         raise FileDamaged(f"{path.name} is refused: {problem.summary}") from problem
     except OSError as problem:

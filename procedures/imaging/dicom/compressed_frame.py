@@ -31,7 +31,7 @@ def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: 
     """
     try:
         if syntax == RLE:
-            _check_runs(frame, shape[0] * shape[1] * pixel_bytes)
+            _check_runs(frame, shape[0] * shape[1], pixel_bytes)
         elif syntax in JPEG_2000:
             _check_size(_j2k_size(frame), shape)
         elif syntax in JPEG:
@@ -73,13 +73,16 @@ def _j2k_size(frame: bytes) -> tuple[int, int, int]:
     return y - y0, x - x0, components
 
 
-def _check_runs(frame: bytes, limit_bytes: int) -> None:
-    """Check the total length of the runs of an RLE frame (PS3.5 annex G)."""
+def _check_runs(frame: bytes, pixels: int, pixel_bytes: int) -> None:
+    """Check the segments of an RLE frame (PS3.5 annex G), one for each byte of a pixel."""
     count, *offsets = _RLE_HEADER.unpack_from(frame)
-    limits = [*offsets[:count], len(frame)]
+    limits = [*offsets[:pixel_bytes], len(frame)]
+    if count != pixel_bytes or limits[0] < _RLE_HEADER.size or limits != sorted(limits):
+        raise InputRefused("the segments of a compressed frame are not those of its pixels")
     made = sum(_run_bytes(frame[begin:end]) for begin, end in pairwise(limits))
-    if made > limit_bytes + count * RLE_SLACK_BYTES:
-        raise InputRefused("a compressed frame grows too large", limit=f"{limit_bytes} bytes", got=f"{made}")
+    most = count * (pixels + RLE_SLACK_BYTES)
+    if made > most:
+        raise InputRefused("a compressed frame grows too large", limit=f"{most} bytes", got=f"{made}")
 
 
 def _run_bytes(segment: bytes) -> int:

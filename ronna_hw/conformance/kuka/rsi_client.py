@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from xml.etree import ElementTree
 
+from ronna_hw.bounded_input import parse_xml
 from ronna_hw.conformance.case import NotShown, check
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.kuka.eki_client import EkiLine
@@ -58,7 +58,7 @@ class Telegram:
 
     def values(self, tag: str) -> dict[str, float]:
         """Attributes of an element as numbers."""
-        found = ElementTree.fromstring(self.raw).find(tag)
+        found = parse_xml(self.raw, MOST_BYTES).find(tag)
         if found is None:
             raise NotShown(f"the controller sends no {tag}")
         return {name: float(value) for name, value in found.attrib.items()}

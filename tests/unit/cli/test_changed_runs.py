@@ -20,7 +20,7 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.procedure import app
 from procedures.cli.runs import report as runs_report
-from procedures.cli.runs.left_runs import close_left
+from procedures.cli.runs.left_runs import close_left, make_ready
 from procedures.cli.runs.report import make_report
 from procedures.engine.events import CaseState
 from procedures.engine.events.event_file import EVENTS_FILE, EventFile
@@ -28,7 +28,7 @@ from procedures.engine.events.stream import EventStream
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
-from procedures.reporting.files import keep_truth
+from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from ronna_hw.errors import (
     EXIT_REFUSED,
@@ -171,6 +171,21 @@ def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, s
     table = in_this_process(app, "list", run.parent).stdout
     assert "0.125" not in table
     assert f"{run.name} is not reliable: report/truth.json: {what}" in table
+
+
+@pytest.mark.parametrize("take_up", [lambda run: make_ready(read_left_run(run)), make_report])
+def test_no_session_vouches_for_an_error_that_no_seal_confirms(
+    run: Path, take_up: Callable[[Path], object]
+) -> None:
+    truth = Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),))
+    kept = keep_truth(run, truth)
+    seal_run(run)
+    make_ready(read_left_run(run))
+    assert kept_truth(run) == truth
+    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
+    (run / SEAL_FILE).unlink()
+    take_up(run)
+    assert not kept.exists()
 
 
 def test_watch_first_names_the_files_changed_since_the_run_finished(run: Path) -> None:

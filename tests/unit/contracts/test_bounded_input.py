@@ -20,7 +20,7 @@ from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.cart.proposed_place import read_place
-from procedures.planning.errors import PlaceUnfit, PlanUnreadable
+from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
 from procedures.planning.plan.file import read_plan
 from procedures.reporting.calibration.result_file import RESULT_FILE, figures_if_readable
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
@@ -48,6 +48,7 @@ HOSTILE_TOML = {
     "a table of many parts": "[" + ".".join("a" * 1000) + "]",
     "nested arrays": "a = " + "[" * 100_000,
     "nested tables": "a = " + "{a = " * 60 + "1" + "}" * 60,
+    "many tables": "trajectories = [" + "{}," * 90_000 + "]",  # cost 500 MB
     "many bytes": "# nothing\n" * 100_000,
     "a whole number without end": "a = " + "1" * 100_000,
     "a hexadecimal number without end": "a = 0x" + "f" * 4000,  # too long to be printed
@@ -141,6 +142,16 @@ def test_too_many_values_are_refused_before_the_model_reads_them(
             read_place(tmp_path / "place.json")
         with pytest.raises(RonnaError, match="too many values"):
             read_scene(tmp_path / "scene.json")
+
+
+def test_as_many_mistakes_as_values_are_allowed_have_a_bounded_cost(tmp_path: Path) -> None:
+    (tmp_path / "scene.json").write_bytes(b'{"head": {"fiducials": [' + b"{}," * 49_000 + b"{}]}}")
+    (tmp_path / "plan.toml").write_text("trajectories = [" + "{}," * 14_900 + "]")
+    with bounded_cost():
+        with pytest.raises(BadScene, match="more mistakes"):
+            read_scene(tmp_path / "scene.json")
+        with pytest.raises(PlanMistakes, match="more mistakes"):
+            read_plan(tmp_path / "plan.toml")
 
 
 @pytest.mark.parametrize("content", HOSTILE_JSON.values(), ids=HOSTILE_JSON)

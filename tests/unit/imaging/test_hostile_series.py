@@ -22,6 +22,9 @@ from pydicom.uid import (
 from spoiled_slices import every, setting
 
 from procedures.imaging import errors, read_series
+from procedures.imaging.dicom.attributes import read_dicom
+from procedures.imaging.dicom.compressed_frame import check_frame
+from ronna_hw.bounded_input import InputRefused
 
 Write = Callable[..., Path]
 FIRST = "0000.dcm"
@@ -144,6 +147,18 @@ def test_a_compressed_frame_is_checked_before_it_is_decoded(
     folder = dicom_series(edit=every(compress))
     with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"CT-005: {FIRST}"):
         read_series(folder)
+
+
+@pytest.mark.parametrize("count", [15, 2**32 - 1])
+def test_segments_of_a_frame_that_overlap_are_refused_without_reading_them(count: int) -> None:
+    size = 10_000_000
+    frame = struct.pack("<16I", count, *[64, size] * 7, 64) + b"\x80" * (size - 64)  # cost seven seconds
+    with bounded_cost(limit_s=1.0), pytest.raises(InputRefused, match="segments"):
+        check_frame(RLELossless, frame, (512, 512), 2)
+
+
+def test_attributes_that_were_read_do_not_hold_the_file_of_their_slice(dicom_series: Write) -> None:
+    assert read_dicom(first(dicom_series()), only=("Rows", "Columns")).buffer is None
 
 
 DEADLY_JPEG_2000 = bytes.fromhex(

@@ -2,6 +2,7 @@ import json
 import socket
 import struct
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from ronna_hw.host.control_port import (
     LONGEST_LINE,
     ControlAddress,
     ControlPortClient,
+    ControlPortSilent,
     ControlRequestRefused,
     ask_control_port,
 )
@@ -193,6 +195,19 @@ def test_each_port_has_its_own_token_and_explains_the_refusal_of_another(
 def test_an_endpoint_without_a_token_is_refused_before_anything_is_sent() -> None:
     with pytest.raises(BadEndpoint, match=r"tcp://127\.0\.0\.1:9 has no token"):
         ControlPortClient("tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("answer", [b"[1]\n", b'"ok"\n', b"HTTP/1.1 400\n", b'{"ok": false, "advice": 5}\n'])
+def test_an_answer_of_another_program_is_an_error_of_ours(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other, ThreadPoolExecutor(1) as another:
+        there = f"tcp://127.0.0.1:{other.getsockname()[1]}?token=1234"
+        asked = another.submit(ControlPortClient, there)
+        other.settimeout(5.0)
+        line, _ = other.accept()
+        with line:
+            line.sendall(answer)
+            with pytest.raises((ControlPortSilent, ControlRequestRefused)):
+                asked.result(5.0)
 
 
 def test_the_endpoint_is_read_from_the_environment(
