@@ -120,24 +120,18 @@ def require_size(name: str, size_mm: float) -> None:
 
 
 def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:
-    """Target error (m,) rms mm for isotropic, equal FLE, eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
+    """Target error (..., m) rms mm for isotropic, equal FLE, eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
 
     `d_k` is a target's distance from principal axis k of the fiducials, `f_k` their rms distance from it.
-    Points (m, 3) and fiducials (n, 3) in one frame.
+    Points (m, 3) and sets of fiducials (..., n, 3) in one frame.
     """
-    centre = fiducials_mm.mean(axis=0)
-    _, _, axes = np.linalg.svd(fiducials_mm - centre, full_matrices=False)
-    ratio = np.zeros(len(points_mm))
-    for axis in axes:
-        ratio += _squared_distance(points_mm - centre, axis) / _squared_distance(
-            fiducials_mm - centre, axis
-        ).mean(axis=0)
-    return np.asarray(fle_mm * np.sqrt((1.0 + ratio / 3.0) / len(fiducials_mm)))
-
-
-def _squared_distance(points: Array, axis: Array) -> Array:
-    along = points @ axis
-    return np.asarray(np.maximum(np.einsum("ij,ij->i", points, points) - along**2, 0.0))
+    centre = fiducials_mm.mean(axis=-2, keepdims=True)
+    inside, count = fiducials_mm - centre, fiducials_mm.shape[-2]
+    spread, axes = np.linalg.eigh(np.swapaxes(inside, -1, -2) @ inside)  # sums over the fiducials
+    from_axes = (spread.sum(axis=-1, keepdims=True) - spread) / count
+    along = np.square((points_mm - centre) @ axes)
+    ratio = ((along.sum(axis=-1, keepdims=True) - along) / from_axes[..., None, :]).sum(axis=-1)
+    return np.asarray(fle_mm * np.sqrt((1.0 + ratio / 3.0) / count))
 
 
 def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:

@@ -17,7 +17,8 @@ from pydantic import Field
 
 from procedures.planning.errors import NoMarkerSites
 from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.template import APART_MM, expected_error, sites_on
+from procedures.planning.markers.template import APART_MM, sites_on
+from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import TemplateMarker
@@ -90,8 +91,9 @@ def propose_markers(
             f"there is no room for {count} markers clear of the trajectories and of one another",
             got=f"{len(centres)} positions on the skin between forehead and vertex",
         )
-    by_target = np.stack([expected_error(centres[sets], target) for target in targets], axis=1)
+    by_target = tre_principal_axes_mm(targets, centres[sets], 1.0)
     chosen = _exchanged(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])
+    expected = tre_principal_axes_mm(targets, centres[chosen], marker_error_mm)
     usual = np.percentile(by_target, USUAL, axis=0)
     return ProposedMarkers(
         markers=tuple(
@@ -101,10 +103,10 @@ def propose_markers(
         targets=tuple(
             ExpectedError(
                 target=one.identifier,
-                expected_mm=marker_error_mm * float(expected_error(centres[chosen][None], target)[0]),
+                expected_mm=float(error_mm),
                 usual_mm=marker_error_mm * float(middle),
             )
-            for one, target, middle in zip(trajectories, targets, usual, strict=True)
+            for one, error_mm, middle in zip(trajectories, expected, usual, strict=True)
         ),
     )
 
@@ -113,7 +115,7 @@ def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDA
     """The set after moving markers to other positions as long as that lowers the error."""
 
     def cost(points: Array) -> Array:
-        return np.asarray(sum(np.square(expected_error(points, target)) for target in targets))
+        return np.asarray(np.square(tre_principal_axes_mm(targets, points, 1.0)).sum(axis=-1))
 
     least = float(cost(centres[chosen][None])[0])
     for _ in range(MOST_ROUNDS):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from procedures.planning.errors import NoTemplate
 from procedures.planning.head.shape import HeadEllipsoid
 from procedures.planning.head.tissue import AIR_BELOW_HU, sampled_hu
+from procedures.registration.error_theory import tre_principal_axes_mm
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 
 if TYPE_CHECKING:
@@ -64,25 +65,13 @@ def propose_template(
             got=f"at most {margins.max():.1f} mm",
         )
     good = np.flatnonzero(margins >= margin_mm)
-    best = good[int(expected_error(points[good], np.array(head.centre_mm)).argmin())]
+    expected = tre_principal_axes_mm(np.array([head.centre_mm]), points[good], 1.0)
+    best = good[int(expected.argmin())]
     return MarkerTemplate(
         markers=tuple(
             TemplateMarker(centre_mm=_three(centres[site]), post=_three(posts[site])) for site in sets[best]
         )
     )
-
-
-def expected_error(points: Array, target: Array) -> Array:
-    """Ratio TRE/FLE at a target by eq. 39, for sets of points (s, n, 3)."""
-    middle = points.mean(axis=1, keepdims=True)
-    inside = points - middle
-    spread, axes = np.linalg.eigh(np.swapaxes(inside, 1, 2) @ inside)  # sums over the points
-    about_axis = spread.sum(axis=1, keepdims=True) - spread  # squared distances from each principal axis
-    along = np.squeeze((target - middle) @ axes, axis=1)
-    distances = np.square(along).sum(axis=1, keepdims=True) - np.square(along)
-    count = points.shape[1]
-    share = (distances / (about_axis / count)).sum(axis=1) / 3.0
-    return np.asarray(np.sqrt((1.0 + share) / count))
 
 
 def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:

@@ -7,7 +7,7 @@ in place of the true one, including the side of its backlash on which each joint
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,9 +23,8 @@ from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
 from procedures.studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from procedures.studies.accuracy.random_arms import RandomArms, drawn_arm
 from procedures.studies.accuracy.scene import Scene
-from procedures.studies.accuracy.solving import SETTLED_MM, STEPS, PlannedPoses
+from procedures.studies.accuracy.solving import solved
 from procedures.studies.accuracy.trials import AXES, Sizes
-from procedures.studies.errors import PoseNotSolved
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
@@ -111,13 +110,13 @@ def identified_errors(
     def true_places(joints: Array, flanks: Array) -> Array:
         return np.asarray(arm.tool_points_mm(joints[None], flanks[None])[0])
 
-    def believed_places(joints: Array, flanks: Array) -> Array:
-        return believed.tool(joints, flanks)[0]
-
-    at_spheres = _solved(
-        believed, planned.localizations, np.tile(spheres, (sets, 1)), true_places, planned.arrival
+    _, seen = solved(
+        planned.localizations,
+        lambda joints: believed.tool(joints, planned.arrival),
+        lambda joints, _: np.tile(spheres, (sets, 1)) - true_places(joints, planned.arrival),
+        planned.localizations.joints_rad.shape,
     )
-    recorded = believed_places(at_spheres, planned.arrival).reshape(sets, len(spheres), AXES)
+    recorded = seen.reshape(sets, len(spheres), AXES)
     recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
     recorded = recorded + arm.repeatability_mm * chance.rest[0, :sets]
     image = phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0]
@@ -126,30 +125,18 @@ def identified_errors(
     for count in scene.counts:
         fit = fit_rigid(image[None, :count], recorded[:, :count])
         places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
-        joints = _solved(believed, planned.targets, places, believed_places, planned.target_arrival)
+        joints = _at_targets(believed, planned, places)
         tips = true_places(joints, planned.target_arrival) + arm.repeatability_mm * chance.target_rest[0]
         found.append(tips - robot_from_ct.apply(targets_ct))
     return np.stack(found, axis=1)
 
 
-def _solved(
-    believed: BelievedArm,
-    poses: PlannedPoses,
-    wanted_mm: Array,
-    places_at: Callable[[Array, Array], Array],
-    flanks: Array,
-) -> Array:
-    """Joints (p, 6) with `places_at` at wanted positions (p, 3), the believed tool oriented as planned."""
-    joints = poses.joints_rad.copy()
-    for _ in range(STEPS):
-        shift = wanted_mm - places_at(joints, flanks)
-        _, rotations = believed.tool(joints, flanks)
-        turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
-        step = np.concatenate([shift, turn], axis=-1)
-        joints = joints + np.einsum("pij,pj->pi", poses.inverse, step)
-    left_mm = float(np.abs(shift).max())
-    if not left_mm < SETTLED_MM:
-        raise PoseNotSolved(
-            f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
-        )
+def _at_targets(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
+    """Joints (t, 6) that the controller commands to have its tool at these places."""
+    joints, _ = solved(
+        planned.targets,
+        lambda joints: believed.tool(joints, planned.target_arrival),
+        lambda _, at: places_mm - at,
+        planned.targets.joints_rad.shape,
+    )
     return joints

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.studies.accuracy.turning import Components, mapped, shifted, turned
+from ronna_hw.arm.deviations import FLANK_SHARE
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.links import Chain
 from sim.world.scene.arm_truth import draw_arm
@@ -25,7 +26,6 @@ from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM, draw_mount
 Array = NDArray[np.float64]
 
 ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
-FLANK_SHARE = 0.5  # of the backlash, to either side
 UPPER_ARM, FOREARM = 1, 3  # links between A2 and A3, between A4 and the wrist
 
 

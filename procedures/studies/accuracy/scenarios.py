@@ -14,11 +14,10 @@ from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
 from sim.world.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
+from sim.world.scene.model import ArmResidual
 from sim.world.scene.stereo_head import TOOL_ERROR_MM
 
-CALIBRATED_TOOL_MM = 0.1  # per axis
-CALIBRATED_LINK_MM = 0.06  # per axis
-CALIBRATED_RAD = float(np.radians(0.008))  # links per axis, joint offsets
+CALIBRATED = ArmResidual()
 # Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
 CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
 FINE_CT_MM = 0.05  # 3-D rms
@@ -42,32 +41,33 @@ class Scenario:
     def left(self) -> ErrorSizes:
         """The remaining errors of the arm."""
         if not self.kinematics:
-            return replace(UNCALIBRATED, tool_mm=CALIBRATED_TOOL_MM if self.tool else TOOL_ERROR_MM)
+            return replace(UNCALIBRATED, tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM)
         return ErrorSizes(
-            CALIBRATED_TOOL_MM,
-            links=CALIBRATED_RAD / LINK_ROTATION_RAD,
+            CALIBRATED.tool_mm,
+            links=CALIBRATED.angle_rad / LINK_ROTATION_RAD,
             backlash=CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
         )
 
     def of(self, arms: RandomArms) -> RandomArms:
         """The same arms, calibrated: their errors scaled down to what remains."""
         if self.tool:
-            arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED_TOOL_MM / TOOL_ERROR_MM)
+            arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
         if not self.kinematics:
             return arms
         turns = Rotation.from_matrix(arms.link_rotation.reshape(-1, 3, 3)).as_rotvec()
-        remaining = Rotation.from_rotvec(turns * CALIBRATED_RAD / LINK_ROTATION_RAD).as_matrix()
+        remaining = Rotation.from_rotvec(turns * CALIBRATED.angle_rad / LINK_ROTATION_RAD).as_matrix()
         return replace(
             arms,
-            link_translation_mm=arms.link_translation_mm * CALIBRATED_LINK_MM / LINK_TRANSLATION_MM,
+            link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / LINK_TRANSLATION_MM,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
             backlash_rad=arms.backlash_rad * CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
-            joint_offset_rad=arms.joint_offset_rad * CALIBRATED_RAD / JOINT_OFFSET_RAD,
+            joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / JOINT_OFFSET_RAD,
         )
 
 
+SET_S = Scenario("set S")
 SCENARIOS = (
-    Scenario("set S"),
+    SET_S,
     Scenario("tool calibrated", tool=True),
     Scenario("tool and kinematics calibrated", tool=True, kinematics=True),
     Scenario("fine CT", ct_mm=FINE_CT_MM),

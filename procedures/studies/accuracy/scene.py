@@ -18,6 +18,7 @@ from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, pla
 from procedures.studies.accuracy.postures import Postures, postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms
+from procedures.studies.accuracy.scenarios import SET_S, Scenario
 from procedures.studies.accuracy.trials import CT_FLE_MM, Chance, Sizes, target_errors
 from procedures.studies.campaign.unit import Sums
 from ronna_hw.frames import Transform
@@ -26,6 +27,15 @@ Array = NDArray[np.float64]
 
 DIGITS = 6  # of an error in mm
 BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
+FROM = tuple(one.name for one in CANDIDATES)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Error vectors (a, t, c, 3) of all arms, targets, numbers of spheres; predictions by the last two."""
+
+    errors_mm: Array
+    predicted: list[list[TargetPrediction]]
 
 
 @dataclass(frozen=True)
@@ -81,54 +91,57 @@ class Scene:
             arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
         )
 
-    def all_errors_mm(
+    def outcomes(
         self,
         strategies: Sequence[str],
         arms: RandomArms,
         chance: Chance,
-        sizes: Sizes,
-        left: ErrorSizes = UNCALIBRATED,
+        scenario: Scenario = SET_S,
         *,
         any_side: bool = False,
-    ) -> dict[str, Array]:
-        """The same by strategy; `left` are the arm errors assumed for planning poses and
-        predicting errors.
-        """
-        best = [one.name for one in CANDIDATES] if BEST in strategies else []
-        single = dict.fromkeys((*best, *(one for one in strategies if one != BEST)))
-        planned = {one: self.planned(one, left) for one in single}
-        errors = {
-            one: self.errors_mm(arms, poses, chance, sizes, any_side=any_side)
-            for one, poses in planned.items()
-        }
-        if best:
-            rms_mm = np.array(
-                [
-                    [[each.rms_mm for each in row] for row in self.predicted(planned[one], left, sizes.ct_mm)]
-                    for one in best
-                ]
-            )  # (candidates, counts, targets)
-            chosen = rms_mm.argmin(axis=0).T[None, None, :, :, None]
-            of_each = np.stack([errors[one] for one in best])
-            errors[BEST] = np.take_along_axis(of_each, chosen, axis=0)[0]
-        return {one: errors[one] for one in strategies}
+    ) -> dict[str, Outcome]:
+        """What the strategies do with these arms of set S in a scenario, which they plan and predict for."""
+        single = dict.fromkeys(
+            (*(FROM if BEST in strategies else ()), *(one for one in strategies if one != BEST))
+        )
+        remaining, found = scenario.of(arms), {}
+        for one in single:
+            planned = self.planned(one, scenario.left)
+            found[one] = Outcome(
+                self.errors_mm(remaining, planned, chance, scenario.sizes, any_side=any_side),
+                self.predicted(planned, scenario.left, scenario.ct_mm),
+            )
+        if BEST in strategies:
+            found[BEST] = _best([found[one] for one in FROM])
+        return {one: found[one] for one in strategies}
 
     def trials(
         self,
         arms: Sequence[int],
         strategies: Sequence[str],
         *,
-        sizes: Sizes | None = None,
+        scenario: Scenario = SET_S,
         scan_again: bool = False,
         any_side: bool = False,
     ) -> Sums:
         """Length of every error in mm: strategy|spheres|arm|target."""
         drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms, scan_again=scan_again)
         found: Sums = {}
-        by_strategy = self.all_errors_mm(strategies, drawn, chance, sizes or Sizes(), any_side=any_side)
-        for strategy, errors in by_strategy.items():
-            lengths = np.linalg.norm(errors, axis=-1)
+        outcomes = self.outcomes(strategies, drawn, chance, scenario, any_side=any_side)
+        for strategy, outcome in outcomes.items():
+            lengths = np.linalg.norm(outcome.errors_mm, axis=-1)
             for (arm, target, count), length in np.ndenumerate(lengths):
                 key = f"{strategy}|{self.counts[count]}|{arms[arm]}|{target + 1}"
                 found[key] = round(float(length), DIGITS)
         return found
+
+
+def _best(candidates: Sequence[Outcome]) -> Outcome:
+    """At each target with each number of spheres the outcome with the smallest predicted error."""
+    predicted = [one.predicted for one in candidates]
+    chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predicted]).argmin(axis=0)
+    errors_mm = np.stack([one.errors_mm for one in candidates])
+    return Outcome(
+        np.take_along_axis(errors_mm, chosen.T[None, None, :, :, None], axis=0)[0],
+        [[predicted[k][count][target] for target, k in enumerate(row)] for count, row in enumerate(chosen)],
+    )

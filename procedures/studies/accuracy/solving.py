@@ -57,9 +57,9 @@ def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Ar
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
-    return _solved(
-        arms,
+    return solved(
         poses,
+        lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
         lambda joints, _: spheres_mm - arms.tool_points_mm(joints, flanks),
         (len(arms), len(poses), 6),
     )
@@ -67,23 +67,35 @@ def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Ar
 
 def brought_to(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
     """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
-    joints, _ = _solved(arms, poses, lambda _, at: places_mm - at, (*places_mm.shape[:-1], 6))
+    joints, _ = solved(
+        poses,
+        lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
+        lambda _, at: places_mm - at,
+        (*places_mm.shape[:-1], 6),
+    )
     return joints
 
 
-def _solved(
-    arms: RandomArms, poses: PlannedPoses, missing: Callable[[Array, Array], Array], shape: tuple[int, ...]
+def solved(
+    poses: PlannedPoses,
+    frames: Callable[[Array], tuple[Array, Array]],
+    missing: Callable[[Array, Array], Array],
+    shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
+    """Joints of this shape with nothing `missing` (mm) and the tool oriented as planned; its places there.
+
+    `frames` are the tool's places and orientations at joints. Raises STU-009.
+    """
     joints = np.array(np.broadcast_to(poses.joints_rad, shape))
     for _ in range(STEPS):
-        places, rotations = nominal_frames(arms.chain, joints, poses.tool_mm)
+        places, rotations = frames(joints)
         shift = missing(joints, places)
         turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
         step = np.concatenate([shift, turn], axis=-1)
-        joints = joints + np.einsum("pij,apj->api", poses.inverse, step)
+        joints = joints + np.einsum("pij,...pj->...pi", poses.inverse, step)
     left_mm = float(np.abs(shift).max())  # before the last step
     if not left_mm < SETTLED_MM:
         raise PoseNotSolved(
             f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
         )
-    return joints, nominal_frames(arms.chain, joints, poses.tool_mm)[0]
+    return joints, frames(joints)[0]

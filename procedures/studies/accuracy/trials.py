@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm_sources import SERVO_MM
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.studies.accuracy.phantom import Markers, Phantom
 from procedures.studies.accuracy.postures import Postures
@@ -26,7 +27,6 @@ from ronna_hw.frames import Transform
 Array = NDArray[np.float64]
 
 CT_FLE_MM = 0.38  # parameter set S: 3-D rms of a sphere in the CT, including reseating
-SERVO_MM = 0.03  # the same: 3-D rms of the servo's residual
 AXES = 3
 CT_KEY, LOOKS_KEY = 7, 8  # of the random numbers
 

@@ -14,11 +14,10 @@ from itertools import product
 
 import numpy as np
 
-from procedures.strategies.best import CANDIDATES
 from procedures.studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
 from procedures.studies.accuracy.random_arms import RandomArms, Source
-from procedures.studies.accuracy.scenarios import SCENARIOS
-from procedures.studies.accuracy.scene import BEST, DIGITS, Scene
+from procedures.studies.accuracy.scenarios import SCENARIOS, SET_S, Scenario
+from procedures.studies.accuracy.scene import DIGITS, Scene
 from procedures.studies.accuracy.trials import Sizes
 from procedures.studies.campaign.unit import Sums, Unit, blocks, without_empty_own
 from procedures.studies.own.method import OwnMethod
@@ -34,7 +33,7 @@ MOST_ARMS_OF_SOURCES = 40  # enough for a mean
 MOST_ARMS_OF_OTHERS = 100  # and for a 99 % quantile
 ARMS_OF_PREDICTION = 125  # at each of the eight positions: 10,000 targets of 1,000 arms
 FIRST_OF_PREDICTION = 1_000_000  # number of the first: none of the arms of the trials
-PREDICTED = (SCENARIOS[0], SCENARIOS[-1])  # set S, and the best that calibration and a fine CT achieve
+PREDICTED = (SET_S, SCENARIOS[-1])  # set S, and the best that calibration and a fine CT achieve
 TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
 BIN_MM = 0.005  # of the histograms
 OF_ARM = "arm "  # precedes the number in the key of a sum over one arm
@@ -121,20 +120,9 @@ def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
     for scenario in PREDICTED:
-        planned = {one: scene.planned(one, scenario.left) for one in ALONE}
-        errors = {
-            one: scene.errors_mm(scenario.of(drawn), poses, chance, scenario.sizes)
-            for one, poses in planned.items()
-        }
-        predicted = {
-            one: scene.predicted(poses, scenario.left, scenario.ct_mm) for one, poses in planned.items()
-        }
-        for (nth, count), target in product(enumerate(scene.counts), range(TARGETS)):
-            at_target = {one: of_each[nth][target] for one, of_each in predicted.items()}
-            best = min((one.name for one in CANDIDATES), key=lambda name: at_target[name].rms_mm)
-            for strategy in STRATEGIES:
-                used = best if strategy == BEST else strategy
-                prediction, actual = at_target[used], errors[used][:, target, nth]
+        for strategy, outcome in scene.outcomes(STRATEGIES, drawn, chance, scenario).items():
+            for (nth, count), target in product(enumerate(scene.counts), range(TARGETS)):
+                prediction, actual = outcome.predicted[nth][target], outcome.errors_mm[:, target, nth]
                 key = f"{scenario.name}|{strategy}|{count}"
                 sums[f"{key}|targets"] += len(arms)
                 sums[f"{key}|inside"] += int(prediction.holds(actual).sum())
@@ -148,9 +136,8 @@ def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
     for one in SCENARIOS:
-        errors = scene.all_errors_mm(STRATEGIES, one.of(drawn), chance, one.sizes, one.left)
-        for strategy, vectors in errors.items():
-            lengths = np.linalg.norm(vectors, axis=-1).round(DIGITS)
+        for strategy, outcome in scene.outcomes(STRATEGIES, drawn, chance, one).items():
+            lengths = np.linalg.norm(outcome.errors_mm, axis=-1).round(DIGITS)
             for place_of_count, count in enumerate(scene.counts):
                 of_count = lengths[:, :, place_of_count]
                 key = f"{one.name}|{strategy}|{count}"
@@ -166,7 +153,7 @@ def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
     return scene.trials(
         arms,
         READ_AGAIN,
-        sizes=Sizes(ct_mm=0.0) if reading == NO_CT else Sizes(),
+        scenario=Scenario(NO_CT, ct_mm=0.0) if reading == NO_CT else SET_S,
         scan_again=reading == SCANNED_AGAIN,
         any_side=reading == ANY_SIDE,
     )

@@ -17,6 +17,7 @@ from procedures.planning.markers.template import (
     propose_template,
 )
 from procedures.planning.markers.template_file import head_of_scene, write_template
+from procedures.registration.error_theory import tre_principal_axes_mm
 from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
@@ -37,11 +38,9 @@ def test_all_distances_differ_by_the_margin_and_the_markers_are_on_the_skin(
 
 
 def test_a_smaller_margin_never_costs_accuracy() -> None:
-    from procedures.planning.markers.template import expected_error
-
     def error(margin_mm: float) -> float:
-        points = np.array([propose_template(HEAD, 4, margin_mm).centres_mm])
-        return float(expected_error(points, np.array(HEAD.centre_mm))[0])
+        points = np.array(propose_template(HEAD, 4, margin_mm).centres_mm)
+        return float(tre_principal_axes_mm(np.array([HEAD.centre_mm]), points, 1.0)[0])
 
     assert error(2.0) <= error(8.0) <= error(14.0)
 

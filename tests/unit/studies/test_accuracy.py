@@ -112,14 +112,14 @@ def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_e
     scene = Scene.of(1, SMALL, Markers.FREE, 1)
     numbers = range(3)
     names = [one.name for one in CANDIDATES]
-    errors = scene.all_errors_mm(
-        [*names, "best"], RandomArms.draw(1, numbers), scene.chance(numbers), Sizes()
-    )
-    predicted = {name: scene.predicted(scene.planned(name)) for name in names}
+    found = scene.outcomes([*names, "best"], RandomArms.draw(1, numbers), scene.chance(numbers))
     for count in range(len(scene.counts)):
         for target in range(len(SMALL.trajectories)):
-            least = min(names, key=lambda name: predicted[name][count][target].rms_mm)
-            np.testing.assert_array_equal(errors["best"][:, target, count], errors[least][:, target, count])
+            least = min(names, key=lambda name: found[name].predicted[count][target].rms_mm)
+            assert found["best"].predicted[count][target] is found[least].predicted[count][target]
+            np.testing.assert_array_equal(
+                found["best"].errors_mm[:, target, count], found[least].errors_mm[:, target, count]
+            )
 
 
 def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
