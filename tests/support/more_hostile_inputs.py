@@ -60,7 +60,7 @@ REHASHED = 20  # lines of a ledger
 LEDGER = b"".join(
     json.dumps(line).encode() + b"\n"
     for line in (
-        {"study": STUDY.name, "fingerprint": ledger.fingerprint(STUDY), "parameters": STUDY.parameters()},
+        ledger.head_of(STUDY),
         {"unit": UNIT, "sums": {"runs": 2.0, "squares_mm2": 0.5}},
     )
 )

@@ -9,6 +9,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from procedures.studies.campaign.code import code
 from procedures.studies.campaign.unit import Study, Sums, Unit
 from procedures.studies.errors import LedgerUnreadable, OtherStudy
 from ronna_hw.bounded_input import parse_json, read_json_lines
@@ -23,6 +24,16 @@ def fingerprint(study: Study) -> str:
     return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
 
 
+def head_of(study: Study) -> dict[str, object]:
+    """The first line of its file: results of other parameters or other code are not added to."""
+    return {
+        "study": study.name,
+        "fingerprint": fingerprint(study),
+        "parameters": study.parameters(),
+        "code": code(),
+    }
+
+
 class Ledger:
     """Finished units of one study in a folder. The first line identifies the study."""
 
@@ -32,7 +43,7 @@ class Ledger:
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
         self.damaged = 0  # lines skipped: their units are run again
-        head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
+        head = head_of(study)
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
             self._append(head)
@@ -64,6 +75,10 @@ class Ledger:
             there = parse_json(first)
             if there["fingerprint"] != head["fingerprint"]:
                 raise OtherStudy(f"{self._path.parent} contains {_difference(there, head)}")
+            if (made_by := there.get("code", "unknown")) != head["code"]:
+                raise OtherStudy(
+                    f"{self._path.parent} contains results of other code: {made_by}, now {code()}"
+                )
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [first]

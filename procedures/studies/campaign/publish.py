@@ -6,6 +6,7 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from procedures.studies.campaign.code import code
 from procedures.studies.campaign.table import Table
 from ronna_hw.records import write_whole
 
@@ -23,6 +24,7 @@ def publish(
     document = {
         "study": title,
         "parameters": dict(parameters),
+        "code": code(),
         "tables": [table.document() for table in tables],
         "plots": sorted(plots),
     }
@@ -33,7 +35,11 @@ def publish(
         write_whole(folder / name, png)
     pictures = "".join(f"![{name}]({name})\n\n" for name in sorted(plots))
     listed = ", ".join(f"{key} {json.dumps(value)}" for key, value in parameters.items())
-    text = f"# {title}\n\n{listed}\n\n" + "\n".join(table.markdown() for table in tables) + f"\n{pictures}"
+    text = (
+        f"# {title}\n\n{listed}; code {code()}\n\n"
+        + "\n".join(table.markdown() for table in tables)
+        + f"\n{pictures}"
+    )
     write_whole(folder / REPORT, text.encode())
     return folder / REPORT
 

@@ -14,6 +14,7 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
+from procedures.studies.campaign.code import code
 from procedures.studies.campaign.ledger import FILE, Ledger
 from procedures.studies.campaign.publish import publish
 from procedures.studies.campaign.table import Table
@@ -126,6 +127,13 @@ def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
     with pytest.raises(OtherStudy, match=r"STU-001: .* other parameters: runs 4, now 5"):
         Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
+
+
+def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Ledger(tmp_path, SMALL)
+    monkeypatch.setattr("procedures.studies.campaign.ledger.code", lambda: "other")
+    with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
+        Ledger(tmp_path, SMALL)
 
 
 def test_a_damaged_line_loses_only_its_own_unit(tmp_path: Path) -> None:
@@ -283,7 +291,7 @@ def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
     assert "| a | 1.235 |" in report.read_text()
     assert "![plot.png](plot.png)" in report.read_text()
     assert (tmp_path / "how-many.csv").read_text() == "what,value\na,1.23456\nb,\n"
-    assert (tmp_path / "results.json").exists()
+    assert json.loads((tmp_path / "results.json").read_text())["code"] == code()
 
 
 @pytest.mark.slow
