@@ -1,6 +1,7 @@
 """Arms and CTs better than parameter set S: what calibration and a finer CT would achieve.
 
-The levels are those assumed for a calibrated arm; harmonics and sag are those of set S.
+The levels are those assumed for a calibrated arm; harmonics and sag are those of set S, and so is backlash
+unless it is `known`. A strategy that does not control the approach never knows on which side a joint rests.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ CALIBRATED = ArmResidual()
 # Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
 CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
 FINE_CT_MM = 0.05  # 3-D rms
+ANY_APPROACH = "thesis-ocs"
 
 
 @dataclass(frozen=True)
@@ -30,6 +32,7 @@ class Scenario:
     name: str
     tool: bool = False
     kinematics: bool = False
+    known: bool = False  # the backlash, to CALIBRATED_BACKLASH_RAD
     ct_mm: float = CT_FLE_MM
 
     @property
@@ -37,19 +40,22 @@ class Scenario:
         """The errors outside the arm."""
         return Sizes(ct_mm=self.ct_mm)
 
-    @property
-    def left(self) -> ErrorSizes:
+    def left(self, strategy: str) -> ErrorSizes:
         """The remaining errors of the arm."""
-        if not self.kinematics:
-            return replace(UNCALIBRATED, tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM)
-        return ErrorSizes(
-            CALIBRATED.tool_mm,
-            links=CALIBRATED.angle_rad / LINK_ROTATION_RAD,
-            backlash=CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
+        return replace(
+            UNCALIBRATED,
+            tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
+            links=CALIBRATED.angle_rad / LINK_ROTATION_RAD if self.kinematics else 1.0,
+            backlash=self._backlash_left(strategy),
         )
 
-    def of(self, arms: RandomArms) -> RandomArms:
-        """The same arms, calibrated: their errors scaled down to what remains."""
+    def _backlash_left(self, strategy: str) -> float:
+        known = self.known and strategy != ANY_APPROACH
+        return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
+
+    def of(self, arms: RandomArms, strategy: str) -> RandomArms:
+        """The same arms, calibrated: their errors scaled down to what remains for a strategy."""
+        arms = replace(arms, backlash_rad=arms.backlash_rad * self._backlash_left(strategy))
         if self.tool:
             arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
         if not self.kinematics:
@@ -60,7 +66,6 @@ class Scenario:
             arms,
             link_translation_mm=arms.link_translation_mm * CALIBRATED.link_mm / LINK_TRANSLATION_MM,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
-            backlash_rad=arms.backlash_rad * CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
             joint_offset_rad=arms.joint_offset_rad * CALIBRATED.angle_rad / JOINT_OFFSET_RAD,
         )
 
@@ -73,4 +78,5 @@ SCENARIOS = (
     Scenario("fine CT", ct_mm=FINE_CT_MM),
     Scenario("tool calibrated, fine CT", tool=True, ct_mm=FINE_CT_MM),
     Scenario("tool and kinematics calibrated, fine CT", tool=True, kinematics=True, ct_mm=FINE_CT_MM),
+    Scenario("the same, backlash known too", tool=True, kinematics=True, known=True, ct_mm=FINE_CT_MM),
 )

@@ -104,12 +104,13 @@ class Scene:
         single = dict.fromkeys(
             (*(FROM if BEST in strategies else ()), *(one for one in strategies if one != BEST))
         )
-        remaining, found = scenario.of(arms), {}
+        found = {}
         for one in single:
-            planned = self.planned(one, scenario.left)
+            left = scenario.left(one)
+            planned, remaining = self.planned(one, left), scenario.of(arms, one)
             found[one] = Outcome(
                 self.errors_mm(remaining, planned, chance, scenario.sizes, any_side=any_side),
-                self.predicted(planned, scenario.left, scenario.ct_mm),
+                self.predicted(planned, left, scenario.ct_mm),
             )
         if BEST in strategies:
             found[BEST] = _best([found[one] for one in FROM])

@@ -15,7 +15,7 @@ from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
-from procedures.studies.accuracy.scenarios import FINE_CT_MM
+from procedures.studies.accuracy.scenarios import FINE_CT_MM, SCENARIOS, SET_S
 from procedures.studies.accuracy.scene import Scene
 from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
 from procedures.studies.application_error import ApplicationErrorStudy
@@ -86,6 +86,18 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
         assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
 
+@pytest.mark.parametrize("strategy", ["nos", "ocs"])
+def test_harmonics_and_sag_alone_have_the_size_that_is_predicted(strategy: str) -> None:
+    numbers = range(400)
+    found = errors_mm(strategy, RandomArms.draw(0, numbers).only(Source.JOINTS), Sizes(0.0, 0.0), numbers)
+    planned = postures(strategy_named(strategy), SMALL, HERE)
+    for place_of_count, count in enumerate(COUNTS):
+        predicted = predictions(planned, SMALL, HERE, count)
+        square_mm2 = np.mean([one.budget_mm[Source.JOINTS] ** 2 for one in predicted])
+        actual_mm2 = np.square(found[:, :, place_of_count]).sum(axis=-1).mean()
+        assert np.sqrt(square_mm2 / actual_mm2) == pytest.approx(1.0, abs=0.05)
+
+
 @pytest.mark.slow
 def test_the_study_shows_its_results_next_to_table_4_of_the_thesis() -> None:
     study = StrategiesStudy(arms=3)
@@ -120,6 +132,20 @@ def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_e
             np.testing.assert_array_equal(
                 found["best"].errors_mm[:, target, count], found[least].errors_mm[:, target, count]
             )
+
+
+def test_known_backlash_helps_only_where_the_approach_is_controlled() -> None:
+    arms, scene = RandomArms.draw(1, range(3)).only(Source.BACKLASH), Scene.of(1, SMALL, Markers.FREE, 1)
+    quiet = replace(scene.chance(range(3)), servo=np.zeros((3, 2, 5, 3)))
+    names = ("ocs", "thesis-ocs")
+    set_s, calibrated, known = (
+        scene.outcomes(names, arms, quiet, replace(one, ct_mm=0.0)) for one in (SET_S, *SCENARIOS[-2:])
+    )
+    for name in names:
+        np.testing.assert_array_equal(calibrated[name].errors_mm, set_s[name].errors_mm)
+    np.testing.assert_array_equal(known["thesis-ocs"].errors_mm, set_s["thesis-ocs"].errors_mm)
+    left = np.abs(known["ocs"].errors_mm).max() / np.abs(set_s["ocs"].errors_mm).max()
+    assert left == pytest.approx(0.0015 / 0.02, rel=0.05)
 
 
 def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
