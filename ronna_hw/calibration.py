@@ -25,6 +25,7 @@ from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
     SHORTEST_TRANSLATION_MM,
     WIDEST_VIEW_DEG,
+    ArmError,
     DeviationMm,
     DeviationRad,
     FocalPixels,
@@ -250,6 +251,16 @@ class ArmCalibration(DatedRecord):
     arm: Words = Field(description="Name of the kinematic model to correct.")
     scatter_mm: Scatter = Field(
         description="Random error per axis from pose to pose, one standard deviation."
+    )
+    arm_error_mm: ArmError | None = Field(
+        default=None,
+        description="Remaining local error of the arm per axis, one standard deviation; without it, from "
+        "stated_error_mm.",
+    )
+    tool_error_mm: MountedError | None = Field(
+        default=None,
+        description="Remaining error of the stereo head on the flange per axis, one standard deviation; "
+        "without it, from stated_error_mm.",
     )
     link_translation_mm: tuple[tuple[DeviationMm, DeviationMm, DeviationMm], ...] = Field(
         description="Displacement of each link's far end, in the frame that rotates with its joint."

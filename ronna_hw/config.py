@@ -156,12 +156,15 @@ class ProcedureSettings(Strict):
     """Assumptions and settings of the procedure in this theatre."""
 
     arm_error_mm: ArmError = Field(
-        default=0.15, description="Local error of the arm per axis, one standard deviation."
+        default=0.15,
+        description="Local error of the arm per axis, one standard deviation, as long as there is no "
+        "[calibration.arm]; less than 0.10 counts as 0.10.",
     )
     tool_error_mm: MountedError = Field(
         default=2.0,
-        description="Error of the mount on the flange per axis, one standard deviation; the default is "
-        "for a mount as designed.",
+        description="Error of the mount on the flange per axis, one standard deviation, as long as there "
+        "is no [calibration.arm]; less than 0.40, the error of the arm's last link, counts as 0.40. The "
+        "default is for a mount as designed.",
     )
     seating_error_mm: SeatingError = Field(
         default=0.05,

@@ -6,16 +6,25 @@ Sizes are those of an uncalibrated arm (parameter set S of the error study) unle
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration.arm.error_model import BACKLASH_RAD, SAG_RAD, TOOL_MM
-from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, UNCALIBRATED_MM, error_columns
+from procedures.calibration.arm_geometry import (
+    JOINT_OFFSET_RAD,
+    LINK_TRANSLATION_MM,
+    UNCALIBRATED_MM,
+    error_columns,
+)
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from ronna_hw.arm.deviations import FLANK_SHARE, gravity_levers
 from ronna_hw.arm.links import Chain
+
+if TYPE_CHECKING:
+    from ronna_hw.calibration import ArmCalibration
+    from ronna_hw.config import ProcedureSettings
 
 Array = NDArray[np.float64]
 
@@ -23,6 +32,7 @@ REPEATABILITY_MM = 0.015  # per axis, at rest
 SERVO_MM = 0.03  # 3-D rms of the servo's residual
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
 HARMONIC_COLUMNS = slice(1, 5)
+PER_AXIS = 3.0**-0.5  # of a 3-D error
 EVEN_PHASE = 0.5**0.5  # rms sine and cosine component of a harmonic of arbitrary phase
 SAGGING = (1, 2)  # joints, counted from 0
 
@@ -41,13 +51,29 @@ class ErrorSizes:
     backlash: float = 1.0
 
     @classmethod
-    def stated(cls, arm_error_mm: float, tool_error_mm: float, *, calibrated: bool) -> Self:
-        """As stated in a theatre file: in proportion to the error of the arm, up to all of set S.
+    def stated(cls, settings: ProcedureSettings, arm: ArmCalibration | None) -> Self:
+        """As the record of the arm states, up to all of set S; without a record all of it.
 
-        The backlash is that of set S, except in a calibrated arm, where it is known.
+        Only without one the settings say how well the tool frame is known: no better than the last link,
+        whose error no measurement separates from one of the tool frame.
         """
-        share = min(1.0, arm_error_mm / UNCALIBRATED_MM)
-        return cls(tool_error_mm, share, share, share if calibrated else 1.0)
+        share = min(1.0, arm_error_mm(settings, arm) / UNCALIBRATED_MM)
+        if arm is None:
+            tool_mm = max(settings.tool_error_mm, LINK_TRANSLATION_MM)
+        else:
+            tool_mm = arm.tool_error_mm or PER_AXIS * arm.stated_error_mm
+        return cls(tool_mm, share, share, share)
+
+
+def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> float:
+    """Local error of the arm per axis: from its record, else as set, but not below the best arms.
+
+    A record that states only the error of a point counts it between two points: what identification leaves is
+    not alike at the spheres and at the target.
+    """
+    if arm is None:
+        return max(settings.arm_error_mm, UNCALIBRATED_MM)
+    return arm.arm_error_mm or 2.0**0.5 * PER_AXIS * arm.stated_error_mm
 
 
 UNCALIBRATED = ErrorSizes()
@@ -80,7 +106,7 @@ def arm_sources(
     moved = displacements(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]), sizes)
     return (
         _shared("links and joint offsets", moved.links_mm),
-        _shared("harmonics and sag", moved.joints_mm),
+        _shared("harmonics and sag", _sag_added(moved.joints_mm)),
         _backlash(moved.swings_mm, spheres.sides, target.sides, sizes.backlash),
         _at_rest(len(spheres.joints_rad), servo_mm),
     )
@@ -91,7 +117,7 @@ class Displacements:
     """Displacement of a tool at `p` poses by each error at one standard deviation."""
 
     links_mm: Array  # (p, 3, k)
-    joints_mm: Array  # (p, 3, m)
+    joints_mm: Array  # (p, 3, m) harmonics, then sag
     swings_mm: Array  # (p, 3, axes) by each joint, mm per rad
 
 
@@ -118,6 +144,12 @@ def tool_frame(at_spheres: Array, at_target: Array, tool_mm: float = TOOL_MM) ->
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
     """Errors of the spheres in the CT, (n, 3, 3) mm2 in the robot frame."""
     return OwnErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+
+
+def _sag_added(joints_mm: Array) -> Array:
+    """Weight bends all joints the same way: what they sag adds up, which independent errors would not."""
+    harmonics, sag = np.split(joints_mm, [-len(SAGGING)], axis=2)
+    return np.concatenate([harmonics, sag.sum(axis=2, keepdims=True)], axis=2)
 
 
 def _shared(source: str, columns_mm: Array) -> SharedErrors:

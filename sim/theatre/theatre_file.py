@@ -90,10 +90,8 @@ def theatre_content(
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
-            "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
-            "tool_error_mm": _credible_mm(
-                arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM
-            ),
+            "arm_error_mm": ARM_ERROR_MM,
+            "tool_error_mm": TOOL_ERROR_MM,
             "seating_error_mm": (seating_mm := scene.head.seating_error_mm) and _credible_mm(seating_mm),
         },
     }
@@ -207,6 +205,7 @@ def _arm(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
         return {}
     values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1))
     scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
+    values |= {"arm_error_mm": CALIBRATED_ARM_ERROR_MM, "tool_error_mm": _credible_mm(residual.tool_mm)}
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
 
 

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from procedures.calibration.arm_geometry import UNCALIBRATED_MM
+from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM, UNCALIBRATED_MM
+from procedures.calibration.arm_sources import ErrorSizes, arm_error_mm
 from procedures.calibration.errors import ArmOlderThanHead
 from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_in_order
 from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
@@ -52,16 +53,19 @@ def _older_than_head(calibrations: Calibrations) -> str:
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Whether the stated error of the arm, which predictions rest on, is one that such an arm can have."""
+    """The errors of arm and tool frame that predictions rest on, and why they are larger than stated."""
     if theatre.calibration is None:
         return
-    stated_mm = theatre.procedure.arm_error_mm
-    too_good = theatre.calibration.arm is None and stated_mm < UNCALIBRATED_MM
+    settings, arm = theatre.procedure, theatre.calibration.arm
+    sizes, used_mm = ErrorSizes.stated(settings, arm), arm_error_mm(settings, arm)
     advice = (
-        f"The best arms without [calibration.arm] are off by {UNCALIBRATED_MM:g} mm per axis: calibrate the "
-        "arm or correct [procedure] arm_error_mm, else errors are predicted too small."
+        f"The best arms without [calibration.arm] are off by {UNCALIBRATED_MM:g} mm per axis, their tool "
+        f"frames by {LINK_TRANSLATION_MM:g} mm: errors are predicted with that, not with less in "
+        "[procedure]. Calibrate the arm."
     )
-    yield Diagnostic("error of the arm", True, f"{stated_mm:g} mm per axis", advice if too_good else "")
+    too_good = used_mm > settings.arm_error_mm or sizes.tool_mm > settings.tool_error_mm
+    said = f"{used_mm:.2g} mm per axis, of the tool frame {sizes.tool_mm:.2g} mm"
+    yield Diagnostic("error of the arm", True, said, advice if arm is None and too_good else "")
 
 
 def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:

@@ -71,6 +71,7 @@ def theatre_arm(
     require_in_range(kinematics, start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
     calibration = theatre.calibration
+    sizes = ErrorSizes.stated(theatre.procedure, calibration.arm)
     arm = ArmSetting(
         kinematics=kinematics,
         robot_from_ct=Transform.of(
@@ -81,18 +82,14 @@ def theatre_arm(
         flange_from_stereo=calibration.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
         start_rad=start_rad,
         approach_mm=theatre.procedure.standoff_mm,
-        sizes=ErrorSizes.stated(
-            theatre.procedure.arm_error_mm,
-            theatre.procedure.tool_error_mm,
-            calibrated=calibration.arm is not None,
-        ),
+        sizes=sizes,
     )
     return TheatreArm(
         arm=arm,
         cell=theatre.cell_with_tools,
         sight=StereoSight.of(calibration.stereo_head),
         bore=ToolRecords.of(theatre).guide.bore,
-        reserve_mm=theatre.procedure.tool_error_mm,
+        reserve_mm=sizes.tool_mm,
         seating_error_mm=theatre.procedure.seating_error_mm,
         guide_direction_rad=calibration.tool_tip.stated_direction_error_rad,
         at_target_mm=(

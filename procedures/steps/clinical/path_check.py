@@ -99,7 +99,8 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     matched = [pair[0] for pair in correspondence.pairs]
     workcell, settings = context.workcell, context.setting.settings
     # The servo brings the head itself onto a sphere: the arm goes beside its path by what the mount is off.
-    scene = planning_scene_of(context).with_reserve(settings.tool_error_mm)
+    sizes = ErrorSizes.stated(settings, workcell.calibrations.arm)
+    scene = planning_scene_of(context).with_reserve(sizes.tool_mm)
     setting = ArmSetting(
         kinematics=workcell.arm.kinematics,
         robot_from_ct=correspondence.robot_from_ct.transform,
@@ -109,9 +110,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         start_rad=context.result(CheckedSetUp).home_rad,
         approach_mm=settings.standoff_mm,
         scene=scene,
-        sizes=ErrorSizes.stated(
-            settings.arm_error_mm, settings.tool_error_mm, calibrated=workcell.calibrations.arm is not None
-        ),
+        sizes=sizes,
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(

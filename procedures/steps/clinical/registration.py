@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.operator.topic import Topic
@@ -169,7 +170,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     With the guide mounted it is repeated because the head has moved: the tracker measures how.
     """
     plan = context.result(CheckedPlan)
-    arm_mm = context.setting.settings.arm_error_mm
+    arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
     pairs, left_out_spheres = _agreeing(context, _Pairs.of(context), arm_mm)
     fit = register(
         pairs.image_mm,

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_geometry import HARMONIC_RAD
+from procedures.calibration.arm.error_model import SAG_RAD
+from procedures.calibration.arm_geometry import HARMONIC_RAD, LINK_TRANSLATION_MM, UNCALIBRATED_MM
 from procedures.calibration.arm_sources import (
     REPEATABILITY_MM,
+    UNCALIBRATED,
     ArmPoses,
     ErrorSizes,
+    arm_error_mm,
     arm_sources,
     displacements,
 )
-from procedures.registration.target_prediction import predict_target_error
+from procedures.registration.target_prediction import SharedErrors, predict_target_error
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.deviations import ArmDeviations, joint_errors
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.calibration import ArmCalibration
+from ronna_hw.config import ProcedureSettings
 
 KR6 = kr6_r900(ArmVariant.SIXX)
+NOW = datetime(2026, 11, 22, tzinfo=UTC)
 LOOKS = np.array([radians6(10.0 * k, -75.0 + 3.0 * k, 99.0, 5.0, 66.0, 180.0) for k in range(5)])
 POINTS_MM = np.array([KR6.flange_pose(tuple(one)).apply((220.0, 0.0, 60.0)) for one in LOOKS.tolist()])
 KNOWN, CALIBRATED = np.ones((1, 6)), ErrorSizes(tool_mm=0.1, links=0.16, joints=0.16, backlash=0.1)
@@ -49,6 +56,32 @@ def test_the_whole_backlash_of_a_calibrated_arm_counts_where_the_approach_side_i
     assert known[ErrorSizes()] < 0.9 * unknown[CALIBRATED] < unknown[ErrorSizes()]
 
 
+def settings(arm_error_mm: float, tool_error_mm: float) -> ProcedureSettings:
+    return ProcedureSettings(arm_error_mm=arm_error_mm, tool_error_mm=tool_error_mm)
+
+
+def test_without_a_record_of_the_arm_no_setting_makes_its_errors_smaller_than_uncalibrated_ones() -> None:
+    typed = ErrorSizes.stated(settings(0.016, 0.1), None)
+    assert typed == replace(UNCALIBRATED, tool_mm=LINK_TRANSLATION_MM)
+    assert arm_error_mm(settings(0.016, 0.1), None) == UNCALIBRATED_MM
+    assert ErrorSizes.stated(settings(0.15, 2.0), None) == UNCALIBRATED
+    assert arm_error_mm(settings(0.15, 2.0), None) == 0.15
+
+
+def test_with_a_record_of_the_arm_its_errors_are_those_of_the_record_whatever_is_set() -> None:
+    dated = {"created": NOW, "expires": NOW, "identifier": "arm", "made_by": "test"}
+    nothing = ArmDeviations.none(6).as_plain()
+    stated = ArmCalibration(arm="kr6_r900", scatter_mm=0.02, stated_error_mm=0.03, **dated, **nothing)
+    for typed in (settings(0.016, 0.1), settings(0.15, 2.0)):
+        found = ErrorSizes.stated(typed, stated)
+        assert found.tool_mm == pytest.approx(0.0173, abs=1e-4)
+        assert found.links == found.joints == found.backlash == pytest.approx(0.245, abs=1e-3)
+        worse = stated.model_copy(update={"stated_error_mm": 0.09})
+        assert ErrorSizes.stated(typed, worse).links == pytest.approx(3.0 * found.links)
+        more = stated.model_copy(update={"arm_error_mm": 0.016, "tool_error_mm": 0.1})
+        assert ErrorSizes.stated(typed, more) == ErrorSizes(0.1, *3 * (pytest.approx(0.16),))
+
+
 def test_harmonics_displace_like_those_of_random_arms_with_any_phase() -> None:
     generator, flat = np.random.default_rng(1), []
     sizes_rad = np.array(HARMONIC_RAD)
@@ -63,6 +96,15 @@ def test_harmonics_displace_like_those_of_random_arms_with_any_phase() -> None:
     moved = displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes())
     harmonics_mm = moved.joints_mm[0, :, :-2]  # without sag
     assert np.sum(harmonics_mm**2) == pytest.approx(drawn_mm2, rel=0.1)
+
+
+def test_what_all_joints_sag_adds_up() -> None:
+    sag = np.array([0.0, SAG_RAD, SAG_RAD, 0.0, 0.0, 0.0])
+    bent = joint_errors(KR6.chain, replace(ArmDeviations.none(6), sag_rad=sag), LOOKS[-1:], 0.0)[0]
+    at = [ArmPoses(LOOKS[rows], POINTS_MM[rows], None) for rows in (slice(4), slice(4, 5))]
+    (joints,) = (one for one in arm_sources(KR6.chain, *at) if one.source == "harmonics and sag")
+    assert isinstance(joints, SharedErrors)
+    np.testing.assert_allclose(joints.at_target_mm[:, -1], swings_mm() @ bent, rtol=1e-9)
 
 
 def swings_mm() -> NDArray[np.float64]:

@@ -6,8 +6,9 @@ import pytest
 import tomli_w
 
 from drivers.kuka_rsi.options import read_options
+from procedures.calibration.arm_sources import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import parse_theatre, read_theatre_file
+from ronna_hw.config import ProcedureSettings, parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
 from sim.theatre.calibration_files import CALIBRATION_FILE, read_calibrations
@@ -91,6 +92,8 @@ def test_a_calibrated_arm_has_a_record_with_a_small_residual_error(tmp_path: Pat
     )
     assert 0.0 < np.abs(head).max() < 0.5
     assert load_scene("mini", seed=4).calibration_error.arm is None
+    sizes = ErrorSizes.stated(ProcedureSettings(), record.arm)
+    assert (sizes.tool_mm, sizes.links) == pytest.approx((0.1, 0.16))
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

@@ -3,7 +3,7 @@
 Where a strategy does not control the approach, the servo's last step, not the way to the sphere, leaves each
 joint on one side of its backlash, and nobody knows on which. What the servo leaves is measured.
 
-`arm_error_mm` of the theatre file says how large they are: up to that of an uncalibrated arm, in proportion.
+The record of the arm says how large they are: up to those of an uncalibrated arm, in proportion.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Of localizations of spheres (n, 3) mm, robot frame, as planned, and of the tip at a target."""
-    paths, settings = context.result(CheckedPaths), context.setting.settings
+    paths = context.result(CheckedPaths)
     planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
     looks = [planned[index] for index in fiducials]
     signs = arriving(context, paths)
@@ -40,10 +40,6 @@ def arm_errors(
             held.tip_mm[None],
             np.array([paths.targets[target].approach_signs], dtype=float),
         ),
-        ErrorSizes.stated(
-            settings.arm_error_mm,
-            settings.tool_error_mm,
-            calibrated=context.workcell.calibrations.arm is not None,
-        ),
+        ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
         servo_mm=0.0,
     )

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import SharedErrors
 from procedures.steps.clinical.error_budget.held_guide import HeldGuide
@@ -25,9 +26,13 @@ def displaced_spheres_mm(context: StepContext, fiducials: Sequence[int]) -> Arra
     """How far each standard deviation of the tool frame displaces the spheres, (n, 3, 3) mm, robot frame."""
     planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
-    return context.setting.settings.tool_error_mm * np.array([rotations[index] for index in fiducials])
+    return _error_mm(context) * np.array([rotations[index] for index in fiducials])
 
 
 def shared_with_target(context: StepContext, spheres_mm: Array, held: HeldGuide) -> SharedErrors:
     """The same with the tip at a target; `spheres_mm` as above."""
-    return SharedErrors(SOURCE, spheres_mm, context.setting.settings.tool_error_mm * held.rotation)
+    return SharedErrors(SOURCE, spheres_mm, _error_mm(context) * held.rotation)
+
+
+def _error_mm(context: StepContext) -> float:
+    return ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm).tool_mm

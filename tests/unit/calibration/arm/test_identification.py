@@ -12,6 +12,7 @@ from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import ArmLooks, arrays_of
 from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
+from procedures.calibration.arm_sources import ErrorSizes
 from procedures.calibration.errors import (
     ArmChanged,
     ArmOlderThanHead,
@@ -23,10 +24,11 @@ from procedures.calibration.errors import (
     Unobservable,
 )
 from procedures.calibration.validity import require_in_order
-from procedures.cli.arm.files import KIND
+from procedures.cli.arm.files import KIND, records_of
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
-from ronna_hw.config import Calibrations
+from ronna_hw.calibration import ArmCalibration
+from ronna_hw.config import Calibrations, ProcedureSettings
 from ronna_hw.frames import Frame
 
 LOOKS, VALIDATION = 90, 24
@@ -47,6 +49,16 @@ def test_held_out_looks_are_predicted_as_well_as_stated(
     assert held.before_mm > 1.0
     assert 0.7 < held.error_mm / held.predicted_mm < 1.4
     assert held.error_mm < 0.04
+
+
+def test_the_record_makes_predicted_errors_smaller_without_any_setting(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    _, _, result = identified
+    written = ArmCalibration.model_validate(records_of(result)["arm"])
+    sizes = ErrorSizes.stated(ProcedureSettings(), written)
+    assert sizes.links < 0.4
+    assert sizes.tool_mm < 0.05
 
 
 def test_the_random_error_of_the_arm_is_estimated(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
