@@ -90,9 +90,8 @@ def proof_by(
         )
     if failed := {name: one.failures for name, one in found.items() if one.failures}:
         raise FitFailed(
-            "the object along "
+            "no straight rod or round hole could be fitted to the object along "
             + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
-            + " is neither a straight rod nor a round hole"
         )
     return Proof(registration, tuple(proven(name, way, found[name]) for name, way in ways.items()))
 

@@ -77,6 +77,9 @@ def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle:
     bone = before > BONE_HU
     local, before = local[bone], before[bone]
     after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
+    scanned = np.isfinite(after)
+    whole = bool(scanned.all())
+    local, before, after = local[scanned], before[scanned], after[scanned]
 
     def residuals(unknown: Array) -> Array:
         u0, v0, du, dv, radius_mm, fluid, spread_mm = unknown
@@ -90,6 +93,7 @@ def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle:
     middle_mm = coarse.to_patient_mm(np.array([0.0, u0, v0]))
     inwards = coarse.axes @ np.array([1.0, du, dv])
     quality = FitQuality(
+        whole,
         found.success,
         not at_bound(found.x, LOW, HIGH)[:PLACED].any(),
         robust_sigma(residuals(found.x)),

@@ -46,7 +46,7 @@ class InstrumentMissing(DataError):
     """The CT shows neither an instrument nor a drilled hole along a trajectory."""
 
     code = "POST-006"
-    action = "Check the CT; name the trajectories that were carried out with --only."
+    action = "Check that the CT reaches that far; name the trajectories that were carried out with --only."
     exit_code = EXIT_REFUSED
 
 
@@ -66,7 +66,7 @@ class RunOfAnotherCt(DataError):
 
 
 class FitFailed(DataError):
-    """The object found along a trajectory is neither a straight rod nor a round hole: its axis is unknown."""
+    """The object along a trajectory cannot be fitted as a rod or a round hole: its axis is unknown."""
 
     code = "POST-009"
     action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."

@@ -14,8 +14,11 @@ AT_BOUND = 1e-3  # of the range between the two bounds
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Whether the fit converged with its position parameters within bounds; residual, HU; radius, mm."""
+    """Whether the scan shows all that is needed, and the fit converged with its position parameters within
+    bounds; residual, HU; radius, mm.
+    """
 
+    whole: bool
     ended: bool
     inside: bool
     residual_hu: float
@@ -32,6 +35,8 @@ class Usual:
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
         """Why position and direction are unknown."""
         why = []
+        if not quality.whole:
+            why.append("the CT ends there")
         if not quality.ended:
             why.append("the fit did not converge")
         if not quality.inside:

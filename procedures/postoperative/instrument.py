@@ -82,6 +82,9 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
     )
     local[:, 0] -= coarse.length_mm  # from the coarse tip, inwards
+    scanned = np.isfinite(values)
+    whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends
+    local, values = local[scanned], values[scanned]
     background = _background(local, values)
     ceiling = SATURATED * float(volume.voxels.max())
     samples = local + _within_voxel(volume, coarse)[:, None, :]
@@ -104,6 +107,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     outer, tip = coarse.to_patient_mm(np.array([[coarse.length_mm - outside_mm, end_u, end_v], at_tip]))
     outwards = (outer - tip) / np.linalg.norm(outer - tip)
     quality = FitQuality(
+        whole,
         found.success,
         not at_bound(found.x, low, high)[:PLACED].any(),
         robust_sigma(residuals(found.x)),

@@ -57,7 +57,7 @@ class Way:
 class Seen:
     """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), and its positions (..., 3) mm.
 
-    -1000 HU outside the scan.
+    NaN outside the scan, where nothing is known.
     """
 
     values: Array
@@ -70,22 +70,24 @@ def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> See
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
     index = np.moveaxis(volume.geometry.to_index(way.to_patient_mm(local)), -1, 0)
-    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=-1000.0)
+    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=np.nan)
     return Seen(values, local)
 
 
 def voxels_around(
     volume: Volume, way: Way, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
-    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory."""
+    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
+
+    The grid continues beyond the scan, with NaN.
+    """
     geometry = volume.geometry
     ends = geometry.to_index(
         way.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
     )
     room = radius_mm / geometry.spacing_mm + 1.0
-    shape = np.array(geometry.shape)
-    low = np.clip(np.floor(ends.min(axis=0) - room).astype(int), 0, shape)
-    high = np.clip(np.ceil(ends.max(axis=0) + room).astype(int) + 1, 0, shape)
+    low = np.floor(ends.min(axis=0) - room).astype(int)
+    high = np.ceil(ends.max(axis=0) + room).astype(int) + 1
     index = np.stack(
         np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
     ).reshape(-1, 3)
@@ -95,5 +97,8 @@ def voxels_around(
         & (local[:, 0] <= between_mm[1])
         & (np.hypot(local[:, 1], local[:, 2]) <= radius_mm)
     )
-    values = volume.voxels[tuple(index[near].T)].astype(float)
+    index = index[near]
+    inside = np.all((index >= 0) & (index < np.array(geometry.shape)), axis=1)
+    values = np.full(len(index), np.nan)
+    values[inside] = volume.voxels[tuple(index[inside].T)]
     return local[near], values

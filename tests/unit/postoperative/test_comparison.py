@@ -130,6 +130,41 @@ def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
         proof_by(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
 
 
+def _between(post: Volume, first: int, end: int) -> Volume:
+    """The same scan with some of its slices only."""
+    voxels, origin_mm = post.voxels[first:end], post.geometry.to_patient_mm((first, 0, 0))
+    return replace(
+        post, voxels=voxels, geometry=replace(post.geometry, shape=voxels.shape, origin_mm=origin_mm)
+    )
+
+
+def _slice_of(post: Volume, truth: BoneRegistration, point_mm: tuple[float, float, float]) -> int:
+    return round(float(post.geometry.to_index(truth.post_from_pre.apply(np.array(point_mm)))[0]))
+
+
+@pytest.mark.hazard(43)
+def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Scene, planned: Volume) -> None:
+    post, truth = _after(scene, ())
+    entry = _slice_of(post, truth, scene.head.targets[0].entry_ct_mm)
+    for below in (0, 8, 15):  # slices by which it ends too low
+        with pytest.raises(InstrumentMissing):
+            proof_by(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
+
+
+@pytest.mark.hazard(43)
+@pytest.mark.parametrize("kind", [Kind.ELECTRODE, Kind.DRILL_HOLE])
+def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_reason(
+    scene: Scene, planned: Volume, kind: Kind
+) -> None:
+    post, truth = _after(scene, misplaced(scene, kind, SEED))
+    target = scene.head.targets[0]
+    cut = _between(post, _slice_of(post, truth, target.target_ct_mm) + 10, len(post.voxels))
+    if kind is Kind.DRILL_HOLE:
+        cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
+    with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
+        proof_by(truth, plan_of(scene), planned, cut, ["T1"])
+
+
 @pytest.mark.hazard(43)
 def test_another_skull_is_refused(scene: Scene, planned: Volume) -> None:
     a, b, c = scene.head.semi_axes_mm
