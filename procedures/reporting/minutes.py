@@ -33,7 +33,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
     """Phases and steps in the order of their first occurrence, then questions and manual work.
 
     Steps of all trajectories are added up. A step that was restarted counts again; one that never ended
-    counts until the journal's last line.
+    counts until the last line of its session.
     """
     found: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
 
@@ -41,9 +41,11 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
         found.setdefault((kind, name), []).append((theatre_s, host_s))
 
     begun: Line | None = None
+    before: Line | None = None
     for line in (*journal, None):
-        ends = line is None or line["entry"] == Entry.INTENT or line["entry"] in ENDS_OF_A_STEP
-        last = journal[-1] if line is None and journal else line
+        over = line is None or line["entry"] == Entry.RESTARTED  # with it the clock of its session
+        ends = line is None or over or line["entry"] == Entry.INTENT or line["entry"] in ENDS_OF_A_STEP
+        last, before = before if over else line, line
         if begun is not None and last is not None and ends:
             name = str(begun.get("step", "")).partition(":")[0]
             took = theatre_time_s(last) - theatre_time_s(begun), _host_s(begun, last)

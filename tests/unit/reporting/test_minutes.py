@@ -44,6 +44,18 @@ def test_times_of_steps_and_people_are_summed_over_the_trajectories(run: Path) -
     assert times[QUESTION, "skin"] == TimeTaken(QUESTION, "skin", 2, 6.0, None)
 
 
+def test_a_step_cut_off_by_a_kill_counts_until_the_last_line_of_its_session(tmp_path: Path) -> None:
+    journal = Journal(tmp_path)
+    journal.write(Entry.INTENT, 1200.0, step="coarse_alignment")
+    journal.write(Entry.FINDING, 1203.0, finding="slow")
+    journal.write(Entry.RESTARTED, 1.0)  # another session: its clock begins again
+    journal.write(Entry.INTENT, 40.0, step="coarse_alignment")
+    journal.write(Entry.RESULT, 50.0, step="coarse_alignment")
+    journal.close()
+    times = times_taken(tuple(read_journal(tmp_path / "journal.jsonl")))
+    assert [(one.count, one.theatre_s) for one in times] == [(2, 13.0), (2, 13.0)]  # the phase and the step
+
+
 def test_a_campaign_shows_its_times_next_to_those_of_the_thesis(run: Path) -> None:
     times, beside = times_of([run, run])
     assert ("step", "at_target", 2.0, 30.0) in [tuple(row[:4]) for row in times.rows]
