@@ -11,10 +11,11 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
+    from procedures.planning.plan.model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
+    from procedures.reporting.postoperative import AfterTheOperation
 
 READING_SHARE = 0.3  # of the progress bar, for each series
-SUMMARY_FILE = "postoperative.json"
 
 
 def postoperative(
@@ -46,7 +47,7 @@ def postoperative(
     """
     import procedures.imaging as imaging
     from procedures.planning.plan.file import read_plan
-    from procedures.postoperative.comparison import compare, require_series
+    from procedures.postoperative.comparison import compare
     from procedures.postoperative.summary import summary_of
 
     plan = read_plan(plan_file)
@@ -55,31 +56,29 @@ def postoperative(
         if name not in known:
             raise UsageMistake(f"the plan has no trajectory {name}", expected=", ".join(known))
     if run is not None:
-        _require_same_ct(run, plan.series_instance_uid)
+        _require_same_plan(run, plan)
     warnings = _same_patient(pre_dir, post_dir)
     with terminal.progress_bar("reading and comparing") as advance:
         pre = imaging.read_series(pre_dir, progress=lambda share: advance(READING_SHARE * share))
         post = imaging.read_series(post_dir, progress=lambda share: advance(READING_SHARE * (1.0 + share)))
-        require_series(plan, pre, post)
         proof = compare(plan, pre, post, only or ())
     found = summary_of(proof, plan, pre, post, warnings)
     for sentence in found.warnings:
         terminal.tell(f"warning: {sentence}")
-    pictures = {}
     if out is not None or run is not None:
         from procedures.postoperative.pictures import trajectory_picture
-
-        pictures = {
-            f"postoperative-{one.id}.png": trajectory_picture(post, one, proof.registration.post_from_pre)
-            for one in found.trajectories
-        }
-    if out is not None:
-        _write(out, found, pictures, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
-    if run is not None:
-        from procedures.cli.runs.report import make_report
         from procedures.reporting.postoperative import AfterTheOperation
 
-        terminal.tell(f"report {make_report(run, after=AfterTheOperation(found, pictures))}")
+        pose = proof.registration.post_from_pre
+        after = AfterTheOperation(
+            found, {one.id: trajectory_picture(post, one, pose) for one in found.trajectories}
+        )
+        if out is not None:
+            _write(out, after, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
+        if run is not None:
+            from procedures.cli.runs.report import make_report
+
+            terminal.tell(f"report {make_report(run, after=after)}")
     if as_json:
         terminal.print_json(found.model_dump(mode="json", by_alias=True))
         return
@@ -99,34 +98,29 @@ def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
     return ("not both CTs have a patient identifier: only the skull shows that they are of the same patient",)
 
 
-def _require_same_ct(run: Path, series_instance_uid: str) -> None:
-    """Raises POST-008 when the run followed a plan on another CT, PRO-033 for a run that was changed."""
-    from procedures.engine.run_folder import run_of
-    from procedures.postoperative.errors import RunOfAnotherCt
-    from procedures.steps.clinical.ct_import import ImportedCt
-    from ronna_hw.evidence.inspection import inspected
+def _require_same_plan(run: Path, plan: Plan) -> None:
+    """Raises POST-008 when the run did not follow this plan, PRO-033 for a run that was changed."""
+    from procedures.engine.run_folder import read_run
+    from procedures.postoperative.errors import RunOfAnotherPlan
+    from procedures.steps.clinical.plan_check import CheckedPlan
 
-    imported = run_of(inspected(run).require_unchanged()).standing(ImportedCt)
-    used = imported[-1].result.series_instance_uid if imported else "none"
-    if used != series_instance_uid:
-        raise RunOfAnotherCt(
-            "the run did not use the CT of this plan", expected=series_instance_uid, got=used
-        )
+    checked = read_run(run).standing(CheckedPlan)
+    if not checked:
+        raise RunOfAnotherPlan("the run has no checked plan")
+    if checked[-1].result.plan != plan:
+        raise RunOfAnotherPlan("the run followed another plan")
 
 
-def _write(out: Path, found: PostoperativeCheck, pictures: dict[str, bytes], frames: tuple[str, str]) -> None:
+def _write(out: Path, after: AfterTheOperation, frames: tuple[str, str]) -> None:
     from procedures.exchange.errors import NotWritable
     from procedures.exchange.postoperative import write_postoperative
-    from ronna_hw.records import write_whole
+    from procedures.reporting.postoperative import keep_check
 
     try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / SUMMARY_FILE, found.model_dump_json(by_alias=True, indent=1).encode())
-        for name, picture in pictures.items():
-            write_whole(out / name, picture)
+        keep_check(out, after)
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
-    write_postoperative(found, frames, out)
+    write_postoperative(after.found, frames, out)
     if frames[0] == frames[1]:
         terminal.tell(
             "warning: both CTs claim the same frame of reference; no registration object was written"

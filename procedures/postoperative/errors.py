@@ -58,8 +58,8 @@ class InstrumentAmbiguous(DataError):
     exit_code = EXIT_REFUSED
 
 
-class RunOfAnotherCt(DataError):
-    """The run whose report should show the result followed a plan on another CT."""
+class RunOfAnotherPlan(DataError):
+    """The run whose report should show the result followed another plan, or a plan on another CT."""
 
     code = "POST-008"
     action = "Give the run of this operation, or omit --run."

@@ -9,15 +9,17 @@ from pathlib import Path
 
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.files import REPORT_FOLDER
+from procedures.reporting.run_reading import RunReading
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.records import write_whole
 
 SUMMARY_FILE = "postoperative.json"
+PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 @dataclass(frozen=True)
 class AfterTheOperation:
-    """What was found, and a PNG per trajectory by file name."""
+    """What was found, and a PNG per trajectory by its name."""
 
     found: PostoperativeCheck
     pictures: Mapping[str, bytes] = field(default_factory=dict)
@@ -25,32 +27,30 @@ class AfterTheOperation:
     @property
     def shown(self) -> list[tuple[str, str]]:
         """Name and picture, as embedded in a page."""
-        return [
-            (name.removeprefix("postoperative-").removesuffix(".png"), _inside(picture))
-            for name, picture in self.pictures.items()
-        ]
+        names = [one.id for one in self.found.trajectories]
+        return [(name, _inside(self.pictures[name])) for name in names if name in self.pictures]
 
 
-def keep_check(run: Path, after: AfterTheOperation) -> None:
-    """Store it in a run's folder, or where its report is made."""
-    folder = run / REPORT_FOLDER
+def keep_check(folder: Path, after: AfterTheOperation) -> None:
+    """Store it in this folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
     for name, picture in after.pictures.items():
-        write_whole(folder / name, picture)
+        write_whole(folder / f"{PICTURE}{name}.png", picture)
 
 
-def kept_check(run: Path) -> AfterTheOperation | None:
-    """What `keep_check` stored; None if missing or unreadable."""
-    folder = run / REPORT_FOLDER
+def kept_check(reading: RunReading) -> AfterTheOperation | None:
+    """What a run keeps of it: None without one, and with a note for one that cannot be read."""
+    folder = reading.folder / REPORT_FOLDER
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))
-    except (OSError, ValueError):
+    except FileNotFoundError:
         return None
-    pictures = {
-        path.name: path.read_bytes() for path in sorted(folder.glob("postoperative-*.png")) if path.is_file()
-    }
-    return AfterTheOperation(found, pictures)
+    except (OSError, ValueError):
+        reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
+        return None
+    paths = (path for path in sorted(folder.glob(f"{PICTURE}*.png")) if path.is_file())
+    return AfterTheOperation(found, {path.stem.removeprefix(PICTURE): path.read_bytes() for path in paths})
 
 
 def _inside(picture: bytes) -> str:

@@ -76,9 +76,9 @@ def write_report(
     rows = target_rows(reading, truth or Truth())
     if truth is not None:
         keep_truth(out, truth)
-    after = kept_check(run) if after is None else after
+    after = kept_check(reading) if after is None else after
     if after is not None and out != run:
-        keep_check(out, after)
+        keep_check(out / REPORT_FOLDER, after)
     page = {
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",

@@ -29,7 +29,7 @@ from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
-from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.spheres.coarse_match import coarse_match
 from procedures.steps.conditions import away_from_head
@@ -44,7 +44,6 @@ Array = NDArray[np.float64]
 # Of the frame on the arm against the spheres between two looks from one pose. Their noise is 0.1 mm; a wheel
 # that is free gives way by centimetres.
 LOCKED_LIMIT_MM = 0.3
-SHORT_HASH = 8  # hex digits that are shown
 HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head that lies differently
 
 
@@ -64,7 +63,8 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
     )
     spheres: int = Field(description="Spheres on the head seen in both readings.")
     beside_mm: tuple[float, float] | None = Field(
-        description="Offset of the cart from its proposed position, x and y; none without a proposal."
+        description="Offset of the cart from its proposed position, x and y; none without a proposal or a "
+        "unique match to compare it by."
     )
     turned_deg: float | None = Field(description="Its rotation from the proposal.")
     proposal: Proposal | None = Field(description="None if nothing was proposed.")

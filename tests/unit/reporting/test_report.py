@@ -110,6 +110,15 @@ def test_prediction_error_and_budget_of_each_target_are_shown(registered: Path) 
     assert "<td>0.432</td><td>0.400</td><td>-0.100</td>" in text
 
 
+def test_a_check_after_the_operation_that_cannot_be_read_is_named(registered: Path) -> None:
+    (registered / "report").mkdir(exist_ok=True)
+    (registered / "report" / "postoperative.json").write_text("{")
+    assert (
+        "postoperative.json, the check after the operation, cannot be read"
+        in write_report(registered).read_text()
+    )
+
+
 @pytest.mark.hazard(6)
 def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
