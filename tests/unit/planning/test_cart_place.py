@@ -1,0 +1,124 @@
+"""A position of the cart is judged as the path check judges it, with what the cart moves against the head."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.planning.cart.place import CartCase, CartMove, Found
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.visits import ArmSetting, Axes, localizations_along, target_visit
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.sight.tracker import SENSORS_MM
+from procedures.planning.theatre.scene import PlanningScene
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
+from ronna_hw.frames import Frame, Transform
+
+HEAD = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(78.0, 98.0, 93.0))
+FIDUCIALS = ((-23.0, -68.0, 68.0), (61.0, -33.0, 68.0), (2.0, -18.0, 103.0))
+ALONG = Trajectory("T1", (7.0, -70.0, 60.0), (2.0, -28.0, 26.0)).held(0.7)
+# Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
+LEFT, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([-0.5, 0.0, math.sqrt(0.75)])
+RECLINED = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
+HERE, PLANNED = CartMove(0.0, 0.0), (("T1", 0.0),)
+CAMERA_MM = 250.0 * np.array([0.0, math.sin(math.radians(27.5)), -math.cos(math.radians(27.5))])
+SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
+
+
+def _setting(*bodies: RoomBody) -> ArmSetting:
+    cell = CollisionConfig(bodies=(*CollisionConfig().bodies, *bodies))
+    at = RigidTransform.from_components([760.0, 0.0, 200.0], RECLINED)
+    return ArmSetting(
+        kinematics=kr6_r900("kr6_r900_sixx"),
+        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
+        flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
+        strategy=strategy_named("ocs"),
+        start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
+        scene=PlanningScene(cell, HEAD, FIDUCIALS),
+    )
+
+
+def _case(setting: ArmSetting, sight: StereoSight = SIGHT, tracker: Transform | None = None) -> CartCase:
+    return CartCase(setting, (ALONG,), FIDUCIALS, sight, tracker)
+
+
+def _known() -> Found:
+    """How the assumed position serves: at the planned angle."""
+    found = _case(_setting()).judged(HERE).found
+    assert found is not None
+    assert found.turns_rad == PLANNED
+    return found
+
+
+def _pushed(setting: ArmSetting, move: CartMove) -> ArmSetting:
+    """The head as it lies for a cart that was pushed and then turned."""
+    back = Rotation.from_rotvec([0.0, 0.0, -move.turn_rad])
+    origin_mm = back.apply(setting.robot_from_ct.translation_mm - [move.x_mm, move.y_mm, 0.0])
+    at = RigidTransform.from_components(origin_mm, back * setting.robot_from_ct.rigid.rotation)
+    return replace(setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at))
+
+
+def test_a_cart_is_pushed_and_then_turned() -> None:
+    seen = CartMove(100.0, 0.0, math.pi / 2.0).seen_from_cart(
+        RigidTransform.from_translation([300.0, 0.0, 50.0])
+    )
+    assert seen.apply([0.0, 0.0, 0.0]) == pytest.approx([0.0, -200.0, 50.0])
+
+
+@pytest.mark.hazard(48)
+def test_a_position_serves_exactly_where_the_path_check_passes() -> None:
+    setting, known = _setting(), _known()
+    random = np.random.default_rng(1).uniform((-320.0, -150.0, -0.2), (-80.0, 150.0, 0.2), (20, 3))
+    moves = [CartMove(*numbers) for numbers in random.tolist()]
+    passes = [
+        choose_free_angles(_pushed(setting, move), (ALONG,), FIDUCIALS, SIGHT).check.passed for move in moves
+    ]
+    assert [_case(setting).judged(move, (known,)).serves for move in moves] == passes
+    assert 5 <= sum(passes) <= 15
+
+
+@pytest.mark.hazard(48)
+def test_a_known_solution_that_comes_too_close_here_is_not_taken_over() -> None:
+    x, y, z = target_visit(_setting(), ALONG).pose.apply([-130.0, 0.0, -120.0]).tolist()
+    stand = RoomBody(
+        name="drip stand", start_mm=(x, y, z), end_mm=(x, y, z), radius_mm=15.0, frame=BodyFrame.ROBOT
+    )
+    judged = _case(_setting(stand)).judged(HERE, (_known(),))
+    assert judged.found is not None
+    assert judged.found.turns_rad != PLANNED
+
+
+@pytest.mark.hazard(48)
+def test_a_known_solution_in_which_a_sphere_hides_another_is_not_taken_over() -> None:
+    setting, known = _setting(), _known()
+    (axis,) = Axes.of(setting, (ALONG,), FIDUCIALS).localized
+    pose = localizations_along(setting, axis, FIDUCIALS, known.branch)[0].pose
+    second = pose.inverse().apply(setting.robot_from_ct.apply(np.array(FIDUCIALS[1])))
+    hidden = replace(SIGHT, right_mm=250.0 * second / np.linalg.norm(second))
+    judged = _case(setting, hidden).judged(HERE, (known,))
+    assert judged.found is not None
+    assert judged.found.turns_rad != PLANNED
+
+
+@pytest.mark.hazard(48)
+def test_a_position_at_which_the_arm_at_home_hides_a_sphere_from_the_tracker_is_named() -> None:
+    setting = _setting()
+    sphere_mm = setting.robot_from_ct.apply(np.array(FIDUCIALS[0]))
+    wrist_mm = setting.kinematics.flange_pose(setting.start_rad).translation_mm
+    sensor_mm = sphere_mm + 5.0 * (wrist_mm - sphere_mm)  # one of both, behind the wrist
+    middle_mm = sensor_mm - np.array(SENSORS_MM[0])
+    tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=middle_mm)
+    case = _case(setting, tracker=tracker)
+    hidden = case.judged(HERE, (_known(),))
+    assert not hidden.serves
+    assert hidden.reason.startswith("the arm at home hides fiducial 1")
+    assert case.judged(CartMove(0.0, 400.0), (_known(),)).serves  # it stays where it is in the room
