@@ -59,9 +59,9 @@ def resume(
                 make_ready(left)
             outcome = _as_it_ended(request, left)
             if not sealed:
-                report = leave_report(left.run.path, told=False)
+                leave_report(left.run.path, told=False)
                 seal_run(left.run.path)
-                outcome = outcome.model_copy(update={"report": report and str(report)})
+                outcome = _with_report(outcome, left.run.path)
             tell(f"{left.run.name} is finished: nothing remains to be done")
             show_outcome(outcome, as_json=as_json)
             return

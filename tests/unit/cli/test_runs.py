@@ -15,26 +15,31 @@ from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.procedure import app
 from procedures.cli.runs import resume as runs_resume
 from procedures.journal.journal import Entry
-from procedures.reporting.files import keep_truth
+from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import Truth
+from ronna_hw.evidence.seal import is_sealed
 
 
-def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("sealed", [True, False])
+def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_it_is_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], sealed: bool
 ) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     cell = RecordingCell(folder)
     cell.journal.write(Entry.OPENED, 0.0, run=folder.name)
     cell.engine(plain_order()).close("done")
     keep_truth(folder, kept := Truth(targets=()))
-    seal_run(folder)
+    if sealed:
+        seal_run(folder)
     given: list[Truth | None] = []
     monkeypatch.setattr(runs_resume, "order_of_case", lambda *_: plain_order())
     monkeypatch.setattr(runs_resume, "finished", lambda *arguments: given.append(arguments[-1]))
     monkeypatch.setattr(runs_resume, "_with_report", lambda outcome, _folder: outcome)
     monkeypatch.setattr(runs_resume, "show_outcome", lambda *_, **__: None)
     runs_resume.resume(folder, accept=True, answers=None, as_json=False)
-    assert given == [kept]
+    assert given == [kept if sealed else None]
+    assert kept_truth(folder) == given[0]
+    assert is_sealed(folder)
     assert f"{folder.name} is finished" in capsys.readouterr().err
 
 

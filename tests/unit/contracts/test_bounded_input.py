@@ -174,7 +174,10 @@ def test_hostile_picks_are_refused(tmp_path: Path, content: bytes) -> None:
         read_picks(tmp_path / "picks.json")
 
 
-@pytest.mark.parametrize("name", ["nested lists", "nested objects", "a number of 400 digits"])
+@pytest.mark.parametrize(
+    "name",
+    ["nested lists", "nested objects", "a number of 400 digits", "escaped quotes in a string without end"],
+)
 def test_hostile_files_in_a_run_are_refused(tmp_path: Path, name: str) -> None:
     content = b'{"entry":' + HOSTILE_JSON[name] + b"}\n"
     for file in ("record.json", "journal.jsonl", "events.jsonl"):
