@@ -112,6 +112,17 @@ TELEGRAM = (
     b'<AIPos A1="0" A2="-90.0" A3="90.0" A4="0" '
     b'A5="0" A6="0"/><EIPos E1="0"/><Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
 )
+REPLIES = (
+    b'<Sen Type="RONNA"><Stop>0</Stop><AK A1="1.500000" A2="-2" A3="0.0" A4="0.0" A5="0.0" A6="0.25"/>'
+    b"<IPOC>4208163634</IPOC></Sen>",
+    b"<Sen Type='RONNA'>\n <IPOC>44</IPOC><AK A6='1e-3' A1='.5'></AK><EStr>a &lt; b</EStr>"
+    b"<Stop> 0 </Stop></Sen>\n",
+)
+REQUESTS = (
+    b'<Cmd Id="1" Name="STATUS"></Cmd>',
+    b'<Cmd Id="2" Name="PTP_AXIS" A1="1" A2="-90" A3="90" A4="0" A5="0" A6="0" Vel="10"/>',
+    b'<External REQTYPE="0" CycleTime="1" ControlMode="1"></External>\n' + bytes(40),
+)
 STRUCTURES = b"""[[structures]]
 name = "a vessel"
 margin_mm = 2.0

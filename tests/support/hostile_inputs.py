@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 import struct
 import tempfile
 import time
@@ -14,6 +15,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import version
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ from good_inputs import (
     FORMULAS,
     PACKET_BYTES,
     PARSER_NAMES,
+    REPLIES,
+    REQUESTS,
     STATE,
     STRUCTURES,
     TELEGRAM,
@@ -69,7 +73,7 @@ from procedures.engine.theatre_lock import TheatreNote, read_note
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
-from ronna_hw.bounded_input import parse_json, parse_xml
+from ronna_hw.bounded_input import InputRefused, parse_json, parse_xml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import RonnaError
@@ -87,6 +91,8 @@ from sim.theatre.theatre_file import theatre_content
 from sim.world.faults import parse_faults
 from sim.world.scene.model import read_scene
 from sim.world.scene.named_scenes import named_scene
+
+_IN_PIECES = re.compile(rb"&|<[!?]")  # XML in which a text need not be together
 
 
 @dataclass(frozen=True)
@@ -127,6 +133,7 @@ def _gvcp(data: bytes) -> None:
     acknowledge = gvcp.decode(data)
     if acknowledge is None:
         return
+    assert len(acknowledge.payload) <= len(data) - 8
     gvcp.pending_ms(acknowledge.payload)
     for read in (
         lambda payload: decode_identity(payload, "127.0.0.1"),
@@ -140,11 +147,12 @@ def _gvcp(data: bytes) -> None:
 
 def _gvsp(data: bytes) -> None:
     assembler = FrameAssembler(1200, 136)
-    for begin in range(0, len(data), PACKET_BYTES):
-        frame = assembler.accept(memoryview(data)[begin : begin + PACKET_BYTES], 0.0)
+    for number, begin in enumerate(range(0, len(data), PACKET_BYTES)):
+        frame = assembler.accept(memoryview(data)[begin : begin + PACKET_BYTES], 0.01 * number)
         if frame is not None and frame.leader is not None:
             assert frame.leader.area
-    assembler.overdue(1.0)
+        assembler.overdue(0.01 * number)
+    assembler.overdue(1000.0)
 
 
 def _eki(data: bytes) -> None:
@@ -157,8 +165,11 @@ def _eki(data: bytes) -> None:
 def _with_right_crc(data: bytes) -> None:
     """The CRC is no secret: who means ill sends the right one."""
     text = data.replace(b"\r", b"")
-    with contextlib.suppress(RonnaError):
-        decode_tx(open_ascii(text + b"%04X" % polaris.crc16(text)))
+    for strays in (True, False):
+        with contextlib.suppress(RonnaError):
+            reply = decode_tx(open_ascii(text + b"%04X" % polaris.crc16(text)), strays=strays)
+            positions = [report.position_mm for report in reply.handles if report.position_mm is not None]
+            assert all(isfinite(value) for position in positions for value in position)
     with contextlib.suppress(RonnaError):
         parse_volumes(open_ascii(text + b"%04X" % polaris.crc16(text)))
 
@@ -166,7 +177,9 @@ def _with_right_crc(data: bytes) -> None:
 def _binary(data: bytes) -> None:
     with contextlib.suppress(RonnaError):
         split_binary(data)
-    decode_bx(data)
+    with contextlib.suppress(RonnaError):
+        assert len(decode_bx(data, strays=False).handles) == data[0]
+    assert len(decode_bx(data).handles) == data[0]
 
 
 def _rom(data: bytes) -> None:
@@ -223,12 +236,8 @@ def parsers(folder: Path) -> dict[str, Parser]:
     sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).signed()
     seal = sealed.model_dump_json(by_alias=True, indent=1).encode()
     context = Path(kuka_context.__file__).with_name(kuka_context.DEFAULT_CONTEXT_FILE).read_bytes()
-    rsi = TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay"))
     ours = load_context()
-    replies = ReplyReader(ours.receive, ours.ethernet.sentype)
-    reply = b'<Sen Type="RONNA"><AK A1="0.1" A2="0"/><Stop>0</Stop><IPOC>44</IPOC></Sen>'.replace(
-        b"RONNA", ours.ethernet.sentype.encode()
-    )
+    sentype = ours.ethernet.sentype.encode()
     lines = encode_bytes(1_800_000_000_000_000_000, 1.25, Direction.SENT, b"AP") + encode_note(
         0, 1.0, {"a": "b"}
     )
@@ -246,7 +255,10 @@ def parsers(folder: Path) -> dict[str, Parser]:
     def events(path: Path) -> object:
         return list(FollowedRun(path).batches())
 
-    bx = struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46]
+    bx = (
+        struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46],
+        struct.pack("<3B2I2BBB3fH", 2, 1, 2, 0x31, 301, 2, 4, 1, 0, 10.0, -20.0, -1500.0, 0),
+    )
     tx = (
         b"0102+10000+00000+00000+00000+001050-002025-150000+0012500000031" + b"0000012C\n000000",
         b"0101MISSING000000310000012D\n033+001000+002000-150000-001000-002000-250000+000000+000000-1000000002",
@@ -306,7 +318,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
             _gvcp,
         ),
         "GVSP": Parser((packets(),), _gvsp),
-        "Polaris BX": Parser((bx,), _binary),
+        "Polaris BX": Parser(bx, _binary),
         "Polaris text": Parser(
             (
                 *tx,
@@ -316,9 +328,12 @@ def parsers(folder: Path) -> dict[str, Parser]:
         ),
         "Polaris .rom": Parser(((SHIPPED_TOOLS / "robot_frame.rom").read_bytes(),), _rom),
         "EKI": Parser((STATE, STATE + b"\0\r\n" + STATE), _eki),
-        "EKI request": Parser((b'<Cmd Id="1" Name="STATUS"></Cmd>',), _request),
-        "RSI": Parser((TELEGRAM,), rsi.read),
-        "RSI reply": Parser((reply,), replies.read),
+        "EKI request": Parser(REQUESTS, _request),
+        "RSI": Parser((TELEGRAM,), _rsi(TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")))),
+        "RSI reply": Parser(
+            tuple(reply.replace(b"RONNA", sentype) for reply in REPLIES),
+            _reply(ReplyReader(ours.receive, ours.ethernet.sentype), sentype),
+        ),
         "Ethernet file": Parser(
             (ETHERNET,), of_file("e.xml", lambda path: read_ethernet_file(path, None, 255))
         ),
@@ -344,8 +359,42 @@ def _formula(data: bytes) -> None:
 
 
 def _request(data: bytes) -> None:
-    for request in cut_requests(data)[0]:
-        parse_xml(request, 16384)
+    requests, rest = cut_requests(data)
+    assert sum(map(len, requests)) + len(rest) <= len(data)
+    for request in requests:
+        with contextlib.suppress(RonnaError):
+            parse_xml(request, 16384)
+
+
+def _rsi(reader: TelegramReader) -> Callable[[bytes], object]:
+    """What is read must be numbers that the bytes hold."""
+
+    def take(data: bytes) -> None:
+        found = reader.read(data)
+        assert all(map(isfinite, found.axes_deg))
+        assert found.ipoc.isdigit()
+        _held((found.ipoc, b"KUKA"), data)
+
+    return take
+
+
+def _reply(reader: ReplyReader, sentype: bytes) -> Callable[[bytes], object]:
+    """Likewise."""
+
+    def take(data: bytes) -> None:
+        reply = reader.read(data)
+        if reply is None:
+            raise InputRefused("no reply")
+        assert all(value is None or isfinite(value) for value in reply.values)
+        assert 0 <= reply.ipoc < 10**20
+        _held((sentype, b"IPOC"), data)
+
+    return take
+
+
+def _held(parts: tuple[bytes, ...], data: bytes) -> None:
+    if not _IN_PIECES.search(data):
+        assert all(part in data for part in parts)
 
 
 def _compressed(data: Dataset, _number: int) -> None:

@@ -143,6 +143,8 @@ def read_strictly(data: bytes) -> Telegram:
                     got=f'<{name} Type="{kind}">',
                     wire=data,
                 )
+        if path[1:2] == ["IPOC"]:
+            raise BadTelegram("an element within the IPOC", got=f"<{name}>", wire=data)
         path.append(name)
         text.clear()
         if len(path) == 2:

@@ -6,7 +6,7 @@ import random
 import struct
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.basler_stereo.stream.frame_assembler import (
@@ -162,16 +162,6 @@ def test_malformed_packets_are_counted_and_ignored(assembler, packet):
     assert assembler.counters.ignored == 1
     (frame,) = feed(assembler, packets())
     assert bytes(frame.data) == IMAGE
-
-
-@settings(max_examples=300)
-@given(st.lists(st.one_of(st.binary(max_size=60), st.integers(0, 13)), max_size=40))
-def test_no_sequence_of_packets_breaks_the_assembler(sequence):
-    assembler = FrameAssembler(PAYLOAD, PACKET)
-    all_packets = packets()
-    for number, item in enumerate(sequence):
-        assembler.accept(all_packets[item] if isinstance(item, int) else memoryview(item), 0.01 * number)
-        assembler.overdue(0.01 * number)
 
 
 def test_block_ids_wrap_without_zero():

@@ -1,4 +1,4 @@
-"""Mutated telegrams through the driver's codec and session: no crash, and no motion."""
+"""Mutated telegrams through the driver's session: no crash, and no motion."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import time
 
 from mutations import mutations
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, corrections_of, telegram
-from rsi_mutants import answer_mutants, read_mutants
+from rsi_mutants import answer_mutants
 
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
@@ -17,17 +17,10 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
-THROUGH_THE_CODEC = 20_000
 THROUGH_THE_SESSION = 3_000
 OVER_THE_SOCKET = 2_000
 FRESH_EVERY = 200  # mutants over the socket: some of them end a session, as telegrams of another run
 GENEROUS_S = 30.0
-
-
-def test_every_mutant_is_read_or_refused() -> None:
-    read, refused = read_mutants(THROUGH_THE_CODEC, seed=1)
-    assert read > THROUGH_THE_CODEC / 100
-    assert refused > THROUGH_THE_CODEC / 3
 
 
 def test_mutants_in_a_session_cause_no_motion() -> None:
