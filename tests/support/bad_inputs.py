@@ -112,6 +112,7 @@ def _files() -> dict[str, str | bytes]:
         "latin.txt": b"at 0 s: \xff\n",
         "answer.toml": "[answers]\nregistration = 'perhaps'\n",
         "answers.toml": "answer = 'yes'\n",
+        "topic.toml": "[answers]\ncalibrate = 'yes'\n",
         "address.toml": THEATRE
         + '[robot.master]\ndriver = "kuka_rsi"\n'
         + 'endpoints = { rsi = "udp://192.168.10.300:59152", eki = "tcp://192.168.10.2:54602" }\n',
@@ -154,6 +155,9 @@ def _files() -> dict[str, str | bytes]:
         "count.toml": PLAN.replace("implanted = 4", "implanted = 0"),
         "nolength.toml": PLAN.replace("instrument_length_mm = 250.0\n", ""),
         "comma.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10,5, -50.0, 60.0]"),
+        "mistakes.toml": THEATRE
+        + 'colour = "green"\n[clock]\nendpoint = "tcp://127.0.0.1:1"\n'
+        + TRACKER.replace('"ndi_polaris"', "5"),
         "date.toml": THEATRE + "expires = 21.12.2026\n",
         "margin_metres.toml": PLAN.replace("margin_mm = 1.5", "margin_mm = 0.002"),
         "structure_metres.toml": PLAN + VESSEL.replace("margin_mm = 3.0", "margin_mm = 0.003"),

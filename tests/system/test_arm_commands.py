@@ -62,11 +62,6 @@ def test_too_few_looks_are_refused_with_the_required_number(looks: Path, tmp_pat
     assert "at least 60" in " ".join(one_error(done.stderr))
 
 
-@pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
-def test_incompatible_options_are_refused(arguments: tuple[str, ...]) -> None:
-    assert in_this_process(app, "calibrate", *arguments).returncode == 2
-
-
 def test_calibrated_requires_a_record_in_the_theatre_file(tmp_path: Path) -> None:
     from procedures.cli.procedure import app as procedure
 
@@ -89,17 +84,3 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     checked = in_this_process(app, "check", "--looks", "12", *sim)
     assert checked.returncode == 0, checked.stderr
     assert json.loads(checked.stdout)["passed"]
-
-
-@pytest.mark.parametrize(
-    "content", ['[answers]\ncalibrate = "yes"\n', '[answers]\ncalibration = "perhaps"\n']
-)
-def test_answers_to_unknown_topics_or_with_unknown_words_are_refused_before_anything_starts(
-    tmp_path: Path, content: str
-) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text(content)
-    done = in_this_process(
-        app, "calibrate", "--sim", "--scene", "mini", "--answers", answers, "--out", tmp_path / "out"
-    )
-    assert "PRO-026" in " ".join(one_error(done.stderr))

@@ -24,18 +24,6 @@ def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) 
     return line
 
 
-def test_a_theatre_file_with_three_mistakes_names_all_three(tmp_path: Path) -> None:
-    path = tmp_path / "theatre.toml"
-    path.write_text(
-        'schema = 1\ntheatre = "lab"\ncolour = "green"\n[clock]\nendpoint = "tcp://127.0.0.1:1"\n'
-        '[tracker]\ndriver = 5\nendpoint = "serial:///dev/ttyUSB0"\n'
-    )
-    words = ("run", "--config", path, "--case", tmp_path, "--out", tmp_path / "runs")
-    line = _refused(in_this_process(ronna_procedure, *words), "CFG-001", EXIT_USAGE)
-    for mistake in ("colour", "clock.endpoint", "tracker.driver"):
-        assert mistake in line
-
-
 @pytest.fixture
 def silent_port() -> Iterator[int]:
     """A TCP port where somebody listens and never answers."""
@@ -106,11 +94,6 @@ def test_verify_reports_the_bad_line_of_a_truth_file(tmp_path: Path) -> None:
     (theatre / "truth.jsonl").write_text("nonsense\n")
     done = in_this_process(ronna_sim, "verify", tmp_path)
     assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)
-
-
-def test_an_output_path_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "runs").write_text("a file, not a folder")
-    _refused(_run_mini(tmp_path / "runs"), "CLI-005", EXIT_FAILED)
 
 
 def test_a_read_only_output_folder_is_refused() -> None:

@@ -7,11 +7,9 @@ import subprocess
 import numpy as np
 from faulty_cameras import LIMIT_S, Cameras
 from parent_death import ends_with_its_parent
-from user_commands import in_this_process
 from waiting import STALL_OF_THE_COMPUTER_S
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from sim.cli import app
 
 
 def test_ready_names_the_endpoints_of_both_cameras() -> None:
@@ -52,9 +50,3 @@ def test_given_addresses_are_used_and_addresses_in_use_refused() -> None:
         assert second.returncode == 4
         assert "SIM-004" in second.stderr
         assert "127.76.5.1 is in use" in second.stderr
-
-
-def test_an_unknown_scene_is_refused() -> None:
-    ended = in_this_process(app, "basler", "--scene", "nowhere.toml")
-    assert ended.returncode == 2
-    assert "SIM-001" in ended.stderr

@@ -223,7 +223,6 @@ def test_bad_input_gives_one_clear_message_with_its_code(
     # as without the extra that decodes compressed slices
     monkeypatch.setattr("procedures.imaging.dicom.slice_pixels._can_decode", lambda syntax: False)
     monkeypatch.setattr(FrameDecoder, "decode", no_decoder)
-    (tmp_path / "empty").mkdir()
     voxels = np.zeros((9, 8, 8), dtype=np.int16)
     truncated = write_series(tmp_path / "truncated", voxels)
     os.truncate(truncated / "0005.dcm", 600)
@@ -247,16 +246,9 @@ def test_bad_input_gives_one_clear_message_with_its_code(
         (["localize", scout], 1, "CT-021", "0000.dcm"),
         (["localize", unscaled], 1, "CT-012", "RescaleSlope"),
         (["localize", series, "--layout", frame], 3, "REG-012", "all 4 spheres of the layout"),
-        (["localize", tmp_path / "missing"], 1, "CT-001", "does not exist"),
-        (["localize", tmp_path / "file"], 1, "CT-001", "is not a folder"),
-        (["localize", tmp_path / "empty"], 1, "CT-002", "no DICOM image"),
         (["localize", mixed], 1, "CT-003", "1.2.3.4.5"),
         (["localize", truncated], 1, "CT-005", "0005.dcm"),
-        (["localize", series, "--diameter-mm", "0"], 2, "CLI-001", "--diameter-mm"),
         (["localize", series, "--pictures", tmp_path / "file"], 1, "CLI-005", "file"),
-        (["localize", series, "--expected", "some"], 2, "CLI-001", "--expected"),
-        (["localize"], 2, "CLI-001", "SERIES_DIR"),
-        (["measure"], 2, "CLI-001", "measure"),
     ]
     for arguments, exit_code, code, named in cases:
         done = ronna_ct(*arguments)

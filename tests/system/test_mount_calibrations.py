@@ -104,11 +104,6 @@ def test_a_record_in_metres_is_recognized_by_its_magnitude_and_refused(looks: Pa
     assert "start.tool_from_marker.translation_mm: has length 0.205: give millimetres, not metres" in error
 
 
-@pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
-def test_incompatible_options_are_refused(arguments: tuple[str, ...]) -> None:
-    assert in_this_process(app, "calibrate", "tracker-frame", *arguments).returncode == 2
-
-
 @pytest.fixture
 def readings(tmp_path: Path) -> Path:
     """Readings of the divot as a calibration leaves them."""

@@ -49,26 +49,6 @@ def test_the_plan_is_accepted_for_its_series(case: Path) -> None:
     assert json.loads(done.stdout)["passed"] is True
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "exit_code"),
-    [
-        (("--scene", "/nowhere/scene.toml", "--out", "{tmp}/new"), "SIM-001", 2),
-        (("--markers", "9", "--out", "{tmp}"), "CLI-001", 2),
-        ((), "CLI-001", 2),
-        (("--scene", "mini", "--out", "{tmp}/file/case"), "CLI", 1),
-        (("--scene", "mini", "--out", "{tmp}"), "SIM-011", 2),
-    ],
-)
-def test_mistakes_give_one_message_with_a_code(
-    tmp_path: Path, arguments: tuple[str, ...], code: str, exit_code: int
-) -> None:
-    (tmp_path / "file").write_text("in the way")
-    done = in_this_process(ronna_sim, "phantom", *(argument.format(tmp=tmp_path) for argument in arguments))
-    assert done.stderr.startswith(code), done.stderr
-    assert len(done.stderr.strip().splitlines()) <= 2
-    assert done.returncode == exit_code
-
-
 def test_the_command_ends_with_its_parent_when_asked_to(tmp_path: Path) -> None:
     line = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
     assert ends_with_its_parent(line, begun=lambda: any((tmp_path / "ct").glob("*.dcm")))

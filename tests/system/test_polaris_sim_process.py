@@ -123,22 +123,6 @@ def test_the_simulator_does_not_outlive_its_parent() -> None:
     assert ends_with_its_parent(command("sim.cli", "polaris"))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        (("--endpoint", "udp://127.0.0.1:8765"), "CFG-002"),
-        (("--scene", "/nowhere/scene.toml"), "SIM-001"),
-        (("--world", "shm:///proc/1/fd/999"), "SIM-002"),
-        (("--set", "weak_dog=reset"), "PSU-001"),
-    ],
-)
-def test_a_wrong_option_gives_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
-    done = in_this_process(app, "polaris", *arguments)
-    assert done.returncode in (2, 4)
-    assert done.stderr.startswith(code)
-    assert len(done.stderr.strip().splitlines()) == 1
-
-
 def test_profile_and_behaviour_options_change_what_the_unit_reports(
     start: Callable[..., ChildProcess],
 ) -> None:

@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from user_commands import Commands, in_this_process, one_error
+from user_commands import Commands, in_this_process
 
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
@@ -89,16 +89,6 @@ def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(
     assert followed.returncode == 0
     kinds = [json.loads(line)["what"] for line in followed.stdout.splitlines()]
     assert [what["state"] for what in kinds if what["kind"] == "case"] == ["aborted"]
-
-
-def test_answers_with_unknown_words_are_refused_before_anything_starts(tmp_path: Path) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('[answers]\napproach = "perhaps"\n')
-    words = ("run", "--sim", "--answers", answers, "--out", tmp_path / "runs")
-    done = in_this_process(ronna_procedure, *words)
-    assert done.returncode == 2
-    assert one_error(done.stderr)[0].startswith("PRO-026")
-    assert not (tmp_path / "runs").exists()
 
 
 @pytest.mark.slow

@@ -228,24 +228,6 @@ def test_bad_recordings_are_refused_with_their_codes(
         assert said.out == ""
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("measure",),
-        ("calibrate",),
-        ("measure", "--sim", "--config", "theatre.toml"),
-        ("calibrate", "--sim", "--from", "somewhere"),
-        ("calibrate", "--sim", "--poses", "59"),
-        ("calibrate", "--sim", "--write", "theatre.toml"),
-        ("check", "--sim"),
-    ],
-)
-def test_a_wrong_command_line_gives_exit_code_two(
-    stereo: Callable[..., Said], arguments: tuple[str, ...]
-) -> None:
-    assert stereo(*arguments).code == 2
-
-
 def test_a_theatre_without_calibration_is_refused(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.conformance import cli
-from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
+from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND
 
 NOBODY = "tcp://127.0.0.1:1"
 
@@ -19,28 +19,6 @@ def message_of(capsys: pytest.CaptureFixture[str], *arguments: str, exit_code: i
     assert printed == ""
     assert len(message.splitlines()) == 1
     return message
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code"),
-    [
-        ((), "CNF-001"),
-        (("--sim", "--config", "theatre.toml"), "CNF-001"),
-        (("--sim", "--endpoint", NOBODY), "CNF-001"),
-        (("--config", "theatre.toml", "--endpoint", NOBODY), "CNF-001"),
-        (("--endpoint", NOBODY, "--allow", "fire"), "CNF-001"),
-        (("--endpoint", NOBODY, "--endpoint", "tcp://127.0.0.1:2"), "CNF-001"),
-        (("--config", "no-such-file.toml"), "CFG-001"),
-        (("--endpoint", "8765"), "CFG-002"),
-        (("--sim", "--driver", "no_such_driver"), "DEV-002"),
-        (("--sim", "--only", "Z"), "CNF-003"),
-        (("--colour",), "CLI-001"),
-    ],
-)
-def test_an_invalid_command_line_is_a_usage_error(
-    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: str
-) -> None:
-    assert message_of(capsys, *arguments, exit_code=EXIT_USAGE).startswith(code)
 
 
 def test_an_endpoint_where_nothing_listens_is_reported_as_not_found(

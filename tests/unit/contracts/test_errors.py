@@ -36,7 +36,8 @@ def test_advice_to_recover_a_device_names_the_command_and_the_method() -> None:
 
 
 def test_every_code_is_mentioned_by_a_test() -> None:
-    tests = "\n".join(path.read_text(encoding="utf-8") for path in TESTS.rglob("*.py"))
+    files = (path for path in TESTS.rglob("*") if path.suffix in (".py", ".txt"))
+    tests = "\n".join(path.read_text(encoding="utf-8") for path in files)
     words = set(re.findall(r"\w+(?:-\d{3})?", tests))
     assert [error for error in errors_with_a_code() if not words & {error.code, error.__name__}] == []
 

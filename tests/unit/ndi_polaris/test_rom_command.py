@@ -181,13 +181,6 @@ def test_a_shipped_definition_is_found_by_its_name_when_no_such_file_exists(
     assert rom("show", "no/x_frame.rom")[0] == 1
 
 
-def test_an_output_path_that_cannot_be_written_is_reported(rom: Rom, tmp_path: Path) -> None:
-    (tmp_path / "p.toml").write_text(POINTER)
-    code, _, messages = rom("make", tmp_path / "p.toml", "--out", tmp_path / "no" / "p.rom")
-    assert code == 1
-    assert messages.startswith("CLI-005")
-
-
 @pytest.mark.parametrize("command", ["show", "check"])
 def test_a_foreign_file_is_refused_by_name(rom: Rom, tmp_path: Path, command: str) -> None:
     (tmp_path / "cat.png").write_bytes(b"PNG" + bytes(749))

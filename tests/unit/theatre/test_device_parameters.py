@@ -4,8 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.errors import EXIT_USAGE, ConfigurationError
-from sim.errors import BadDeviceParameter
 from sim.theatre.device_parameters import parameters_by_device
 from sim.theatre.launch import Theatre
 from sim.world.scene.named_scenes import named_scene
@@ -18,23 +16,6 @@ def test_settings_are_grouped_by_device() -> None:
         "polaris": ("line_after_close=kept",),
     }
     assert parameters_by_device(()) == {}
-
-
-@pytest.mark.parametrize("setting", ["lag_s=0.03", "camera.gain=2", "robot.lag_s", "robot", "=1", ""])
-def test_a_setting_without_a_known_device_is_refused_with_the_expected_syntax(setting: str) -> None:
-    with pytest.raises(BadDeviceParameter, match=r"SIM-010: .*--set robot.NAME=VALUE") as caught:
-        parameters_by_device((setting,))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("setting", "code"),
-    [("robot.lagg=3", "KRC-003"), ("robot.lag_s=x", "KRC-003"), ("tracker.x=1", "PSU-001")],
-)
-def test_an_invalid_device_parameter_is_refused_before_the_device_starts(setting: str, code: str) -> None:
-    with pytest.raises(ConfigurationError, match=code) as caught:
-        parameters_by_device((setting,))
-    assert caught.value.exit_code == EXIT_USAGE
 
 
 def test_each_device_is_started_with_its_own_parameters(
