@@ -6,7 +6,6 @@ import contextlib
 import os
 import random
 import socket
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -162,7 +161,7 @@ def test_the_command_channels_of_the_arm_keep_serving_despite_hostile_clients(
 def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
     controller: ChildProcess, duration_s: float
 ) -> None:
-    chosen, ended = random.Random(3), threading.Event()
+    chosen = random.Random(3)
     where = parse_endpoint(controller.ready["endpoints"]["rsi"])
     clients = StreamClients(controller.ready["endpoints"]["eki_project"], COMMANDS, seed=4)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
@@ -186,7 +185,6 @@ def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
             lambda: clients.asked_until(STATUS, lambda heard: b'<State Id="1"' in heard),
             duration_s,
         )
-    ended.set()
 
 
 @lengths

@@ -58,8 +58,9 @@ def camera_commands(chosen: random.Random, count: int) -> Iterator[bytes]:
     """Commands to a camera with any code, length, address and content, and what is no command."""
     for _ in range(count):
         code = chosen.choice((*GvcpCommand, chosen.randrange(0x10000)))
+        feature = 0x20000 + 16 * chosen.randrange(64)
         address = chosen.choice(
-            (0, 0x0A00, 0x0D00, 0x0D18, 0x200, 0x938, 0xFFFFFFFC, chosen.randrange(2**32))
+            (0, 0x0A00, 0x0D00, 0x0D18, 0x200, 0x938, 0xFFFFFFFC, chosen.randrange(2**32), feature)
         )
         body = struct.pack(">I", address) + chosen.choice(
             (

@@ -259,19 +259,6 @@ def test_bad_input_gives_one_clear_message_with_its_code(
         assert "secret" not in done.stderr.lower()
 
 
-@pytest.mark.parametrize("command", [("ct", "localize"), ("plan", "check"), ("campaign", "registration")])
-def test_help_imports_no_heavy_libraries(command: tuple[str, str]) -> None:
-    module, name = command
-    script = (
-        "import sys; from ronna_hw.command_line.terminal import exit_code_of; "
-        f"from procedures.cli.{module} import app; "
-        f"code = exit_code_of(app, ['{name}', '--help']); "
-        "print(code, sorted({'numpy', 'scipy', 'pydicom', 'cv2', 'matplotlib'} & set(sys.modules)))"
-    )
-    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "0 []"
-
-
 def test_the_example_prints_the_centres(series: Path) -> None:
     example = Path(__file__).parents[2] / "examples" / "localize_series.py"
     done = subprocess.run([sys.executable, str(example), str(series)], capture_output=True, text=True)

@@ -1,7 +1,5 @@
 """Every command that the tutorial and the README show runs as written."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -31,28 +29,3 @@ def test_the_commands_of_the_readme_work(commands: Commands, tmp_path: Path) -> 
     lines = commands_of("README.md")
     assert lines
     run_all(lines, commands, tmp_path)
-
-
-@pytest.mark.parametrize(
-    "command",
-    [
-        "ronna-procedure",
-        "ronna-sim",
-        "ronna-ct",
-        "ronna-plan",
-        "ronna-conformance",
-        "ronna-rom",
-        "ronna-stereo",
-    ],
-)
-def test_every_command_of_the_readme_shows_its_help_without_heavy_imports(
-    commands: Commands, command: str
-) -> None:
-    program = commands.line(command, "--help")
-    done = subprocess.run(
-        [sys.executable, "-P", "-X", "importtime", *program], capture_output=True, text=True, check=True
-    )
-    assert "Usage:" in done.stdout
-    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
-    assert "typer" in imported
-    assert imported.isdisjoint({"scipy", "cv2", "pydicom", "matplotlib"})

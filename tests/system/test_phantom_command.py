@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from parent_death import ends_with_its_parent
+from shared_by_workers import made_once
 from user_commands import in_this_process
 
 from procedures.cli.ct import app as ronna_ct
@@ -19,15 +20,19 @@ from sim.cli import app as ronna_sim
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A case of the mini scene."""
-    folder = tmp_path_factory.mktemp("phantom") / "new" / "case"
-    words = ("phantom", "--scene", "mini", "--seed", "5", "--markers", "5", "--out", folder, "--json")
-    done = in_this_process(ronna_sim, *words)
-    assert (done.returncode, done.stderr) == (0, "")
-    told = json.loads(done.stdout)
-    assert (told["slices"], told["markers"], told["targets"]) == (134, 5, 1)
-    assert Path(told["series"]) == folder / "ct"
-    assert len(list((folder / "ct").glob("*.dcm"))) == 134
-    return folder
+
+    def make(root: Path) -> str:
+        folder = root / "new" / "case"
+        words = ("phantom", "--scene", "mini", "--seed", "5", "--markers", "5", "--out", folder, "--json")
+        done = in_this_process(ronna_sim, *words)
+        assert (done.returncode, done.stderr) == (0, "")
+        told = json.loads(done.stdout)
+        assert (told["slices"], told["markers"], told["targets"]) == (134, 5, 1)
+        assert Path(told["series"]) == folder / "ct"
+        assert len(list((folder / "ct").glob("*.dcm"))) == 134
+        return str(folder)
+
+    return Path(made_once(tmp_path_factory, "phantom", make)[1])
 
 
 def test_every_sphere_is_found_at_its_true_position(case: Path) -> None:

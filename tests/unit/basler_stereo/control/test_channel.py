@@ -48,9 +48,9 @@ class Answering:
 def channel_to():
     opened = []
 
-    def make(answer):
+    def make(answer, **options):
         peer = Answering(answer)
-        channel = ControlChannel("127.0.0.1", port=peer.port)
+        channel = ControlChannel("127.0.0.1", port=peer.port, **options)
         opened.append((peer, channel))
         return peer, channel
 
@@ -124,13 +124,18 @@ def test_a_port_without_a_listener_ends_at_the_deadline_too():
 
 
 def test_pending_extends_the_wait_without_a_resend(channel_to):
-    def answer(data, _):
-        yield ack(data, struct.pack(">HH", 0, 1500), command=0x89)
-        time.sleep(1.2)  # otherwise asked for again at 0.2 and 0.6 s
-        yield ack(data, b"\0\0\0\x01")
+    now_s = 0.0
 
-    peer, channel = channel_to(answer)
-    assert channel.read_register(0, soon()) == 1
+    def passed(_direction, data):
+        nonlocal now_s
+        if data == b"rubbish":
+            now_s = 1.9  # otherwise asked for again at 0.2 and 0.6 s, and given up at 1.5 s
+
+    def answer(data, _):
+        return [ack(data, struct.pack(">HH", 0, 2000), command=0x89), b"rubbish", ack(data, b"\0\0\0\x01")]
+
+    peer, channel = channel_to(answer, monotonic=lambda: now_s, passed=passed)
+    assert channel.read_register(0, 5.0) == 1
     assert len(peer.seen) <= 2  # the announcement itself may be late on a busy computer
 
 

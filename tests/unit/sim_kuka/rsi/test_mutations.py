@@ -1,4 +1,4 @@
-"""Mutated replies through the simulator's controller: the arm does not jump."""
+"""Mutated replies through the simulator's controller: no foreign one is taken, and the arm does not jump."""
 
 from __future__ import annotations
 
@@ -8,6 +8,19 @@ import pytest
 from mutations import mutations
 
 FEW, MANY = 3000, 1_000_000
+AWAY = (
+    b'<Sen Type="%s"><Stop>1</Stop><AK A1="0.100000" A2="-0.1" A3="0.1" A4="0.1" A5="0.1" A6="0.1"/>'
+    b"<IPOC>%d</IPOC></Sen>"
+)
+
+
+def test_no_mutant_of_a_foreign_reply_is_taken(bench: Any) -> None:
+    """The cycle or the type is another one; a mutation of a few bytes does not mend that."""
+    bench.enter_movecorr()
+    run = bench.controller.run
+    foreign = (AWAY % (b"KROSHU", run.ipoc - 400), AWAY % (b"ImFree", run.ipoc))
+    assert [mutant for mutant in mutations(foreign, FEW, seed=3) if run.read(mutant) is not None] == []
+    assert run.read(AWAY % (b"KROSHU", run.ipoc)) is not None
 
 
 def test_mutated_replies_never_make_a_resting_arm_jump(bench: Any) -> None:
