@@ -67,15 +67,12 @@ PENDING_PAYLOAD = ">HH"  # reserved, time to completion in ms
 PACKETRESEND_COMMAND = ">HHII"  # stream channel, block id, first packet id, last packet id
 PACKETRESEND_EXTENDED = ">HHIIQ"  # the same with 32-bit packet ids, then the 64-bit block id
 ACTION_COMMAND = ">III"  # device key, group key, group mask
-ACTION_SCHEDULED = ">IIIQ"  # the same, then the time
 # reserved, event id, stream channel, block id, time stamp in ticks. EVENT: repeated; EVENTDATA: data follow
 EVENT_ITEM = ">HHHHQ"
 EVENT_ITEM_BYTES = 16
 FORCEIP_BYTES = 56
 FORCEIP_MAC_OFFSET = 2  # 6 bytes
 FORCEIP_ADDRESS_OFFSET = 20
-FORCEIP_MASK_OFFSET = 36
-FORCEIP_GATEWAY_OFFSET = 52
 
 
 class GevStatus(IntEnum):
@@ -111,7 +108,6 @@ class GevStatus(IntEnum):
 # --- bootstrap registers: u32 unless a length in bytes is given ------------------------------------------
 
 DISCOVERY_BYTES = 248  # a discovery answer is the memory from 0 to here
-STANDARD_ADDRESSES_END = 0xA000  # from here on the addresses are the vendor's
 
 
 class Bootstrap(IntEnum):
@@ -187,7 +183,6 @@ URL_LOCAL = "Local:"  # Local:name;address;length, both hexadecimal without pref
 CCP_OPEN = 0
 CCP_EXCLUSIVE = 1
 CCP_CONTROL = 2
-CCP_SWITCHOVER_ENABLE = 4
 
 HEARTBEAT_MINIMUM_MS = 500
 TIMESTAMP_RESET = 1
@@ -196,7 +191,6 @@ GVCP_CONFIGURATION_EXTENDED_STATUS = 2
 
 SCPS_FIRE_TEST = 0x8000_0000  # clears itself
 SCPS_DO_NOT_FRAGMENT = 0x4000_0000
-SCPS_BIG_ENDIAN_PIXELS = 0x2000_0000
 SCPS_SIZE_MASK = 0x0000_FFFF  # packet size including IP and UDP headers
 SCP_PORT_MASK = 0x0000_FFFF
 MCP_PORT_MASK = 0x0000_FFFF
@@ -258,7 +252,6 @@ class PayloadType(IntEnum):
 GVSP_LEADER = ">HHQIIIIIHH"
 GVSP_LEADER_BYTES = 36
 GVSP_TRAILER = ">HHI"  # reserved, payload type, size y
-GVSP_TRAILER_BYTES = 8
 
 
 class PixelFormat(IntEnum):

@@ -66,7 +66,6 @@ def crc16(data: bytes, start: int = 0) -> int:
 
 # --- line ------------------------------------------------------------------------------------------------
 
-TCP_PORT: Final = 8765
 DEFAULT_BAUD: Final = 9600  # 8N1 without handshake, at power-up and after a reset
 BITS_PER_BYTE_ON_LINE: Final = 10  # start bit, 8 data bits, stop bit
 
@@ -175,7 +174,6 @@ TX_ERROR_SCALE: Final = 10_000  # per mm
 TX_PORT_STATUS_DIGITS: Final = 8
 TX_FRAME_DIGITS: Final = 8
 TX_SYSTEM_STATUS_DIGITS: Final = 4
-TX_TOOL_INFORMATION_DIGITS: Final = 22  # 2 tool information, 20 markers
 
 # --- status bits -----------------------------------------------------------------------------------------
 

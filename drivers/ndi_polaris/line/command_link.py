@@ -65,8 +65,6 @@ class LinkStatistics:
 
     commands: int = 0
     retries: int = 0
-    resynchronised: int = 0
-    discarded_bytes: int = 0
 
 
 class CommandLink:
@@ -139,7 +137,6 @@ class CommandLink:
         while data := self.transport.read(quiet_s):
             discarded = (discarded + data)[-LONGEST_REPLY_BYTES:]
             count += len(data)
-            self.statistics.discarded_bytes += len(data)
             if count > BABBLE_BYTES:
                 raise MalformedReply("the line never falls silent", wire=discarded)
             if deadline_s is not None and self._monotonic() > deadline_s:
@@ -165,7 +162,6 @@ class CommandLink:
             if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
                 self._settled = True
                 self._silent_since_s = None
-                self.statistics.resynchronised += 1
                 return
             if deadline_s is not None and self._monotonic() >= deadline_s:
                 break
@@ -220,7 +216,6 @@ class CommandLink:
             )
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
-            self.statistics.discarded_bytes += len(rest)
             self._settled = False
         if isinstance(reply, str):
             self._raise_for(reply, name)
@@ -260,7 +255,6 @@ class CommandLink:
         """Flush the input before a command; anything found there unsettles the link."""
         if not (stale := self.transport.read(0.0)):
             return
-        self.statistics.discarded_bytes += len(stale)
         stale += self.drain(0.0)
         self._settled = False
         if RESET_TEXT in stale:
