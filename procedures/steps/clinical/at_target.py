@@ -82,7 +82,6 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
-                begun.done.append(stage.task)  # it is done, whatever is seen now
                 _look_at_guide(context, rest, begun)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
@@ -139,9 +138,11 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
     )
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
+        if answer == DONE:  # it is done, whatever the watch has seen meanwhile
+            stages.is_done(trajectory, stage.task)
+            begun.done.append(stage.task)
     if answer != DONE:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
-    stages.is_done(trajectory, stage.task)
 
 
 def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:
