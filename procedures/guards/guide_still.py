@@ -6,6 +6,7 @@ the arm's own joints say is compared as well.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -24,8 +25,9 @@ PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.1
 # The place of the frame on the mount has a noise of 0.1 mm in one frame: 0.03 mm between two such means.
 FRAMES = 30
 LEAST_FRAMES = 15  # that must show it
-BETWEEN_LOOKS_S = 1.0  # while the case waits for it to be let go
+BETWEEN_LOOKS_S = 1.0  # theatre time
 RUNNING_FRAMES = 15  # readings of a watch while it lasts, every fourth frame
+HIDDEN = ", and clear the line between the tracker and the frame on the arm: it is not seen now"
 
 
 @dataclass
@@ -34,16 +36,24 @@ class GuideAtRest:
 
     `frame_mm` (3,) is the place of the frame on the mount, tracker frame, and None where it is not seen.
     `worked` says that someone is working through it now: else nothing waits for it. `now_mm` is how far it
-    was from its place when it was seen last, which is `fresh` until a guard has met it.
+    was from its place when it was seen last, `most_mm` the farthest since; `looked_s` is the theatre time of
+    the last look, `unseen` whether that did not show it.
     """
 
     trajectory: str
     tool_mm: Array
     frame_mm: Array | None
     now_mm: float = 0.0
+    most_mm: float = 0.0
     worked: bool = False
-    fresh: bool = False
+    looked_s: float = -math.inf
+    unseen: bool = False
+    _seen_mm: float = 0.0  # by the frame on the mount, when it was seen last
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=RUNNING_FRAMES))
+
+    def begin_watch(self) -> None:
+        """Readings of an earlier watch say nothing about where it is now."""
+        self._recent.clear()
 
     def take(self, frame: TrackerFrame, tool: str) -> None:
         """Add one reading of a watch: the mean of the last ones is compared."""
@@ -53,22 +63,21 @@ class GuideAtRest:
         if seen.validity is Validity.OK and seen.position_mm is not None:
             self._recent.append(np.asarray(seen.position_mm, dtype=float))
         if len(self._recent) == RUNNING_FRAMES:
-            self.compare(np.mean(self._recent, axis=0))
+            self._compare(np.mean(self._recent, axis=0))
 
-    def compare(self, frame_mm: Array | None, tool_mm: Array | None = None) -> float:
-        """How far it is from where it was held, by whichever says more."""
-        ways = [0.0]
-        if frame_mm is not None and self.frame_mm is not None:
-            ways.append(float(np.linalg.norm(frame_mm - self.frame_mm)))
-        if tool_mm is not None:
-            ways.append(float(np.linalg.norm(tool_mm - self.tool_mm)))
-        self.now_mm = max(ways)
-        return self.now_mm
-
-    def look(self, workcell: Workcell, clock: Clock) -> float:
-        """How far it is from its place now. Raises what the tracker raises."""
+    def look(self, workcell: Workcell, clock: Clock) -> None:
+        """See how far it is from its place now. Raises what the tracker raises."""
         frame_mm = None if self.frame_mm is None else frame_place_mm(workcell, clock)
-        return self.compare(frame_mm, workcell.tool_pose().translation_mm)
+        self._compare(frame_mm, workcell.tool_pose().translation_mm)
+        self.looked_s, self.unseen = clock.now_s(), frame_mm is None
+
+    def _compare(self, frame_mm: Array | None, tool_mm: Array | None = None) -> None:
+        """By whichever says more; a frame that is hidden now is taken to be where it was seen last."""
+        if frame_mm is not None and self.frame_mm is not None:
+            self._seen_mm = float(np.linalg.norm(frame_mm - self.frame_mm))
+        by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
+        self.now_mm = max(self._seen_mm, by_joints_mm)
+        self.most_mm = max(self.most_mm, self.now_mm)
 
 
 @dataclass
@@ -79,24 +88,19 @@ class GuideStill:
     clock: Clock
     memory: CaseMemory
     name: str = "guide"
-    looks_again_s: float = 0.0  # theatre time, while it is pushed
 
     def unmet(self) -> str | None:
         """By how much it is pushed. Raises what the tracker raises."""
         rest = self.memory.find(GuideAtRest)
         if rest is None or not rest.worked:
             return None
-        if rest.fresh or self.clock.now_s() >= self.looks_again_s:
-            if not rest.fresh:
-                rest.look(self.workcell, self.clock)
-            rest.fresh = False
-            pushed = rest.now_mm > PUSHED_MM
-            self.looks_again_s = self.clock.now_s() + BETWEEN_LOOKS_S if pushed else 0.0
+        if self.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
+            rest.look(self.workcell, self.clock)
         if rest.now_mm <= PUSHED_MM:
             return None
         return (
             f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
-            "the guide and the arm"
+            f"the guide and the arm{HIDDEN if rest.unseen else ''}"
         )
 
 

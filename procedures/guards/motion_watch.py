@@ -109,6 +109,8 @@ class MotionWatch:
             self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
             self.void(moved)
             raise moved
+        if seen.pushed_mm > PUSHED_MM:
+            self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem is not None:
             self.find(f"the head was not watched during {what}: {seen.problem.summary}")
         told = self._unseen_s > LONGEST_UNSEEN_S
@@ -144,6 +146,7 @@ class _Looking:
     alarm: Callable[[str, bool], None]  # why, and whether the arm is to stop
     tell: Callable[[str], object]
     moved_mm: float | None = None
+    pushed_mm: float = 0.0  # the guide, at most
     problem: RonnaError | None = None
     has_seen: bool = False
     unseen_s: float = 0.0
@@ -160,6 +163,8 @@ class _Looking:
 
     def begin(self) -> None:
         """Start; returns when the first frame has been read and, if it shows a shift, the arm is stopped."""
+        if self.guide is not None:
+            self.guide.begin_watch()
         self._thread.start()
         self._first.wait(FIRST_FRAME_S)
         if self._stopping is not None:  # the motion that would begin now is refused
@@ -234,6 +239,7 @@ class _Looking:
         if self.guide is None or not self.guide.worked:
             return
         self.guide.take(frame, self.workcell.calibrations.tracker_frame.tool)
+        self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
         if pushed and not self._pushed:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")

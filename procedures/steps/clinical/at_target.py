@@ -53,8 +53,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     )
     depth_stop: DepthStop = Field(description="Depth stop of the instrument.")
     pushed_mm: float | None = Field(
-        description="Largest displacement of the guide after a stage done now; none if the work "
-        "was finished earlier."
+        description="Largest displacement of the guide during the work; none if it was finished earlier."
     )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
@@ -82,14 +81,14 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
-                _look_at_guide(context, rest, begun)
+                rest.look(workcell, context.setting.clock)  # the guard at the next checkpoint has it
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
         context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
     if begun.finished_before:
         return _not_watched(begun)
-    if begun.pushed_mm > PUSHED_MM:
-        context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
+    if rest.most_mm > PUSHED_MM:
+        context.find(f"the guide was pushed by up to {rest.most_mm:.2f} mm at {trajectory}")
     too_deep_mm = begun.stop.too_deep_mm
     error_mm = float(np.linalg.norm(beside_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
     return Outcome(
@@ -98,10 +97,10 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             nominal_error_mm=error_mm,
             too_deep_mm=too_deep_mm,
             depth_stop=begun.stop,
-            pushed_mm=begun.pushed_mm,
+            pushed_mm=rest.most_mm,
             done_before=begun.before,
         ),
-        summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
+        summary=f"instrument within {max(error_mm, rest.most_mm):.2f} mm of where it was sent",
     )
 
 
@@ -143,13 +142,6 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
             begun.done.append(stage.task)
     if answer != DONE:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
-
-
-def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:
-    """After a stage: the guard at the next checkpoint suspends if it is out of place."""
-    now_mm = rest.look(context.workcell, context.setting.clock)
-    rest.fresh = True
-    begun.pushed_mm = max(begun.pushed_mm, now_mm)
 
 
 @contextmanager

@@ -50,7 +50,6 @@ class BegunWork:
     stop: DepthStop
     before: tuple[str, ...] = ()
     done: list[str] = field(default_factory=list)  # tasks
-    pushed_mm: float = 0.0
 
     @property
     def finished_before(self) -> bool:

@@ -15,12 +15,14 @@ from prepared_results import (
     registered_robot,
 )
 from recording_cell import RecordingOperator
+from waiting import eventually
+from watched_case import findings
 
 from procedures.engine.engine import Engine
 from procedures.engine.events import Finding
-from procedures.guards import GuideStill
+from procedures.guards import GuideStill, patient_watch
 from procedures.guards.errors import BaseShifted
-from procedures.guards.guide_still import PUSHED_MM
+from procedures.guards.guide_still import PUSHED_MM, RUNNING_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
@@ -242,6 +244,30 @@ def test_a_pushed_guide_suspends_the_case_until_it_is_released(
     guards = [one for one in operator.asked if one.topic is Topic.GUARD]
     assert [f"pushed or pulled by {push_mm:.2f} mm" in one.subject for one in guards] == [True] * suspends
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_again(
+    cell: ClinicalCell,
+) -> None:
+    engine = before_the_entry(cell)
+    engine.checkpoint.watching = patient_watch(engine, lambda _moved: None).watching
+    reader = engine.events.subscribe()
+
+    def push(question: Question) -> None:
+        cell.tracker.frame_shift_mm = (1.0 if question.topic is Topic.SKIN else 0.0, 0.0, 0.0)
+        read = cell.tracker.frames_read
+        if question.topic in (Topic.SKIN, Topic.DRILL):
+            eventually(lambda: cell.tracker.frames_read > read + RUNNING_FRAMES)
+        cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)
+
+    cell.operator.meanwhile = push
+    work(engine)
+    assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(1.0)
+    assert f"the guide was pushed or pulled by up to 1.00 mm during the hold at {FIRST}" in findings(cell)
+    told = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    assert len([text for text in told if "from where it was held" in text]) == 1
 
 
 @pytest.mark.branch("GUIDE_PUSHED")
