@@ -31,6 +31,7 @@ from ronna_hw.text.beyond import beyond
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
 STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
+UNSEEN = "the tracker does not see the frame on the arm; only the joints show a push on the guide"
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
 
@@ -53,7 +54,8 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     )
     depth_stop: DepthStop = Field(description="Depth stop of the instrument.")
     pushed_mm: float | None = Field(
-        description="Largest displacement of the guide during the work; none if it was finished earlier."
+        description="Largest displacement of the guide during the work; none where no push was seen and "
+        "the guide was not watched throughout."
     )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
@@ -81,7 +83,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
-                rest.look(workcell, context.setting.clock)  # the guard at the next checkpoint has it
+                _look_at_guide(context, stage, rest, begun)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
         context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
@@ -89,6 +91,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         return _not_watched(begun)
     if rest.most_mm > PUSHED_MM:
         context.find(f"the guide was pushed by up to {rest.most_mm:.2f} mm at {trajectory}")
+    pushed_mm = rest.most_mm if begun.watched or rest.most_mm > PUSHED_MM else None
     too_deep_mm = begun.stop.too_deep_mm
     error_mm = float(np.linalg.norm(beside_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
     return Outcome(
@@ -97,10 +100,11 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             nominal_error_mm=error_mm,
             too_deep_mm=too_deep_mm,
             depth_stop=begun.stop,
-            pushed_mm=rest.most_mm,
+            pushed_mm=pushed_mm,
             done_before=begun.before,
         ),
-        summary=f"instrument within {max(error_mm, rest.most_mm):.2f} mm of where it was sent",
+        summary=f"instrument within {max(error_mm, rest.most_mm):.2f} mm of where it was sent"
+        f"{'' if begun.watched else '; the guide was not watched throughout'}",
     )
 
 
@@ -144,6 +148,14 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
 
 
+def _look_at_guide(context: StepContext, stage: Stage, rest: GuideAtRest, begun: BegunWork) -> None:
+    """After a stage: the guard at the next checkpoint suspends if it is out of place."""
+    rest.look(context.workcell, context.setting.clock)
+    if rest.unseen:
+        begun.watched = False
+        context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
+
+
 @contextmanager
 def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
     """Within, the guide is compared with how it had come to rest, before anybody touched it.
@@ -156,10 +168,7 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
         rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory)
         memory.keep(rest)
     if rest.frame_mm is None:
-        context.find(
-            f"at {context.trajectory} the tracker does not see the frame on the arm: only the joints "
-            "show a push on the guide"
-        )
+        context.find(f"at {context.trajectory}: {UNSEEN}")
     rest.worked = True
     try:
         yield rest

@@ -44,12 +44,14 @@ class BegunWork:
     """What was done through the guide, so that it continues there if the step was left.
 
     `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
+    `watched` says that the tracker saw the guide after each stage since.
     """
 
     trajectory: str
     stop: DepthStop
     before: tuple[str, ...] = ()
     done: list[str] = field(default_factory=list)  # tasks
+    watched: bool = True
 
     @property
     def finished_before(self) -> bool:

@@ -37,8 +37,10 @@ STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
 
 
 @pytest.fixture(autouse=True)
-def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
 
 
 def before_the_entry(cell: ClinicalCell) -> Engine:
@@ -226,10 +228,8 @@ def test_no_instrument_goes_in_unless_the_operator_chooses_the_stage(cell: Clini
 @pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(("push_mm", "suspends"), [(0.6 * PUSHED_MM, False), (1.5 * PUSHED_MM, True)])
 def test_a_pushed_guide_suspends_the_case_until_it_is_released(
-    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, push_mm: float, suspends: bool
+    cell: ClinicalCell, push_mm: float, suspends: bool
 ) -> None:
-    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
     engine = before_the_entry(cell)
 
     class LetsGo(RecordingOperator):
@@ -270,6 +270,43 @@ def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_
     assert len([text for text in told if "from where it was held" in text]) == 1
 
 
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_a_pushed_guide_that_is_then_hidden_from_the_tracker_does_not_count_as_released(
+    cell: ClinicalCell,
+) -> None:
+    engine = before_the_entry(cell)
+
+    def push_and_hide(question: Question) -> None:
+        cell.tracker.frame_shift_mm = (1.5 * PUSHED_MM if question.topic is Topic.DRILL else 0.0, 0.0, 0.0)
+        guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
+        cell.tracker.hidden = len(guards) == 1
+
+    cell.operator.meanwhile = push_and_hide
+    work(engine)
+    told = [one.subject for one in cell.operator.asked if one.topic is Topic.GUARD]
+    assert ["it is not seen now" in subject for subject in told] == [False, True]
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.parametrize("pushed_mm", [0.0, 1.5 * PUSHED_MM])
+def test_a_stage_that_ends_with_the_guide_hidden_from_the_tracker_does_not_count_as_watched(
+    cell: ClinicalCell, pushed_mm: float
+) -> None:
+    engine = before_the_entry(cell)
+
+    def hide(question: Question) -> None:
+        cell.tracker.hidden = question.topic is Topic.SKIN
+        cell.tracker.frame_shift_mm = (pushed_mm if question.topic is Topic.DRILL else 0.0, 0.0, 0.0)
+
+    cell.operator.meanwhile = hide
+    work(engine)
+    (found,) = (text for text in findings(cell) if "does not see the frame on the arm" in text)
+    assert f"at {FIRST}, the skin is open" in found
+    reached = cell.case.get(ReachedTarget, FIRST).result
+    assert reached.pushed_mm == (pytest.approx(pushed_mm) if pushed_mm else None)
+
+
 @pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(
     ("pushed_mm", "ends"),
@@ -288,12 +325,9 @@ def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_
 )
 def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_place(
     cell: ClinicalCell,
-    monkeypatch: pytest.MonkeyPatch,
     pushed_mm: float,
     ends: AbstractContextManager[object],
 ) -> None:
-    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.GUARD,)
     ask = cell.operator.ask
