@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
+from procedures.engine.step import StepKey
 from procedures.journal.journal import Entry, Journal
 from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
@@ -105,7 +106,7 @@ class DeviceFaults:
         self.doubt_results()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
             if role == ARM:
-                self._doubt(fault)
+                self.doubt_tool(fault, self._course.order.localizations)
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
@@ -117,11 +118,12 @@ class DeviceFaults:
         In the journal before the fault can be gone, so that no restart forgets it.
         """
         if (fault := self.now.get(ARM)) is not None:
-            self._doubt(fault)
+            self.doubt_tool(fault, self._course.order.localizations)
 
-    def _doubt(self, fault: str) -> None:
+    def doubt_tool(self, fault: str, localizations: Sequence[StepKey] = ()) -> None:
+        """The checks of the mounted tool, and what else was localized before: hands may have been at it."""
         order, case = self._course.order, self._course.case
-        if keys := [key for key in (*order.localizations, *order.checks_of_tool) if case.trusts(key)]:
+        if keys := [key for key in (*localizations, *order.checks_of_tool) if case.trusts(key)]:
             self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
             for key in keys:
                 case.doubt(key, fault)

@@ -29,11 +29,13 @@ from procedures.operator.question import Question
 from procedures.operator.room import Task
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
+from procedures.workcell.errors import WrongTool
 from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
+TOUCHED = "the mounted tool may have been touched since it was checked"
 _log = logger(part="engine")
 
 
@@ -75,6 +77,7 @@ class Engine:
         self._on_ending = on_ending
         self._before_result = before_result
         self._recorders = recorders
+        self._running = False  # a step
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
         setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
 
@@ -119,6 +122,7 @@ class Engine:
         spec = self.order.spec(key)
         self.machine.begin(key.name)
         self._show_state()
+        self._running = True
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
             self.events.publish(StepState(step=str(key), state="begun"))
@@ -141,6 +145,8 @@ class Engine:
         except Exception as problem:
             self._fail(key, problem)
             raise
+        finally:
+            self._running = False
         self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} was left out: {reason}")
@@ -218,6 +224,16 @@ class Engine:
         self.course.void(key)
         self._tell_gone(key, gone, reason.summary)
 
+    def doubt_tool(self, found: str) -> None:
+        """Another tool was found than the checked one, which may be mounted again, but not seated as before.
+
+        Raises PRO-027 in a step whose check is void with that: nothing is led on before it is repeated.
+        """
+        standing = self.case.standing
+        self.faults.doubt_tool(found)
+        if self._running and self.case.standing != standing:
+            raise ToolUnchecked(TOUCHED, got=found)
+
     # Between steps
 
     def retreat_home(self) -> None:
@@ -253,9 +269,7 @@ class Engine:
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():
-            self.void(
-                key, ToolUnchecked("the mounted tool may have been touched since it was checked", got=fault)
-            )
+            self.void(key, ToolUnchecked(TOUCHED, got=fault))
 
     def _forget_latest(self) -> None:
         """What was done last was left, unless the one step that may follow it still may."""
@@ -364,6 +378,8 @@ class Engine:
         self._show_state(str(problem))
         with suppress(JournalNotWritable):  # what the step met is told
             self.faults.doubt_results()
+            if isinstance(problem, WrongTool):
+                self.faults.doubt_tool(problem.summary)
         kept = self._kept_attachments(problem) if isinstance(problem, RonnaError) else []
         files: dict[str, JournalValue] = {"files": kept} if kept else {}
         with suppress(JournalNotWritable):

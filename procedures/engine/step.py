@@ -67,9 +67,9 @@ class StepSpec(Generic[R_co]):
     `continues` says that it may only follow the step before it in the case, for the same trajectory, and that
     nothing else may come between. `finishes` says that the work at a target is done with it: what moves later
     voids no result of that trajectory, and nothing more is done for it. `rechecks` says that it checks the
-    mounted tool: after a restart or a fault of the arm someone may have had that tool in their hands, so the
-    step is run again before the tool is used. `preconditions` are checked besides, and say in plain words
-    what is unmet.
+    mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
+    may have had that tool in their hands, so the step is run again before the tool is used. `preconditions`
+    are checked besides, and say in plain words what is unmet.
     """
 
     result: type[R_co]

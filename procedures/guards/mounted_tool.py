@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from procedures.workcell import Workcell
 from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.errors import RonnaError
@@ -12,8 +14,10 @@ class ToolStillMounted:
 
     name = "mounted tool"
 
-    def __init__(self, workcell: Workcell) -> None:
+    def __init__(self, workcell: Workcell, doubt_tool: Callable[[str], None]) -> None:
+        """`doubt_tool` is told that another was found, and may end the step."""
         self._workcell = workcell
+        self._doubt_tool = doubt_tool
 
     def unmet(self) -> str | None:
         """Which tool is reported instead of the one that was checked."""
@@ -27,7 +31,7 @@ class ToolStillMounted:
             return None  # what moves the arm meets the same and tells it
         if mounted == expected:
             return None
-        found = f"tool {mounted}" if mounted else "no tool"
-        return (
-            f"the controller reports {found} instead of the {workcell.tool}: mount the {workcell.tool} again"
-        )
+        reported = f"tool {mounted}" if mounted else "no tool"
+        found = f"the controller reports {reported} instead of the {workcell.tool}"
+        self._doubt_tool(found)
+        return f"{found}: mount the {workcell.tool} again"

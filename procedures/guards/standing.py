@@ -23,14 +23,21 @@ Void = Callable[[RonnaError], None]
 
 
 def standing_guards(
-    workcell: Workcell, folder: Path, clock: Clock, find: Callable[[str], None]
+    workcell: Workcell,
+    folder: Path,
+    clock: Clock,
+    find: Callable[[str], None],
+    doubt_tool: Callable[[str], None],
 ) -> tuple[Guard, ...]:
-    """Those that hold from the first step to the last. `find` records what the operator should know."""
+    """Those that hold from the first step to the last. `find` records what the operator should know.
+
+    `doubt_tool` is told that another tool was found than the checked one.
+    """
     return (
         DiskSpace(folder),
         WallClock(find),
         ArmLink(workcell),
-        ToolStillMounted(workcell),
+        ToolStillMounted(workcell, doubt_tool),
         LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
     )
 

@@ -106,7 +106,7 @@ def _acknowledged(line: Line) -> str:
 
 
 def _doubted(line: Line) -> str:
-    return f"The arm was in fault, and these were in doubt: {_words(line.get('steps'))}"
+    return f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}"
 
 
 def _restarted(line: Line) -> str:

@@ -20,7 +20,8 @@ def guard(engine: Engine, *, only_leaving: bool = False) -> None:
     """
     setting, guards = engine.setting, engine.checkpoint.guards
     workcell = setting.workcell
-    guards.extend(standing_guards(workcell, engine.case.folder, setting.clock, engine.find))
+    folder = engine.case.folder
+    guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if setting.clinical is None:
         return
     engine.goes_on = MovedCart(engine).agreed_to_go_on

@@ -43,7 +43,7 @@ class Entry(StrEnum):
     FINDING = "finding"  # something the operator should know that stops nothing
     RESTED = "rested"  # paused, or suspended by a guard; with the reason
     RESUMED = "resumed"  # continues after a pause
-    DOUBTED = "doubted"  # the arm was in fault: registrations must be confirmed, the tool checked again
+    DOUBTED = "doubted"  # results: by a fault of the arm, or another tool in place of the checked one
     SEAT = "seat"  # someone took the operator's seat at a console, or it became free
     ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, and by whom
     HOME = "home"  # the intent to leave the head and park, outside the steps

@@ -98,10 +98,13 @@ def test_a_link_that_loses_a_tenth_of_its_cycles_suspends_the_case_until_it_reco
 @pytest.mark.hazard(3)
 @pytest.mark.parametrize(("mounted", "said"), [(0, "no tool"), (GUIDE, f"tool {GUIDE}")])
 def test_a_tool_exchanged_meanwhile_suspends_the_case(cell: RecordingCell, mounted: int, said: str) -> None:
-    guard = ToolStillMounted(cell.workcell)
+    doubts: list[str] = []
+    guard = ToolStillMounted(cell.workcell, doubts.append)
     assert guard.unmet() is None
+    assert doubts == []
     cell.arm.mounted = mounted
     reason = guard.unmet()
+    assert said in doubts[0]
     assert reason is not None
     assert said in reason
     assert "mount" in reason

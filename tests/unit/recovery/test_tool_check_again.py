@@ -1,4 +1,4 @@
-"""Hazard 47: after a restart or a fault of the arm the guide returns to the gauge before the head.
+"""Hazard 47: after a restart, a fault of the arm or another tool the guide returns to the gauge first.
 
 The controller reports a number, which the same guide bent, or another one, has too.
 """
@@ -20,11 +20,15 @@ from prepared_results import (
     mounted_guide,
     registered_robot,
 )
+from recording_cell import GUIDE
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
+from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.step import Scope
+from procedures.guards.mounted_tool import ToolStillMounted
+from procedures.operator import checkpoint
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.recovery import inputs, recover, taking_up
@@ -33,6 +37,7 @@ from procedures.steps.clinical import at_target, positioning, retreat, tool_chec
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.wire.room_tasks import GAUGE
@@ -197,6 +202,70 @@ def test_the_way_home_after_a_fault_at_an_entry_leads_to_the_gauge(cell: Clinica
     fault(cell, engine)
     engine.retreat_home()
     assert str(engine.upcoming) == "tool_check"
+
+
+@pytest.fixture
+def guarded(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> Engine:
+    """A case whose guide was just checked, and is mounted again when a guard asks for it."""
+    monkeypatch.setattr(checkpoint, "PATIENCE_S", 0.0)
+    engine = cell.engine(operation(cell))
+    engine.checkpoint.guards.append(ToolStillMounted(cell.workcell, engine.doubt_tool))
+    engine.run_to(engine.order.find("tool_check"))
+    mounts(cell, Topic.GUARD, GUIDE)
+    return engine
+
+
+def mounts(cell: ClinicalCell, topic: Topic, number: int) -> None:
+    """At that question somebody takes the guide off, or mounts it."""
+    before = cell.operator.meanwhile
+
+    def meanwhile(question: Question) -> None:
+        before(question)
+        if question.topic is topic:
+            cell.arm.mounted = number
+
+    cell.operator.meanwhile = meanwhile
+
+
+@pytest.mark.hazard(3)
+def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
+    cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(positioning, "check_room", lambda *_: setattr(cell.arm, "mounted", 0))
+    with pytest.raises(ToolUnchecked, match="no tool instead of the guide"):
+        guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
+    cell.arm.mounted = GUIDE
+    assert cell.motions("go") == []
+    assert str(guarded.upcoming) == "tool_check"
+    assert cell.entries("doubted", "voided") == [("doubted", ""), ("voided", "tool_check")]
+
+
+@pytest.mark.hazard(3)
+def test_a_guide_found_off_after_a_question_is_checked_again(cell: ClinicalCell, guarded: Engine) -> None:
+    mounts(cell, Topic.APPROACH, 0)
+    with pytest.raises(WrongTool):
+        guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
+    cell.arm.mounted = GUIDE
+    assert str(guarded.upcoming) == "tool_check"
+
+
+@pytest.mark.hazard(3)
+def test_a_guide_found_off_at_an_entry_is_checked_again_after_the_way_out(
+    cell: ClinicalCell, guarded: Engine
+) -> None:
+    mounts(cell, Topic.DRILL, 0)
+    guarded.run_to(guarded.order.find(f"retreat:{FIRST}"))
+    assert cell.motions("withdraw") == [FIRST]
+    assert str(guarded.upcoming) == "tool_check"
+
+
+@pytest.mark.hazard(3)
+def test_a_guide_found_off_on_the_way_home_does_not_end_it(cell: ClinicalCell, guarded: Engine) -> None:
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad, cell.arm.mounted = (A1 + 0.2, *others), 0
+    guarded.retreat_home()
+    assert cell.workcell.at_home
+    assert str(guarded.upcoming) == "tool_check"
 
 
 @pytest.mark.hazard(12)
