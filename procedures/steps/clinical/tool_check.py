@@ -99,6 +99,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     off_mm = math.hypot(*offset)
     told = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"
     if off_mm > TIP_LIMIT_MM or tilt_deg > TILT_LIMIT_DEG:
+        workcell.rest()  # hands seat it anew: nothing of ours may move the arm meanwhile
         raise ToolBesideGauge(
             "the guide is not as it was when its tip was calibrated",
             limit=f"{TIP_LIMIT_MM:g} mm, {TILT_LIMIT_DEG:g} deg",

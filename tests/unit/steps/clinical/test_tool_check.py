@@ -63,6 +63,7 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
     with pytest.raises(ToolBesideGauge, match=r"TOOL-005: .*limit 0\.05 mm, 0\.1 deg"):
         check(cell, *dials_mm)
     assert cell.workcell.at_home
+    assert not cell.workcell.streaming  # hands seat the guide anew
 
 
 @pytest.mark.hazard(47)
