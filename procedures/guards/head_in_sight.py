@@ -10,8 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from procedures.engine.case_memory import CaseMemory
-from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import read_room
+from procedures.guards.room_reading import check_now
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
 from procedures.operator.topic import Topic
 from procedures.workcell import Workcell
@@ -52,13 +51,7 @@ class HeadInSight:
         room = self.memory.find(RoomWatch)
         if room is None or not room.overdue(self.clock.now_s()):
             return None
-        try:
-            room.check(read_room(self.workcell, self.clock, room.robot_from_tracker), self.clock.now_s())
-        except (BaseShifted, PatientMoved, PatientUnseen) as moved:
-            if not isinstance(moved, PatientUnseen):
-                self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-                self.void(moved)
-            raise
+        check_now(room, self.workcell, self.clock, self.memory, self.void)
         now_s = self.clock.now_s()
         if not room.overdue(now_s):
             return None

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from procedures.guards.room_watch import RoomReading
+from procedures.engine.case_memory import CaseMemory
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import average_strays
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
 FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 0.05 mm
@@ -20,6 +25,18 @@ def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -
     """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
     frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
     return room_reading(workcell, frames, robot_from_tracker)
+
+
+def check_now(
+    room: RoomWatch, workcell: Workcell, clock: Clock, memory: CaseMemory, void: Callable[[RonnaError], None]
+) -> list[str]:
+    """As `RoomWatch.check`, of a look now; what has moved ends the watch, and `void` what no longer holds."""
+    try:
+        return room.check(read_room(workcell, clock, room.robot_from_tracker), clock.now_s())
+    except (BaseShifted, PatientMoved) as moved:
+        memory.drop(RoomWatch)  # the way out is not to be stopped by the same
+        void(moved)
+        raise
 
 
 def room_reading(

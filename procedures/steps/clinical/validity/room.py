@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 from procedures.engine.context import StepContext
-from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import read_room
+from procedures.guards.errors import PatientUnseen
+from procedures.guards.room_reading import check_now
 from procedures.guards.room_watch import Approach, RoomWatch
 from procedures.planning.sight.tracker import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
@@ -27,17 +28,10 @@ def check_room(context: StepContext, where: str) -> None:
     The arm rests meanwhile. What is not seen is a finding. Raises PRO-019 and PRO-020; then the localization
     is superseded, or the registrations that may follow the move, and all that descends from them.
     """
-    watch = _watch(context)
-    try:
-        reading = read_room(context.workcell, context.setting.clock, watch.robot_from_tracker)
-        findings = watch.check(reading, context.setting.clock.now_s())
-    except (BaseShifted, PatientMoved) as moved:
-        from procedures.steps.clinical.validity.moved_head import void_moved  # as in `_watch`
+    from procedures.steps.clinical.validity.moved_head import void_moved  # as in `_watch`
 
-        context.setting.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-        void_moved(context, moved)
-        raise
-    for finding in findings:
+    setting, void = context.setting, partial(void_moved, context)
+    for finding in check_now(_watch(context), setting.workcell, setting.clock, setting.memory, void):
         context.find(f"{where}: {finding}")
 
 
