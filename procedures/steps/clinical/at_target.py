@@ -153,7 +153,8 @@ def _look_at_guide(context: StepContext, stage: Stage, rest: GuideAtRest, begun:
     rest.look(context.workcell, context.setting.clock)
     if rest.unseen:
         begun.watched = False
-        context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
+        if rest.frame_mm is not None:  # else it was told before the work began
+            context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
 
 
 @contextmanager
