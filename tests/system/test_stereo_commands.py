@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 import tomli_w
 from scipy.spatial.transform import Rotation
+from shared_by_workers import made_once
 from turned_camera import with_turned_camera, write_scene
 from user_commands import Commands, one_error
 
@@ -319,16 +320,21 @@ class Calibrated:
 
 @pytest.fixture(scope="module")
 def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
-    folder = tmp_path_factory.mktemp("calibrated")
     scene = with_ideal_arm(named_scene("mini", seed=0))
-    file = write_scene(scene, folder / "scene.json")
-    done = shared_commands.run(
-        *("ronna-stereo", "calibrate", "--sim", "--scene", str(file), "--out", str(folder), "--json"),
-        timeout_s=280.0,
-    )
-    assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    return Calibrated(scene, file, said, Path(said["folder"]))
+
+    def calibrate(folder: Path) -> str:
+        folder.mkdir()
+        file = write_scene(scene, folder / "scene.json")
+        done = shared_commands.run(
+            *("ronna-stereo", "calibrate", "--sim", "--scene", str(file), "--out", str(folder), "--json"),
+            timeout_s=280.0,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    folder, told = made_once(tmp_path_factory, "calibrated", calibrate)
+    said = json.loads(told)
+    return Calibrated(scene, folder / "scene.json", said, Path(said["folder"]))
 
 
 @pytest.mark.slow
