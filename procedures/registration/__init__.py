@@ -11,6 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from procedures.registration.cloud_registration import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
     from procedures.registration.layout import FoundLayout, find_layout
     from procedures.registration.matching import match
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Caveat",
+    "CloudFit",
     "FoundLayout",
     "Hypothesis",
     "Match",
@@ -42,10 +44,19 @@ __all__ = [
     "match",
     "match_by_template",
     "register",
+    "register_clouds",
     "verify_two_way",
 ]
 
-_MODULES = ("correspondence", "matching", "point_registration", "verification", "layout", "template")
+_MODULES = (
+    "correspondence",
+    "matching",
+    "point_registration",
+    "verification",
+    "layout",
+    "template",
+    "cloud_registration",
+)
 
 
 def __getattr__(name: str) -> Any:

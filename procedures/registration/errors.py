@@ -41,10 +41,12 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """A weighted fit did not converge: its inputs contradict each other."""
+    """A weighted fit or a cloud registration did not converge: its inputs contradict each other."""
 
     code = "REG-006"
-    action = "Check pairing and covariances; fit without covariances to see the residuals."
+    action = (
+        "Check pairing and covariances (for clouds, the start); fit without covariances to see the residuals."
+    )
 
 
 class BadParameter(DataError):
@@ -77,6 +79,13 @@ class ResidualTooLarge(RefusedError):
 
     code = "REG-010"
     action = "Find the fiducial that moved (leave-one-out residuals), or localize again."
+
+
+class SymmetricCloud(DataError):
+    """A cloud of unpaired points fits in several orientations."""
+
+    code = "REG-011"
+    action = "Give an approximate transform as the start, or register paired fiducials."
 
 
 class LayoutNotFound(RefusedError):

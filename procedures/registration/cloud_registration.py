@@ -1,0 +1,161 @@
+"""Registers point clouds without correspondence: principal axes as a start, then iterative closest points.
+
+For surfaces and dense scans; fiducials are paired by `match`, which states its certainty. Nearest neighbours
+come from SciPy's k-d tree; every step uses the same rigid fit as the fiducials. Iterative closest points:
+Besl and McKay 1992, trimmed to an overlap as in Chetverikov 2005.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import RigidTransform
+
+from procedures.registration.correspondence import turn_rad
+from procedures.registration.errors import (
+    BadParameter,
+    CollinearPoints,
+    NotConverged,
+    SymmetricCloud,
+    TooFewPoints,
+    UnsoundRegistration,
+)
+from procedures.registration.points import FEWEST_PAIRS, checked_points
+from procedures.registration.rigid_fit import as_transform, fit_rigid
+
+Array = NDArray[np.float64]
+
+LINE_RATIO = 1e-3  # of the first two standard deviations; below it the cloud is a line
+DISTINCT_AXES = 1.05  # ratio of successive standard deviations; below it an axis has no defined direction
+CLEARLY_BETTER = 1.25  # ratio of any other orientation's residual to the best one's
+SAME_TURN_RAD = np.radians(5.0)  # orientations closer than this are the same
+ROUNDING_MM = 1e-6  # a smaller residual is zero
+SETTLED_MM = 1e-7  # iteration stops when the residual changes by less
+MOST_STEPS = 200
+
+
+@dataclass(frozen=True)
+class CloudFit:
+    """`transform` physical <- image; `residual_mm` is the rms distance to the nearest physical points.
+
+    The residual says how similar the clouds are, not how accurate the registration is.
+    """
+
+    transform: RigidTransform
+    residual_mm: float
+    steps: int
+
+
+def register_clouds(
+    image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
+) -> CloudFit:
+    """Register clouds (n, 3) and (m, 3) in mm, of any order and size.
+
+    `start` is an approximate transform physical <- image; without it the principal axes yield four, and both
+    clouds must cover the same part. `overlap` is the share of the image points that have a counterpart.
+    Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only a mirror image fits, REG-011
+    when several orientations fit.
+    """
+    image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
+    if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
+        raise BadParameter(
+            "the overlap must leave three points",
+            limit="above 0, at most 1",
+            got=f"{overlap}",
+            action="Give the share of the image points that the physical ones cover.",
+        )
+    tree = cKDTree(physical)
+    if start is not None:
+        matrix = np.asarray(start.as_matrix())
+        if matrix.shape != (4, 4):
+            raise BadParameter(
+                "the start must be one transform physical <- image",
+                got=f"{len(matrix)} transforms",
+                action="Give one SciPy RigidTransform, or omit the start.",
+            )
+        return _as_fit(_closest_points(image, physical, tree, matrix, overlap))
+    fits = [_closest_points(image, physical, tree, one, overlap) for one in _axis_starts(image, physical)]
+    best = min(fits, key=lambda fit: fit.residual_mm)
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    mirrored = image @ mirror[:3, :3]
+    reflected = [
+        _closest_points(mirrored, physical, tree, one, overlap) for one in _axis_starts(mirrored, physical)
+    ]
+    nearest_mm = min(fit.residual_mm for fit in reflected)
+    if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
+        raise UnsoundRegistration(
+            "the clouds fit better as a mirror image",
+            got=f"{nearest_mm:.3g} mm, else {best.residual_mm:.3g} mm",
+        )
+    for fit in fits:
+        differs = turn_rad(best.matrix[:3, :3], fit.matrix[:3, :3]) > SAME_TURN_RAD
+        if differs and fit.residual_mm < CLEARLY_BETTER * best.residual_mm + ROUNDING_MM:
+            raise SymmetricCloud(
+                "two orientations fit equally well",
+                got=f"{best.residual_mm:.3g} and {fit.residual_mm:.3g} mm",
+            )
+    return _as_fit(best)
+
+
+@dataclass(frozen=True)
+class _Fit:
+    matrix: Array
+    residual_mm: float
+    steps: int
+
+
+def _as_fit(fit: _Fit) -> CloudFit:
+    return CloudFit(as_transform(fit.matrix[:3, :3], fit.matrix[:3, 3]), fit.residual_mm, fit.steps)
+
+
+def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float) -> _Fit:
+    """Pair each image point with the nearest physical one and fit, until the residual stops changing."""
+    matrix, before_mm = start, np.inf
+    kept = round(overlap * len(image))
+    for step in range(1, MOST_STEPS + 1):
+        distance, nearest = tree.query(image @ matrix[:3, :3].T + matrix[:3, 3])
+        used = np.argsort(distance, kind="stable")[:kept]
+        residual_mm = float(np.sqrt(np.square(distance[used]).mean()))
+        if before_mm - residual_mm < SETTLED_MM:
+            return _Fit(matrix, residual_mm, step)
+        before_mm = residual_mm
+        fit = fit_rigid(image[used], physical[nearest[used]])
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = fit.rotation, fit.translation_mm
+    raise NotConverged("the closest points did not converge", limit=f"{MOST_STEPS} steps")
+
+
+def _axis_starts(image: Array, physical: Array) -> list[Array]:
+    """The four proper rotations that align the principal axes of both clouds."""
+    image_axes, physical_axes = _axes(image, "image"), _axes(physical, "physical")
+    starts = []
+    for first, second in product((1.0, -1.0), repeat=2):
+        sign = first * second * np.linalg.det(image_axes) * np.linalg.det(physical_axes)
+        rotation = physical_axes @ np.diag([first, second, sign]) @ image_axes.T
+        matrix = np.eye(4)
+        matrix[:3, :3] = rotation
+        matrix[:3, 3] = physical.mean(axis=0) - rotation @ image.mean(axis=0)
+        starts.append(matrix)
+    return starts
+
+
+def _axes(points: Array, name: str) -> Array:
+    """Principal axes as columns, longest first. Raises REG-011 when two are equally long."""
+    _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
+    if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
+        raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")
+    return np.asarray(axes.T)
+
+
+def _checked(points_mm: ArrayLike, name: str) -> Array:
+    points = checked_points(points_mm, name)
+    if len(points) < FEWEST_PAIRS:
+        raise TooFewPoints(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if spread[1] <= LINE_RATIO * spread[0]:
+        raise CollinearPoints(f"the {name} cloud is a line")
+    return points
