@@ -193,7 +193,7 @@ def localize(
         )
     _print_markers(result)
     for one in result.doubtful:
-        terminal.tell(f"doubtful, not taken: {one.describe()}")
+        terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")
     if candidates is not None:
         _print_candidates(candidates)
 

@@ -74,6 +74,10 @@ class Sphere:
         candidate = replace(self.candidate, accepted=accepted, reason=reason, odds=left)
         return replace(self, candidate=candidate, doubts=together)
 
+    def picked(self) -> Sphere:
+        """The same as a marker, whatever the doubts: a person said so."""
+        return replace(self, candidate=replace(self.candidate, accepted=True))
+
 
 def examine(
     volume: Volume,

@@ -60,7 +60,7 @@ def localize(
             refused.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
-    judged = _judged_together(found, refused, volume.geometry, diameter_mm)
+    judged = judged_together(found, refused, volume.geometry, diameter_mm)
     if expected is not None:
         judged = _clear_ones(judged, expected)
     spheres = [one for one in judged if one.candidate.accepted]
@@ -80,7 +80,7 @@ def localize(
     )
 
 
-def _judged_together(
+def judged_together(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
     """The spheres with the doubts that the others raise about each."""

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.imaging.doubts import EVEN
+
 Array = NDArray[np.float64]
 
 ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are more than 0.06 mm apart
@@ -27,7 +29,8 @@ PICKED = "picked"  # a person indicated where to search
 class Candidate:
     """A place that looked like a marker at first sight, and the verdict on it.
 
-    `centre_mm` is LPS. `accepted` candidates are the markers; for the others `reason` says why not.
+    `centre_mm` is LPS. `accepted` candidates are the markers; for the others, and for one that a person
+    picked although it is doubtful, `reason` says why not.
     `surface_share` [0..1] is the part of the sphere's surface found where it should be, `radius_mm` the
     fitted radius; both are None if no surface was found. `odds` [0..1] of a marker are 0 if no sphere of the
     size was found, and below even if it may not be a whole one.
@@ -43,8 +46,8 @@ class Candidate:
 
     @property
     def doubtful(self) -> bool:
-        """Whether a sphere of the right size was fitted but not accepted as a marker."""
-        return not self.accepted and self.odds > 0.0
+        """Whether a sphere of the right size was fitted that may not be a whole one."""
+        return 0.0 < self.odds < EVEN
 
     def describe(self) -> str:
         """One phrase for messages: centre in LPS mm, reason, and the odds if doubtful."""

@@ -1,7 +1,7 @@
 """Manual fallback: a person picks the spheres roughly, the estimators measure them.
 
-A pick replaces detection, and a marker at a pick may show less of its surface than a detected one. It never
-replaces the measurement: where no sphere shows, the pick is refused with the reason.
+A pick replaces detection, and a marker at a pick may show less of its surface than a detected one, or be
+doubtful. It never replaces the measurement: where no sphere shows, the pick is refused with the reason.
 """
 
 from __future__ import annotations
@@ -15,8 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.detection import Peak, find_peaks
 from procedures.imaging.errors import PickRefused
-from procedures.imaging.examination import Sphere, as_marker, examine
-from procedures.imaging.localization import DIAMETER_MM, check_request, head_to_foot, require_count
+from procedures.imaging.examination import Sphere, as_marker, examine, with_shape
+from procedures.imaging.localization import (
+    DIAMETER_MM,
+    check_request,
+    head_to_foot,
+    judged_together,
+    require_count,
+)
 from procedures.imaging.markers import PICKED, Candidate, Localization
 from procedures.imaging.pick_files import LPS_FROM_RAS
 from procedures.imaging.volume import Volume, VoxelGeometry
@@ -54,8 +60,9 @@ def localize_picks(
     radius_mm = 0.5 * diameter_mm
     found: list[Sphere] = []
     for number, pick_mm in enumerate(picks, start=1):
-        found.append(_at_pick(volume, number, pick_mm, radius_mm, found))
+        found.append(with_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
         progress(number / len(picks))
+    found = [sphere.picked() for sphere in judged_together(found, (), volume.geometry, diameter_mm)]
     candidates = tuple(sphere.candidate for sphere in found)
     require_count(len(found), expected, candidates)
     markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]

@@ -64,6 +64,19 @@ def test_an_invalid_pick_is_refused_with_the_reason(
     assert caught.value.exit_code == 3
 
 
+def test_a_pick_on_something_doubtful_is_taken_and_its_doubts_are_told(make_scan: Callable[..., Any]) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    middle = np.array([20.0, 20.0, 20.0])
+    for step_mm in (-0.6, 0.0, 0.6):
+        scan.ball(middle + np.array([0.0, 0.0, step_mm]))
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    picked = localize_picks(Volume(scan.voxels(), geometry, "1.2.3", "1.2.4"), middle[None])
+    (marker,), (told,) = picked.markers, picked.doubtful
+    assert told.accepted
+    assert "longer in one direction than in another" in told.reason
+    assert marker.odds == told.odds < 0.2
+
+
 def test_picks_in_ras_are_refused_with_a_hint(volume: Volume) -> None:
     with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in RAS"):
         localize_picks(volume, truth(volume)[:1] * (-1.0, -1.0, 1.0))
