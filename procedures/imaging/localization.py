@@ -2,8 +2,9 @@
 
 Detection scans the whole volume; each candidate must then show the surface of a sphere of the right size, and
 be a whole sphere. Doubtful ones are listed separately, with reasons and odds. Two estimators with different
-failure modes measure the centre. Their results are combined; a marker on which they differ by more than 0.06
-mm is flagged, and its covariance enlarged.
+failure modes measure the centre; a marker on which they differ by more than 0.06 mm is flagged. Where they
+are combined, the difference enlarges the covariance; where streaks were fitted together with the sphere, or
+its edges alone count, it does not.
 """
 
 from __future__ import annotations

@@ -66,9 +66,10 @@ class Marker:
     """One localized sphere.
 
     `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from noise, metal
-    streaks and disagreement of the two estimators, excluding errors common to a whole scan such as table
-    feed; `agreement_mm` the distance between the two estimates of the centre; `quality` [0..1] the share of
-    the surface used, lowered by disagreement; `odds` as in `Candidate`.
+    streaks and, where the two estimators are combined (not in a `streaked` sphere), their disagreement,
+    excluding errors common to a whole scan such as table feed; `agreement_mm` the distance between the two
+    estimates of the centre; `quality` [0..1] the share of the surface used, lowered by disagreement; `odds`
+    as in `Candidate`.
 
     `radius_mm` is that of a uniform ball with the inner intensity and the same total attenuation. The model
     removes blur; a retro-reflective film remains: too thin to be resolved, a film of thickness t adds about t

@@ -86,6 +86,8 @@ def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
 
 
 def _without_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
+    # The difference from the edge is not added to the ball's covariance, which is wide enough: with it chi
+    # squared / 3n fell from 0.76 to 0.69 (`rays`, good, 14 spheres), elsewhere by up to 0.05.
     ball = fit_streaked_ball(region, edge)
     if ball is None:
         return None
