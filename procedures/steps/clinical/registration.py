@@ -38,7 +38,7 @@ from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.arm import arm_errors
-from procedures.steps.clinical.error_budget.evidence import budget_table, two_way_table
+from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
 from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.error_budget.held_guide import held_guide
 from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm, shared_with_target
@@ -73,6 +73,7 @@ class Prediction(Values):
     confidence: float = Field(description="Of that radius, 0 to 1.")
     formula: str = Field(description="Method of prediction.")
     budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
+    excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
 
 
 class RegisteredRobot(StepResult, kind="registration"):

@@ -305,4 +305,5 @@ def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(regist
     (predicted,) = read_for_report(registered).standing(RegisteredRobot)[0].result.predictions
     table = text.partition("What the prediction is made of")[2].partition("</table>")[0]
     assert table.count("<tr>") == 1 + len(predicted.budget) + 2
+    assert f"Not included: {predicted.excluded}." in text
     assert [f"<th>{name}</th>" in table for name in TRAJECTORIES] == [True] * len(TRAJECTORIES)

@@ -77,6 +77,13 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     assert shares_mm["CT"] == pytest.approx(shares_mm["stereo measurement"])  # the cell gives both one sigma
 
 
+def test_the_budget_says_what_it_does_not_contain(cell: ClinicalCell) -> None:
+    predicted = registered(cell).result.prediction(FIRST)
+    assert "common to a scan (scale, table feed, motion, hidden tilt)" in predicted.excluded
+    (question,) = cell.operator.asked
+    assert question.evidence[0].rows[-1] == (f"not included: {predicted.excluded}", "-")
+
+
 def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(
     cell: ClinicalCell, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
