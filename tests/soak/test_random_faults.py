@@ -148,6 +148,6 @@ def test_two_hundred_cases_with_random_faults_end_in_a_known_state(
         held_after.append(held())
     assert not failures, "\n\n".join(failures)
     memory, files, threads = zip(*held_after[WARM_UP:], strict=True)
-    assert max(memory) <= (1 + LARGEST_GROWTH) * memory[0]
     assert max(files) == files[0]
     assert max(threads) == threads[0]
+    assert max(memory) <= (1 + LARGEST_GROWTH) * memory[0], f"pages after each case: {memory}"
