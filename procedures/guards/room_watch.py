@@ -142,7 +142,7 @@ class RoomWatch:
                 expected="at least three known spheres in place",
             )
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
-            if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
+            if base_mm is None or not same or _apart_from_base_mm(head, head_mm, base_mm) >= PATIENT_LIMIT_MM:
                 apart = base_mm is not None and (same or float(np.linalg.norm(head_mm)) >= limit_mm)
                 alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, PATIENT_LIMIT_MM)
                 if alone_mm is not None:
@@ -203,6 +203,12 @@ def _apart_mm(one: Transform, other: Transform) -> float:
 def _turned_rad(one: Transform, other: Transform) -> float:
     between = one.rotation_matrix.T @ other.rotation_matrix
     return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
+
+
+def _apart_from_base_mm(head: PointShift, head_mm: Array, base_mm: Array) -> float:
+    """RMS by which the spheres moved otherwise than the frame; a turn leaves their mean where it was."""
+    turned_mm2 = max(0.0, head.rms_mm**2 - float(head.mean_mm @ head.mean_mm))
+    return math.sqrt(turned_mm2 + float(np.sum((head_mm - base_mm) ** 2)))
 
 
 def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> BaseShifted:

@@ -19,6 +19,7 @@ from prepared_results import (
     registered_robot,
 )
 from room_trials import STILL, TrackedCase
+from scipy.spatial.transform import Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
@@ -106,6 +107,20 @@ def test_a_hidden_frame_and_too_few_spheres_are_reported_as_findings() -> None:
         "the tracker does not see the frame on the arm",
         "the tracker sees fewer than three known spheres",
     ]
+
+
+@pytest.mark.hazard(12)
+def test_a_head_turned_about_the_middle_of_its_spheres_has_moved() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad)
+    middle = reading.spheres_mm.mean(axis=0)
+    turn = Rotation.from_rotvec([0.0, 0.0, 1.0], degrees=True)
+    turned = type(reading)(
+        reading.robot_from_flange, reading.frame_mm, middle + turn.apply(reading.spheres_mm - middle)
+    )
+    with pytest.raises(PatientMoved, match="the head has moved"):
+        watch.check(turned)
 
 
 @pytest.mark.hazard(12)

@@ -127,7 +127,7 @@ def test_a_stop_also_waits_for_an_arm_that_another_stop_has_put_into_hold(
         theatre.arms["left"].activate()
         theatre.stop()
         theatre.stop()
-    assert installed[:3] == ["stop robot.left"] * 3  # the last by leaving
+    assert installed.count("stop robot.left") == 3  # the last by leaving
 
 
 def test_an_error_while_closing_one_device_does_not_keep_the_others_open(
@@ -158,7 +158,8 @@ def test_a_missing_device_raises_the_drivers_error_and_the_others_are_closed(
     monkeypatch.setattr(ScaledForceSensor, "plugged_in", False)
     with pytest.raises(ConnectError, match="no reply"), open_theatre(path):
         pass
-    assert installed == ["close robot.left", "close robot.right", "close device.force"]
+    closed = [one for one in installed if one.startswith("close")]
+    assert closed == ["close robot.left", "close robot.right", "close device.force"]
 
 
 @pytest.mark.parametrize("cut", range(1, len(FILE) - 1, 7))

@@ -58,7 +58,7 @@ STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
 UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg")
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
-    *("quality", "confidence", "rim_fraction", "distortion"),
+    *("quality", "odds", "confidence", "rim_fraction", "distortion"),
     "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }
 
