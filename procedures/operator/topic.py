@@ -54,11 +54,7 @@ DELIBERATE = frozenset(
         Topic.REGISTRATION_KEPT,
         Topic.TOOL_CHECK,
         Topic.APPROACH,
-        Topic.DEPTH_STOP,
         Topic.WORK_BEGUN,
-        Topic.SKIN,
-        Topic.DRILL,
-        Topic.DURA,
         Topic.AT_TARGET,
         Topic.INSTRUMENT_OUT,
         Topic.RETREAT,
@@ -71,3 +67,5 @@ DELIBERATE = frozenset(
         Topic.UNVERIFIED,
     }
 )
+# What no file answers on real devices: also what hands have done to the patient, though nothing moves then.
+FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}

@@ -30,7 +30,7 @@ from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.exchange import allowed_fields
 from procedures.operator.question import words
-from procedures.operator.topic import DELIBERATE, Topic
+from procedures.operator.topic import FOR_A_PERSON, Topic
 from procedures.planning.plan.model import Plan
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
@@ -71,7 +71,7 @@ def tables() -> dict[str, str]:
         "answers.md": table(
             ("topic", "words", "on real devices"),
             [
-                (f"`{topic}`", words(ANSWER_WORDS[topic]), "only a person" if topic in DELIBERATE else "")
+                (f"`{topic}`", words(ANSWER_WORDS[topic]), "only a person" if topic in FOR_A_PERSON else "")
                 for topic in Topic
             ],
         ),

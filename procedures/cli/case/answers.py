@@ -6,7 +6,8 @@
     "approach:T1" = "no"
 
 Without `default`, whoever answers without the file answers what is not listed. On real devices a person
-answers what a slip must not: what moves the arm or lets a result count, a pause, and what is read back.
+answers what a slip must not: what moves the arm or lets a result count, a pause, what is read back, and what
+hands have done to the patient.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import Operator, Question, words
-from procedures.operator.topic import DELIBERATE, Topic
+from procedures.operator.topic import FOR_A_PERSON, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes, read_theatre_file
@@ -73,9 +74,9 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
         raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
         raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
-    if (deliberate := [key for key in read.answers if _topic(key) in DELIBERATE]) and not rehearsed(config):
+    if (personal := [key for key in read.answers if _topic(key) in FOR_A_PERSON]) and not rehearsed(config):
         raise AnswersUnfit(
-            f"{path}: on real devices only a person answers {', '.join(deliberate)}",
+            f"{path}: on real devices only a person answers {', '.join(personal)}",
             action="Remove these lines; the questions are asked at the terminal or the console.",
         )
     return read
@@ -104,7 +105,7 @@ class AnsweringOperator:
 
     def ask(self, question: Question) -> str:
         """The word of the file."""
-        for_a_person = question.deliberate or question.read_back is not None
+        for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)
         word = self._answers.word_for(question)
