@@ -84,7 +84,9 @@ def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
 
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize("default", ["first", "silence"])
-@pytest.mark.parametrize("topic", [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.PAUSE, Topic.DRILL])
+@pytest.mark.parametrize(
+    "topic", [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.DRILL]
+)
 def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: Topic, default: str) -> None:
     answers = Answers.model_validate({"default": default, "answers": {str(topic): "yes"}})
     question = Question(topic, "go on", "the arm moves")
