@@ -10,8 +10,9 @@ import os
 import sys
 from pathlib import Path
 
+from ronna_hw.host.linear_algebra import single_threaded
+
 NICER = 10  # than the engine: a page must never cost it a cycle
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main() -> None:
@@ -23,8 +24,7 @@ def main() -> None:
     parser.add_argument("--viewers", nargs=3, metavar=("ADDRESS", "CERTIFICATE", "KEY"))
     arguments = parser.parse_args()
     os.nice(NICER)
-    for name in ONE_THREAD:
-        os.environ[name] = "1"
+    single_threaded()
     from console.app import serve
     from ronna_hw.command_line.viewers_address import ViewersAddress
     from ronna_hw.errors import RonnaError

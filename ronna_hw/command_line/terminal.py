@@ -33,6 +33,7 @@ from ronna_hw.command_line.usage import asked_for, usage_mistake
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.file_access import own_files
 from ronna_hw.host.interruption import ENDING_SIGNALS
+from ronna_hw.host.linear_algebra import single_threaded
 from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
@@ -61,6 +62,7 @@ _NOTHING_ASKED: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsH
 
 def run(app: typer.Typer) -> NoReturn:
     """Run a command with this process's arguments and exit with the documented code."""
+    single_threaded()
     code = exit_code_of(app, sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to exit
         signal.signal(number, signal.SIG_IGN)

@@ -28,11 +28,11 @@ from procedures.studies.errors import (
 )
 from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.linear_algebra import processes_single_threaded
 
 ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0
 SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
-ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 Finished = Iterator[tuple[Unit, Sums]]
 
@@ -77,7 +77,7 @@ def _runner(
         yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
     else:
         count = workers or len(os.sched_getaffinity(0))
-        with _one_thread_each(), fresh_processes(count) as pool:
+        with processes_single_threaded(), fresh_processes(count) as pool:
             yield _on_pool(pool, study, units, count, Silence([one.name for one in _own(study)], tell))
 
 
@@ -115,21 +115,6 @@ def _end_with_parent() -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Processes started in the block inherit single-threaded linear algebra."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 def _on_pool(
