@@ -36,15 +36,14 @@ class GuideAtRest:
 
     `frame_mm` (3,) is the place of the frame on the mount, tracker frame, and None where it is not seen.
     `worked` says that someone is working through it now: else nothing waits for it. `now_mm` is how far it
-    was from its place when it was seen last, `most_mm` the farthest since; `looked_s` is the theatre time of
-    the last look, `unseen` whether that did not show it.
+    was from its place when it was seen last; `looked_s` is the theatre time of the last look, `unseen` says
+    that this did not show it.
     """
 
     trajectory: str
     tool_mm: Array
     frame_mm: Array | None
     now_mm: float = 0.0
-    most_mm: float = 0.0
     worked: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
@@ -77,7 +76,6 @@ class GuideAtRest:
             self._seen_mm = float(np.linalg.norm(frame_mm - self.frame_mm))
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
         self.now_mm = max(self._seen_mm, by_joints_mm)
-        self.most_mm = max(self.most_mm, self.now_mm)
 
 
 @dataclass

@@ -27,16 +27,9 @@ def outcome_of(case: OperatedCase) -> dict[str, Any]:
 
 
 def measured(run: Path) -> dict[str, Any]:
-    """The results of its measurements, by record; without the largest push on the guide.
-
-    That is the largest of as many readings as the hold lasts, and a hold lasts as long as somebody works.
-    """
+    """The results of its measurements, by record."""
     records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
-    return {
-        one["identifier"]: {key: value for key, value in one["payload"].items() if key != "pushed_mm"}
-        for one in records
-        if one["kind"] in MEASURED
-    }
+    return {one["identifier"]: one["payload"] for one in records if one["kind"] in MEASURED}
 
 
 def targets(run: Path) -> list[dict[str, Any]]:

@@ -54,8 +54,8 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     )
     depth_stop: DepthStop = Field(description="Depth stop of the instrument.")
     pushed_mm: float | None = Field(
-        description="Largest displacement of the guide during the work; none where no push was seen and "
-        "the guide was not watched throughout."
+        description="Largest displacement of the guide after a stage; none where no push was seen and the "
+        "tracker did not see the guide after each. One that was released before is a finding."
     )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."
@@ -89,9 +89,9 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
     if begun.finished_before:
         return _not_watched(begun)
-    if rest.most_mm > PUSHED_MM:
-        context.find(f"the guide was pushed by up to {rest.most_mm:.2f} mm at {trajectory}")
-    pushed_mm = rest.most_mm if begun.watched or rest.most_mm > PUSHED_MM else None
+    pushed = begun.pushed_mm > PUSHED_MM
+    if pushed:
+        context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
     too_deep_mm = begun.stop.too_deep_mm
     error_mm = float(np.linalg.norm(beside_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
     return Outcome(
@@ -100,10 +100,10 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             nominal_error_mm=error_mm,
             too_deep_mm=too_deep_mm,
             depth_stop=begun.stop,
-            pushed_mm=pushed_mm,
+            pushed_mm=begun.pushed_mm if begun.watched or pushed else None,
             done_before=begun.before,
         ),
-        summary=f"instrument within {max(error_mm, rest.most_mm):.2f} mm of where it was sent"
+        summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent"
         f"{'' if begun.watched else '; the guide was not watched throughout'}",
     )
 
@@ -151,6 +151,7 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
 def _look_at_guide(context: StepContext, stage: Stage, rest: GuideAtRest, begun: BegunWork) -> None:
     """After a stage: the guard at the next checkpoint suspends if it is out of place."""
     rest.look(context.workcell, context.setting.clock)
+    begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)
     if rest.unseen:
         begun.watched = False
         if rest.frame_mm is not None:  # else it was told before the work began

@@ -44,7 +44,8 @@ class BegunWork:
     """What was done through the guide, so that it continues there if the step was left.
 
     `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
-    `watched` says that the tracker saw the guide after each stage since.
+    `watched` says that the tracker saw the guide after each stage since, `pushed_mm` how far it was from its
+    place after one at most.
     """
 
     trajectory: str
@@ -52,6 +53,7 @@ class BegunWork:
     before: tuple[str, ...] = ()
     done: list[str] = field(default_factory=list)  # tasks
     watched: bool = True
+    pushed_mm: float = 0.0
 
     @property
     def finished_before(self) -> bool:
