@@ -113,11 +113,7 @@ class Engine:
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))
-            _log.warning(
-                "step refused",
-                step=self._logged(str(key)),
-                unmet=self._logged("; ".join(unmet)),
-            )
+            _log.warning("step refused", step=self._logged(str(key)), unmet=self._logged("; ".join(unmet)))
             raise StepRefused(f"{key} cannot start: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
@@ -239,7 +235,8 @@ class Engine:
     def retreat_home(self) -> None:
         """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
 
-        Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, and what a motion raises.
+        Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, PRO-004 where they end the
+        case on the way, and what a motion raises.
         """
         workcell = self.setting.workcell
         self.faults.require_arm_moves()
@@ -249,8 +246,10 @@ class Engine:
             if (on := workcell.insertion) is not None:
                 withdraw(workcell, on, on.trajectory)
             park(workcell)
-        except BaseException:  # also an interruption: the arm comes to rest
+        except BaseException as ended:  # also an interruption: the arm comes to rest
             workcell.stop()
+            if isinstance(ended, OperatorAborted) and not self.machine.ended:
+                self.abort()
             raise
         finally:
             self._forget_latest()

@@ -187,7 +187,9 @@ class Pilot:
         """Whether the case continues by consent; else what has stopped it, or the way on."""
         try:
             return error, engine.goes_on(error)
-        except OperatorAborted:
+        except OperatorAborted:  # on the way home that was agreed
+            if self.in_charge:
+                self._leave(engine)
             raise
         except RonnaError as problem:
             return problem, False
@@ -216,7 +218,8 @@ class Pilot:
             if not isinstance(met, OperatorAborted):
                 self._tell_fault(engine, met)
         self._leave(engine)
-        engine.abort()
+        if not engine.machine.ended:  # on the way home
+            engine.abort()
         raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
 
     def _leave(self, engine: Engine) -> None:

@@ -31,6 +31,7 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.errors import RonnaError
 
 ANA = "session-ana"
 
@@ -251,6 +252,61 @@ def test_an_abort_at_the_console_asks_for_the_way_home_once_also_at_a_terminal(c
         outcome._run(case.engine, Watcher(held=Prompt("", print), pilot=case.pilot))
     assert [question.topic for question in cell.operator.asked].count(Topic.PARK) == 1
     assert cell.entries("home") == [("home", "")]
+
+
+def aborted_on_its_way_home(case: Operated, cell: RecordingCell) -> None:
+    """The operator pauses the way home, and ends the case there."""
+    case.engine.checkpoint.pause()
+    cell.operator.refusing = (Topic.PAUSE,)
+    try:
+        case.engine.retreat_home()
+    finally:
+        cell.operator.refusing = ()
+
+
+@pytest.mark.hazard(50)
+@pytest.mark.branch("ABORTED")
+def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_attached(
+    cell: RecordingCell,
+) -> None:
+    def fails(_context: StepContext) -> Outcome[StepResult]:
+        raise GateFailed("the cart has moved")
+
+    def agreed(_problem: RonnaError) -> bool:
+        aborted_on_its_way_home(case, cell)
+        return True
+
+    case = Operated(cell.engine(plain_order(image=fails)))
+    away(cell)
+    case.engine.goes_on = agreed
+    with running(case):
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        case.give("next", upcoming="image")
+        eventually(lambda: len(case.ended_by) == 1)
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert case.engine.machine.state == "aborted"
+    assert cell.workcell.at_home
+
+
+@pytest.mark.branch("ABORTED")
+def test_an_abort_on_the_way_home_of_an_abort_at_the_console_ends_the_case(
+    cell: RecordingCell,
+) -> None:
+    cell.operator.refusing = (Topic.PAUSE,)
+    cell.operator.meanwhile = lambda question: (
+        case.engine.checkpoint.pause() if question.topic is Topic.PARK else None
+    )
+    case = Operated(cell.engine(plain_order()))
+    away(cell)
+    with running(case):
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        case.give("abort")
+        eventually(lambda: len(case.ended_by) == 1)
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert (case.engine.machine.state, cell.arm.motions) == ("aborted", [])
+    assert cell.entries("interrupted") == [("interrupted", "")]
 
 
 class NeverRestored:

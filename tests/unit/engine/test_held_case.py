@@ -161,6 +161,25 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     assert engine.machine.state == "aborted"
 
 
+@pytest.mark.branch("ABORTED")
+def test_an_abort_at_a_pause_on_the_way_home_ends_the_case_with_the_arm_at_rest(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell, Topic.PAUSE)
+    stops, motions = cell.arm.stops, len(cell.arm.motions)
+    engine.checkpoint.pause()
+    with pytest.raises(OperatorAborted):
+        engine.retreat_home()
+    assert engine.machine.state == "aborted"
+    assert cell.entries("interrupted") == [("interrupted", "")]
+    assert (cell.arm.stops, len(cell.arm.motions)) == (stops + 1, motions)
+    engine.checkpoint.pause()
+    with pytest.raises(OperatorAborted):  # what has ended ends once
+        engine.retreat_home()
+    assert cell.entries("interrupted") == [("interrupted", "")]
+    cell.operator.refusing = ()
+    engine.retreat_home()
+    assert (cell.arm.joints_rad, engine.machine.state) == (HOME, "aborted")
+
+
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: RecordingCell) -> None:
