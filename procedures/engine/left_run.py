@@ -16,6 +16,7 @@ from procedures.workcell.arm_history import ArmHistory, arm_history
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import NOT_AS_LEFT, RECORDS_FOLDER, Problem, inspected
 from ronna_hw.evidence.journal_reading import Chain
+from ronna_hw.evidence.unsealed import UNSEALED, unsealed
 from ronna_hw.records import BadRecord, Record
 
 
@@ -27,6 +28,9 @@ class LeftRun:
     chain: Chain
     changes: tuple[Problem, ...] = ()  # of its folder, that do not keep an arm from leaving
     not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # those files, with their hashes
+    unsealed: Mapping[str, int] = field(
+        default_factory=dict
+    )  # files that nothing confirms, with their length
 
     @property
     def has_journal(self) -> bool:
@@ -40,7 +44,8 @@ class LeftRun:
             "torn_bytes": len(self.chain.torn),
             "orphans": list(self.orphans),
         }
-        return plain | ({NOT_AS_LEFT: dict(self.not_as_left)} if self.not_as_left else {})
+        files = {NOT_AS_LEFT: self.not_as_left, UNSEALED: self.unsealed}
+        return plain | {field: dict(named) for field, named in files.items() if named}
 
     @property
     def arm(self) -> ArmHistory:
@@ -118,7 +123,7 @@ def read_left_run(folder: Path, *, only_leaving: bool = False) -> LeftRun:
     """
     found = inspected(folder)
     found = found.require_account() if only_leaving else found.require_unchanged()
-    return LeftRun(run_of(found), found.chain, found.changes, found.not_as_left)
+    return LeftRun(run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found))
 
 
 def step_key(line: Line) -> StepKey:

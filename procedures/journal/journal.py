@@ -34,6 +34,7 @@ from ronna_hw.evidence.seal import ROOM_FILE
 __all__ = [
     "ENDS_OF_A_STEP",
     "JOURNAL_FILE",
+    "OF_EVERY_LINE",
     "TORN_FILE",
     "Entry",
     "Journal",
@@ -48,6 +49,7 @@ ROOM_BYTES = 1 << 20  # a last line names every file of the run and every slice 
 BLOCK_BYTES = 4096  # what a power loss may tear or empty at the end of a file
 # A result, or where an instrument is, must not share a block with lines that follow it: spaces fill the rest.
 FILLING = (Entry.RESULT, Entry.INSTRUMENT)
+OF_EVERY_LINE = ("sequence", "previous", "entry", "host_time", "theatre_time_s")
 ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 

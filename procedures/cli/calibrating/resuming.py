@@ -14,7 +14,7 @@ from procedures.cli.calibrating.running import opened_steps
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CalibrationRun
-from procedures.cli.runs.left_runs import close_left, make_ready, require_free_devices
+from procedures.cli.runs.left_runs import close_again, close_left, make_ready, require_free_devices
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
@@ -35,6 +35,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
     if left.finished:
         if not is_sealed(folder):  # it was killed between its last line and its seal
             make_ready(left)
+            close_again(left)
             leave_report(folder, told=False)
             seal_run(folder)
         tell(f"{left.run.name} is finished: nothing remains to be done")

@@ -18,7 +18,7 @@ from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
 from procedures.engine.theatre_lock import require_free_theatre
 from procedures.journal.errors import JournalNotWritable
-from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
+from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
 from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
 from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
@@ -90,6 +90,17 @@ def close_left(
     journal.write(Entry.RESTARTED, moment_s, **left.as_plain())
     close_run(folder, journal, moment_s, outcome, clinical, **more)
     return read_left_run(folder)
+
+
+def close_again(left: LeftRun) -> LeftRun:
+    """Write the end of a run again that was closed and not sealed, with what lies there unconfirmed."""
+    last = left.run.journal[-1]
+    journal = Journal.taken_up(left.run.path, left.chain)
+    journal.write(Entry.RESTARTED, theatre_time_s(last), **left.as_plain())
+    said = {field: value for field, value in last.items() if field not in OF_EVERY_LINE}
+    journal.write(Entry.CLOSED, theatre_time_s(last), **said)
+    journal.close()
+    return read_left_run(left.run.path)
 
 
 def require_free_devices(request: CaseRequest | CalibrationRun) -> None:

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.truth import truth_if_any
+from procedures.cli.runs.left_runs import close_again
+from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import tell
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspected, is_closed
 from ronna_hw.evidence.seal import BESIDE, SEAL_FILE, is_sealed
 from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.host.interruption import interruption_deferred
@@ -34,6 +36,8 @@ def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation 
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
             forget_unconfirmed_truth(run)
+            if is_closed(found.chain.lines) and not is_sealed(run):
+                close_again(read_left_run(run))
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         if out is not None:

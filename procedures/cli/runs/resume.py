@@ -12,6 +12,7 @@ from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.runs.left_runs import (
+    close_again,
     close_left,
     held_left_run,
     make_ready,
@@ -57,6 +58,7 @@ def resume(
             sealed = is_sealed(left.run.path)
             if not sealed:  # it was killed between its last line and its seal
                 make_ready(left)
+                left = close_again(left)
             outcome = _as_it_ended(request, left)
             if not sealed:
                 leave_report(left.run.path, told=False)

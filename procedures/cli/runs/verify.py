@@ -10,12 +10,14 @@ from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of
+from ronna_hw.evidence.unsealed import told_unsealed
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
     """Print what is changed, missing or added; ends with exit code 3 when anything is."""
     found = inspected(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
+    not_vouched_for = list(told_unsealed(found.chain.lines))
     checked = sum(1 for _ in files_of(folder))
     if as_json:
         print_json(
@@ -24,6 +26,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
                 "whole": not problems,
                 "files": checked,
                 "problems": [asdict(one) for one in problems],
+                "not_vouched_for": not_vouched_for,
                 "raw_missing": missing,
             }
         )
@@ -32,6 +35,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(str(problem))
         if not problems:
             say(f"{folder.resolve().name}: intact, {checked} files are as the run left them")
+        for sentence in not_vouched_for:
+            say(sentence)
         if missing:
             say(f"{missing}; {WRITES_ALL}")
     if problems:

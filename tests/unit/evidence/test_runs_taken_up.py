@@ -1,11 +1,15 @@
 """Resuming a finished run or sending its arm home does not vouch for changed files."""
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from finished_runs import changed_files, gone_home, sealed
+from finished_runs import changed_files, gone_home, sealed, without_last_lines
+from user_commands import in_this_process
 
+from procedures.cli.procedure import app as ronna_procedure
+from procedures.cli.runs.report import make_report
 from procedures.engine.closing import close_run
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
@@ -13,6 +17,7 @@ from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
+from ronna_hw.evidence.unsealed import UNSEALED, told_unsealed
 
 READINGS = "readings.jsonl"
 
@@ -145,3 +150,67 @@ def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
     journal.write(Entry.FINDING, 1.0, text="all is well")
     journal.close()
     assert changed_files(run) == {JOURNAL_FILE}
+
+
+def session_after_a_kill(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    without_last_lines(run, 1)
+    (run / "log.jsonl").write_text("not what was logged\n")
+    gone_home(run)
+
+
+def session_without_a_seal_before_it(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    (run / "log.jsonl").write_text("not what was logged\n")
+    gone_home(run)
+
+
+def homing_over_a_changed_log(run: Path) -> None:
+    (run / "log.jsonl").write_text("not what was logged\n")
+    gone_home(run)
+
+
+def report_without_a_seal(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    (run / "log.jsonl").write_text("not what was logged\n")
+    make_report(run)
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(
+    ("happens", "also"),
+    [
+        (session_after_a_kill, {"theatre/world.json", "theatre/truth.jsonl", "case/plan.toml"}),
+        (session_without_a_seal_before_it, {"theatre/world.json"}),
+        (homing_over_a_changed_log, set()),
+        (report_without_a_seal, {"theatre/world.json"}),
+    ],
+)
+def test_verify_names_what_a_later_session_sealed_as_it_lay(
+    run: Path, happens: Callable[[Path], None], also: set[str]
+) -> None:
+    assert told_by_verify(run) == []
+    happens(run)
+    lines = tuple(read_journal(run / JOURNAL_FILE))
+    (number,) = [one for one, line in enumerate(lines) if UNSEALED in line]
+    assert lines[number][UNSEALED].keys() == {"log.jsonl", *also}
+    (sentence,) = told_by_verify(run)
+    assert "log.jsonl (20 bytes)" in sentence
+    assert f"after line {number} of its journal" in sentence
+    gone_home(run)  # from a seal on, which hides nothing of before
+    assert told_by_verify(run) == [sentence]
+
+
+def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> None:
+    files = {"log.jsonl": 9, "bytes/a": 1, "bytes/b": 2, "theatre/world.json": 3}
+    (sentence,) = told_unsealed(({"entry": Entry.RESTARTED, UNSEALED: files},))
+    assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) lay" in sentence
+
+
+def told_by_verify(run: Path) -> list[str]:
+    verified = in_this_process(ronna_procedure, "verify", run, "--json")
+    told = json.loads(verified.stdout)
+    assert (verified.returncode, told["whole"]) == (0, True), told
+    shown = in_this_process(ronna_procedure, "verify", run).stdout.splitlines()
+    assert shown[1:] == told["not_vouched_for"]
+    return list(told["not_vouched_for"])

@@ -1,0 +1,84 @@
+"""What a program that took a run up had to take as it lay: nothing confirmed it since its session ended.
+
+A run that was killed has no seal, and may go on. The next seal covers its log too, and would hide that this
+could have been changed in between; so the journal says what lay there without one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import PurePosixPath
+
+from ronna_hw.evidence.inspection import (
+    LASTING,
+    PICTURES_FOLDER,
+    RECORDS_FOLDER,
+    REQUEST_FILE,
+    Inspection,
+    closed_files,
+    hashes_in,
+    is_closed,
+    not_vouched_for,
+)
+from ronna_hw.evidence.journal_reading import Line
+from ronna_hw.evidence.seal import files_of, is_later, is_sealed
+from ronna_hw.evidence.truth_so_far import told_truth
+from ronna_hw.records import PARTIAL
+from ronna_hw.text.counting import counted
+from ronna_hw.text.printable import printable
+
+UNSEALED = "unsealed"  # in a `restarted` line: name -> bytes
+REPORT = "report"  # made anew at every end
+
+
+def unsealed(found: Inspection) -> dict[str, int]:
+    """Files that neither journal nor seal confirms, with their length; without those that are problems."""
+    lines = found.chain.lines
+    if not lines:
+        return {}
+    known = {*found.not_as_left, *not_vouched_for(lines)}
+    if is_sealed(found.folder):
+        doubtful = {one.file for one in found.changes if is_later(one.file)}
+    else:
+        doubtful = {name for name, _ in files_of(found.folder)}
+        known |= _confirmed(lines)
+    return {
+        name: path.lstat().st_size
+        for name, path in files_of(found.folder)
+        if name in doubtful - known and not name.startswith(REPORT) and not name.endswith(PARTIAL)
+    }
+
+
+def told_unsealed(lines: tuple[Line, ...]) -> Iterator[str]:
+    """What the seal covers and does not vouch for, in sentences."""
+    for number, line in enumerate(lines):
+        files = line.get(UNSEALED)
+        if isinstance(files, Mapping) and files:
+            yield (
+                f"not vouched for: {', '.join(_named(files))} lay without a seal when the run was taken up "
+                f"after line {number} of its journal; a change before that would not show"
+            )
+
+
+def _confirmed(lines: tuple[Line, ...]) -> set[str]:
+    """What the journal names with its hash, or with its content."""
+    closed = closed_files(lines)
+    return {
+        *(name for name in closed if is_closed(lines) or name.startswith(LASTING)),
+        *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
+        *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
+        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
+        *told_truth(lines),
+    }
+
+
+def _named(files: Mapping[str, object]) -> Iterator[str]:
+    """Files with their length; those of a folder by their number."""
+    folders: dict[str, list[str]] = {}
+    for name in map(str, files):
+        folders.setdefault(str(PurePosixPath(name).parent), []).append(name)
+    for folder, names in folders.items():
+        if len(names) > 1 and folder != ".":
+            yield f"{printable(folder)} ({counted(len(names), 'file')})"
+        else:
+            yield from (f"{printable(name)} ({files[name]} bytes)" for name in names)
