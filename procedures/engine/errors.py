@@ -121,10 +121,10 @@ class FaultOfRun(RefusedError):
 
 
 class TheatreNotNoted(RefusedError):
-    """The file that remembers the last run that moved the arm of a theatre cannot be written."""
+    """The file that remembers the last run that moved the arm cannot be written."""
 
     code = "PRO-045"
-    action = "Make that file writable for everyone who uses this theatre."
+    action = "Make that file writable for everyone who uses this arm."
 
 
 class TheatreInUse(RefusedError):

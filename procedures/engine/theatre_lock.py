@@ -1,7 +1,7 @@
-"""One program at a time has the devices of a theatre file; a note next to the file says for which run.
+"""One program at a time has the devices of a theatre; a note says for which run, and which one moved the arm.
 
-Both files are locked: the note survives an editor that replaces the theatre file, and the theatre file is
-there for a user who can neither write nor make the note.
+Note and theatre file are locked: the note is of the arm, whatever the file is called, and the file is there
+for a user who can neither write nor make the note.
 """
 
 from __future__ import annotations
@@ -14,33 +14,15 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
-
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
-from procedures.journal.journal import JOURNAL_FILE, Entry
-from ronna_hw.bounded_input import read_json_bytes
+from procedures.engine.theatre_note import TheatreNote, note_file, read_note
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, holder_of_lock
 
 READABLE_BY_ALL = 0o444
-
-
-class TheatreNote(BaseModel):
-    """Content of the lock file: the last run that had the devices, and the last before it that moved."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    run: Path | None = None
-    pid: int | None = None
-    lines_before: NonNegativeInt = 0  # of its journal: what it moved before it had the devices does not count
-    moved_before: Path | None = None
-
-    @property
-    def last_moved(self) -> Path | None:
-        """The last run that moved the arm, if its journal can still be read."""
-        moved = self.run is not None and _may_have_moved(self.run, self.lines_before)
-        return self.run if moved else self.moved_before
+WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remove only their own
 
 
 @dataclass(frozen=True)
@@ -66,17 +48,17 @@ class TheatreUser:
 
 
 @contextmanager
-def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[Path | None]:
-    """Hold the devices of a theatre file for a run; yields the last run before it that moved their arm.
+def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
+    """Hold the devices of a theatre file for a run; yields how the runs before it left their arm.
 
     Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one,
     unless it is `only_leaving`: nothing keeps an arm over the head.
     """
     if user := _user_of_own_run(theatre):
         raise _in_use(user)
-    path = _lock_file(theatre)
+    path = note_file(theatre)
     with ExitStack() as stack:
-        noted = _opened(path, os.O_RDWR | os.O_CREAT)
+        noted = _opened_note(path)
         for file in (_opened(path) if noted is None else noted, _opened(theatre)):
             if file is not None:
                 stack.callback(os.close, file)
@@ -84,18 +66,28 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
         if noted is not None:
             with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
                 os.fchmod(noted, os.fstat(noted).st_mode | READABLE_BY_ALL)
-        moved = read_note(path).last_moved
-        note = TheatreNote(
-            run=run and run.resolve(),
-            pid=os.getpid(),
-            lines_before=0 if run is None else _journal_lines(run),
-            moved_before=moved,
+        before = read_note(path).settled()
+        lines = 0 if run is None else _journal_lines(run)
+        note = before.model_copy(
+            update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
         )
         if not (_written(noted, note) or only_leaving):
             raise TheatreNotNoted(
                 f"cannot write {path}: a later run could not know that this one left the arm away from home"
             )
-        yield moved
+        try:
+            yield before
+        finally:  # from here on its folder may be moved
+            _written(noted, note.settled())
+
+
+def _opened_note(path: Path) -> int | None:
+    with suppress(OSError):  # it is there, or nothing can be made there
+        path.parent.mkdir()
+        path.parent.chmod(WRITABLE_BY_ALL)
+    # Where everyone may write, a file of another user can be opened only without making it.
+    made = _opened(path, os.O_RDWR | os.O_CREAT)
+    return _opened(path, os.O_RDWR) if made is None else made
 
 
 def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
@@ -132,7 +124,7 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
     """Who has the devices of a theatre file now, as far as this user may see."""
     if user := _user_of_own_run(theatre):
         return user
-    path = _lock_file(theatre)
+    path = note_file(theatre)
     for file in (_opened(path), _opened(theatre)):
         if file is None:
             continue
@@ -144,21 +136,22 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
     return None
 
 
-def last_moved(theatre: Path) -> Path | None:
-    """The last run that moved the arm of a theatre file, whether or not a program has its devices."""
-    return read_note(_lock_file(theatre)).last_moved
+def last_moved(theatre: Path) -> TheatreNote:
+    """How the arm of a theatre file was left, whether or not a program has its devices."""
+    return read_note(note_file(theatre)).settled()
 
 
 def unwritable_note(theatre: Path) -> Path | None:
     """The note that this user may not write, as `held_theatre` needs to; None if it may."""
-    path = _lock_file(theatre)
-    return None if os.access(path if path.exists() else path.parent, os.W_OK) else path
+    path = note_file(theatre)
+    there = next(place for place in (path, *path.parents) if place.exists())
+    return None if os.access(there, os.W_OK) else path
 
 
 def last_runs(theatre: Path) -> tuple[Path, ...]:
     """The last run that moved the arm of a theatre file, and the last that had its devices."""
-    note = read_note(_lock_file(theatre))
-    return tuple(run for run in (note.last_moved, note.run) if run is not None)
+    note = last_moved(theatre)
+    return tuple(run for run in (note.moved_before, note.run) if run is not None)
 
 
 def require_free_theatre(theatre: Path) -> None:
@@ -191,37 +184,6 @@ def _user_of_own_run(theatre: Path) -> TheatreUser | None:
     finally:
         os.close(folder)
     return None if holder is None else TheatreUser(run, holder)
-
-
-def _lock_file(theatre: Path) -> Path:
-    theatre = theatre.resolve()
-    return theatre.with_name(f".{theatre.name}.in-use")
-
-
-def read_note(path: Path) -> TheatreNote:
-    """What a lock file says; nothing if it cannot be read."""
-    try:
-        return TheatreNote.model_validate_json(read_json_bytes(path))
-    except (OSError, RonnaError, ValidationError):
-        return TheatreNote()
-
-
-def _may_have_moved(run: Path, lines_before: int) -> bool:
-    """Also one whose journal cannot be read, or has lost its end; not one whose folder was removed, as of a
-    refused run."""
-    try:
-        chain = read_chain(run / JOURNAL_FILE)
-    except (OSError, RonnaError):
-        return is_there(run)
-    return bool(chain.torn) or any(line["entry"] == Entry.MOTION for line in chain.lines[lines_before:])
-
-
-def is_there(run: Path) -> bool:
-    """Whether its folder is there, or in a place that is hidden from this user."""
-    try:
-        return run.exists()
-    except OSError:
-        return True
 
 
 def _journal_lines(run: Path) -> int:

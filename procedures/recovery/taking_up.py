@@ -16,6 +16,7 @@ from procedures.engine.errors import RecoveryRefused
 from procedures.engine.hands import IN_GAUGE
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.step import StepKey
+from procedures.engine.theatre_note import NOT_KNOWN
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
@@ -139,6 +140,8 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
         return
     if engine.setting.workcell.at_home:
         comparison.warn(f"{away}; it is at the home of this run now")
+    elif away == NOT_KNOWN:  # it may have been this very run: the operator decides
+        comparison.warn(away)
     else:
         comparison.refuse(away)
 

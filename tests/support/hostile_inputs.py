@@ -69,7 +69,7 @@ from procedures.cli.case.answers import read_answers
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.events.followed_run import FollowedRun
-from procedures.engine.theatre_lock import TheatreNote, read_note
+from procedures.engine.theatre_note import TheatreNote, read_note
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
@@ -293,7 +293,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "events": Parser((events_file(),), of_run("events.jsonl", events)),
         "theatre in use": Parser(
             (TheatreNote(run=folder / "a", pid=7, moved_before=folder / "b").model_dump_json().encode(),),
-            of_file("in-use", lambda path: read_note(path).last_moved),
+            of_file("in-use", lambda path: read_note(path).settled()),
         ),
         "seal": Parser((seal,), of_run("seal.json", read_seal)),
         "request": Parser((request.encode(),), of_run("request.json", read_request)),

@@ -9,19 +9,24 @@ import shlex
 from pathlib import Path
 
 from procedures.cli.case.request_file import read_request
-from procedures.engine.theatre_lock import is_there
+from procedures.engine.theatre_note import NOT_KNOWN, TheatreNote, is_there
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
+JOG = "jog it home with the controller's pendant"
 
-def left_away(last: Path | None, run: Path | None) -> str | None:
-    """What the operator of `run`, or of a new one, must know of the `last` one that moved this theatre's arm.
 
-    None if it brought the arm home, is that run itself, or nothing is known of one.
+def left_away(note: TheatreNote, run: Path | None) -> str | None:
+    """What the operator of `run`, or of a new one, must know of the last one that moved this theatre's arm.
+
+    None if it brought the arm home, is that run itself, or there is none.
     """
-    if last is None or (run is not None and last.resolve() == run.resolve()):
+    if note.unreadable:
+        return NOT_KNOWN
+    last = note.moved_before
+    if last is None or (run is not None and _is_same(last, run)):
         return None
     try:
         chain = read_chain(last / JOURNAL_FILE)
@@ -29,12 +34,25 @@ def left_away(last: Path | None, run: Path | None) -> str | None:
         if not (away or chain.torn):
             return None
     except (RonnaError, OSError):
-        unread = f"run {last.name} moved the arm last, and its journal cannot be read"
-        return unread if is_there(last) else None
+        if is_there(last):
+            return f"run {last.name} moved the arm last, and its journal cannot be read"
+        gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
+        return None if note.at_home else f"{gone}; put it back for ronna-procedure home, or {JOG}"
     verb = "left" if away else "has lost the end of its journal, and may have left"
     left = f"run {last.name} {verb} the arm away from its home"
     try:
         read_request(last)
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
-        return f"{left}; jog it home with the controller's pendant"
+        return f"{left}; {JOG}"
     return f"{left}; ronna-procedure home {shlex.quote(str(last))} brings it there"
+
+
+def _is_same(last: Path, run: Path) -> bool:
+    """Also under a new name, by its journal."""
+    if last.resolve() == run.resolve():
+        return True
+    try:
+        first, *_ = read_chain(run / JOURNAL_FILE).lines or ({},)
+    except (RonnaError, OSError):
+        return False
+    return not is_there(last) and first.get("run") == last.name

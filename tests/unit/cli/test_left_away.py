@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.cli.doctor.theatre_use import use_diagnostics
 from procedures.cli.procedure import app
-from procedures.engine import theatre_lock
+from procedures.engine import theatre_note
 from procedures.engine.order import order_of
 from procedures.engine.theatre_lock import held_theatre
+from procedures.engine.theatre_note import NOT_KNOWN, TheatreNote
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
@@ -34,6 +36,7 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
     theatre.touch()
     if resumable:
         write_request(CaseRequest(out=runs, config=theatre, case=runs), cell.folder)
+    cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     with held_theatre(theatre, cell.folder):
         for what in whats:
             cell.journal.write(Entry.MOTION, 0.0, what=what)
@@ -49,6 +52,7 @@ def warning(runs: Path) -> str | None:
 
 def warning_of(run: Path) -> str | None:
     """What a session of that run on the theatre is warned of."""
+    run.mkdir(exist_ok=True)
     with held_theatre(run.parent / "theatre.toml", run) as last:
         return left_away(last, run)
 
@@ -88,7 +92,7 @@ def test_a_run_in_a_place_hidden_from_this_user_is_named(
     def hidden(*_: object, **__: object) -> None:
         raise PermissionError
 
-    monkeypatch.setattr(theatre_lock, "read_chain", hidden)
+    monkeypatch.setattr(theatre_note, "read_chain", hidden)
     monkeypatch.setattr(left_away_module, "read_chain", hidden)
     monkeypatch.setattr(Path, "exists", hidden)
     assert warning(tmp_path) == f"run {away.name} moved the arm last, and its journal cannot be read"
@@ -102,9 +106,10 @@ def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
 ) -> None:
     run = earlier(tmp_path, 1, *before)
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
-    journal.write(Entry.MOTION, 0.0, what="go")
-    if end:
-        journal.write(Entry.MOVED, 0.0, **end)
+    with held_theatre(tmp_path / "theatre.toml", run):
+        journal.write(Entry.MOTION, 0.0, what="go")
+        if end:
+            journal.write(Entry.MOVED, 0.0, **end)
     journal.close()
     assert f"ronna-procedure home {run}" in str(warning(tmp_path))
 
@@ -129,6 +134,47 @@ def test_a_run_that_lost_the_end_of_its_journal_may_have_left_the_arm_away(tmp_p
         journal.write(bytes(100))
     lost = f"run {torn.name} has lost the end of its journal, and may have left the arm away"
     assert str(warning(tmp_path)).startswith(lost)
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_run_whose_folder_was_moved_is_not_forgotten(tmp_path: Path, killed: bool) -> None:
+    away = earlier(tmp_path, 1, "go")
+    if killed:
+        (tmp_path / ".theatre.toml.in-use").write_text(TheatreNote(run=away, pid=1).model_dump_json())
+    moved = away.rename(tmp_path / "elsewhere")
+    gone = f"run {away.name} moved the arm last, and its folder {away} is gone; put it back"
+    for _ in range(2):
+        assert str(warning(tmp_path)).startswith(gone)
+    done = in_this_process(app, "home", earlier(tmp_path, 2), "--json")
+    assert done.returncode == EXIT_RECOVERY_NEEDED
+    assert f"PRO-032: {gone}" in done.stderr
+    assert warning_of(moved) is None
+
+
+def test_a_run_that_brought_the_arm_home_may_be_removed(tmp_path: Path) -> None:
+    home = earlier(tmp_path, 1, "go", "home")
+    shutil.rmtree(home)
+    for _ in range(2):
+        assert warning(tmp_path) is None
+
+
+@pytest.mark.hazard(5)
+def test_a_killed_run_whose_folder_is_gone_may_have_moved_the_arm(tmp_path: Path) -> None:
+    unmoved = earlier(tmp_path, 1)
+    (tmp_path / ".theatre.toml.in-use").write_text(TheatreNote(run=unmoved, pid=1).model_dump_json())
+    shutil.rmtree(unmoved)
+    assert f"its folder {unmoved} is gone" in str(warning(tmp_path))
+
+
+@pytest.mark.hazard(5)
+def test_a_damaged_note_is_asked_about_until_a_run_moves_the_arm(tmp_path: Path) -> None:
+    earlier(tmp_path, 1, "go")
+    (tmp_path / ".theatre.toml.in-use").write_bytes(b'{"run": "/ru')
+    for _ in range(2):
+        assert warning(tmp_path) == NOT_KNOWN
+    earlier(tmp_path, 2, "go", "home")
+    assert warning(tmp_path) is None
 
 
 @pytest.mark.hazard(5)

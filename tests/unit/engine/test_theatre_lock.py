@@ -9,8 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from procedures.engine import theatre_note
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
-from procedures.engine.theatre_lock import held_theatre, require_free_theatre, theatre_user
+from procedures.engine.theatre_lock import held_theatre, last_moved, require_free_theatre, theatre_user
+from procedures.engine.theatre_note import TheatreNote, read_note
 
 
 @pytest.fixture
@@ -18,6 +20,14 @@ def theatre(tmp_path: Path) -> Path:
     path = tmp_path / "theatre.toml"
     path.write_text("schema = 1")
     return path
+
+
+@pytest.fixture
+def arms_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where the notes of real arms are for this test, instead of the computer's own."""
+    folder = tmp_path / "arms"
+    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", folder)
+    return folder
 
 
 def lock_file(theatre: Path) -> Path:
@@ -64,11 +74,59 @@ def test_a_note_of_another_process_names_no_run(theatre: Path) -> None:
         assert user.run is None
 
 
-@pytest.mark.parametrize("content", [b"", b"{", b"[1]", b'{"run": 5}', b'{"run": "a\\u0000b"}', b"\xff"])
-def test_a_damaged_note_is_as_good_as_none(theatre: Path, content: bytes) -> None:
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("content", [b"{", b"[1]", b'{"run": 5}', b"\xff"])
+def test_from_a_damaged_note_nobody_knows_who_moved_the_arm_until_a_run_moves_it(
+    theatre: Path, content: bytes
+) -> None:
     lock_file(theatre).write_bytes(content)
-    with held_theatre(theatre, theatre.parent / "run-1") as last:
-        assert last is None
+    for _ in range(2):
+        assert last_moved(theatre).unreadable
+        with held_theatre(theatre, None) as before:
+            assert before.unreadable
+    assert read_note(theatre.with_name("none")) == TheatreNote()
+    lock_file(theatre).write_bytes(b"")  # made, and its program killed
+    assert not last_moved(theatre).unreadable
+
+
+def test_a_killed_run_with_a_name_that_no_folder_has_may_have_moved_the_arm(theatre: Path) -> None:
+    lock_file(theatre).write_bytes(b'{"run": "a\\u0000b", "pid": 1}')
+    assert last_moved(theatre).moved_before == Path("a\0b")
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize("endpoint", ["tcp://192.168.10.2:54602", "serial:///dev/ttyUSB3"])
+def test_a_copy_of_a_theatre_file_is_the_same_arm(tmp_path: Path, arms_folder: Path, endpoint: str) -> None:
+    one, other = with_arm(tmp_path / "a.toml", endpoint), with_arm(tmp_path / "b" / "a.toml", endpoint, 2)
+    with held_theatre(one, None):
+        with pytest.raises(TheatreInUse):
+            held_theatre(other, None).__enter__()
+        assert theatre_user(other) is not None
+    (made,) = arms_folder.iterdir()
+    assert made.name in ("192.168.10.2.in-use", "_dev_ttyUSB3.in-use")
+    assert arms_folder.stat().st_mode & 0o1777 == 0o1777
+    with held_theatre(with_arm(tmp_path / "c.toml", "tcp://192.168.10.3:54602"), None):
+        require_free_theatre(one)
+
+
+def test_simulated_arms_at_the_same_address_are_used_side_by_side(tmp_path: Path, arms_folder: Path) -> None:
+    one, other = (
+        with_arm(tmp_path / name, "tcp://127.0.0.1:54602", local="127.0.0.1") for name in ("a.toml", "b.toml")
+    )
+    with held_theatre(one, None), held_theatre(other, None):
+        assert theatre_user(one) is not None
+    assert not arms_folder.exists()
+
+
+def with_arm(path: Path, endpoint: str, cycle_ms: int = 4, local: str = "0.0.0.0") -> Path:
+    """A theatre file with an arm whose controller is there."""
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(
+        'schema = 1\ntheatre = "lab"\n[robot.master]\ndriver = "kuka_rsi"\n'
+        f'endpoints = {{ rsi = "udp://{local}:59152", eki = "{endpoint}" }}\n'
+        f"options = {{ cycle_ms = {cycle_ms} }}\n"
+    )
+    return path
 
 
 @pytest.fixture
@@ -77,7 +135,7 @@ def read_only(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextMa
     opened = os.open
 
     def for_reading(path: Path, flags: int, *mode: int) -> int:
-        if flags & os.O_CREAT:
+        if flags & os.O_RDWR:
             raise PermissionError
         return opened(path, flags, *mode)
 

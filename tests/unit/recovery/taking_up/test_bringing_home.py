@@ -13,6 +13,7 @@ from run_again import broken_off, opened_again
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
+from procedures.engine.theatre_note import NOT_KNOWN
 from procedures.operator.topic import Topic
 from procedures.recovery import bring_home, recover
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
@@ -129,6 +130,17 @@ def test_an_arm_that_was_jogged_home_after_another_run_does_not_keep_this_one_fr
     engine.setting = replace(engine.setting, left_away=B_LEFT)
     recover(engine, left)
     assert B_LEFT in again.operator.asked[0].value
+
+
+@pytest.mark.parametrize("way", [bring_home, recover])
+def test_where_no_note_says_who_moved_the_arm_last_the_operator_decides(
+    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    assert not again.workcell.at_home
+    engine.setting = replace(engine.setting, left_away=NOT_KNOWN)
+    way(engine, left)
+    assert NOT_KNOWN in again.operator.asked[0].value
 
 
 @pytest.mark.hazard(2)

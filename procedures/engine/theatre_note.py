@@ -1,0 +1,102 @@
+"""The note of an arm: which run has its devices, and how the last one that moved it left it.
+
+The arm decides which note it is, by the address of its controller: a copy of the theatre file, or one with
+other records, is the same arm. A simulated arm is where its theatre is; another may have its address next.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+
+from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.workcell.arm_history import arm_history
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.config import MASTER, read_theatre_file
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.theatre_kind import on_this_computer
+
+ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
+
+NOT_KNOWN = (
+    "the note about the last run on this arm cannot be read: it may have left the arm away from its home"
+)
+
+
+class TheatreNote(BaseModel):
+    """Content of a note."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    run: Path | None = None  # the last that had the devices
+    pid: int | None = None  # of its program, until it has written how it left the arm
+    lines_before: NonNegativeInt = 0  # of its journal: what it moved before it had the devices does not count
+    moved_before: Path | None = None  # the last run that moved the arm, `run` included once `pid` is gone
+    at_home: bool = False  # that is where it left it
+    unreadable: bool = False  # a note before was, and no run has moved the arm since
+
+    def settled(self) -> TheatreNote:
+        """With what `run` did, from its journal; one that is gone may have done anything."""
+        home = None if self.pid is None or self.run is None else _left_home(self.run, self.lines_before)
+        if home is None:
+            return self.model_copy(update={"pid": None})
+        return TheatreNote(run=self.run, moved_before=self.run, at_home=home)
+
+
+def _left_home(run: Path, lines_before: int) -> bool | None:
+    """Whether a run brought the arm home; None for one that has moved nothing, as far as that is certain."""
+    try:
+        if run.is_dir() and not (run / JOURNAL_FILE).exists():
+            return None
+        chain = read_chain(run / JOURNAL_FILE)
+        if not chain.torn and not any(line["entry"] == Entry.MOTION for line in chain.lines[lines_before:]):
+            return None
+        return not (chain.torn or arm_history(chain.lines).left_home)
+    except (OSError, RonnaError):
+        return False
+
+
+def note_file(theatre: Path) -> Path:
+    """Where the note of a theatre's arm is; next to the theatre file where only that tells arms apart."""
+    theatre = theatre.resolve()
+    if controller := _controller(theatre):
+        return ARMS_FOLDER / f"{controller}.in-use"
+    return theatre.with_name(f".{theatre.name}.in-use")
+
+
+def _controller(theatre: Path) -> str:
+    """The addresses at which a real arm is reached; empty for a simulated one, and without any."""
+    try:
+        arm = read_theatre_file(theatre).robot.get(MASTER)
+    except RonnaError:  # nothing runs with it
+        return ""
+    if arm is None:
+        return ""
+    texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
+    peers = [parse_endpoint(text) for text in texts]
+    if any(map(on_this_computer, peers)):
+        return ""
+    # At a UDP endpoint this computer listens: it says nothing about who sends there.
+    return "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
+
+
+def read_note(path: Path) -> TheatreNote:
+    """What a note says; nothing is known from one that is damaged, and one that is not there says nothing."""
+    try:
+        content = read_json_bytes(path)
+        return TheatreNote.model_validate_json(content) if content else TheatreNote()
+    except FileNotFoundError:
+        return TheatreNote()
+    except (OSError, RonnaError, ValidationError):
+        return TheatreNote(unreadable=True)
+
+
+def is_there(run: Path) -> bool:
+    """Whether its folder is there, or in a place that is hidden from this user."""
+    try:
+        return run.exists()
+    except OSError:
+        return True
