@@ -33,6 +33,7 @@ class BodyView:
         self._bodies: Bodies | None = None
         self._published: Bodies | None = None
         self._looks = 0
+        self._streamed = False  # at the last look
         self._cameras: tuple[CameraView, ...] = ()
 
     def at(self, pose: Pose) -> Pose:
@@ -48,14 +49,22 @@ class BodyView:
             changes |= {"tool_mm": _rounded((x, y, z)), "tool_rows": tuple(rows)}
         return pose.model_copy(update=changes)
 
-    def publish(self, events: EventStream) -> None:
-        """Publish the bodies if they are others than before, and now and then the health of the link."""
+    def publish(self, events: EventStream, *, last: bool = False) -> None:
+        """Publish the bodies if they are others than before, and now and then the health of the link.
+
+        The link's also once its stream has ended, and at the `last` look while it has not.
+        """
         if self._current() is not self._published:
             self._published = self._current()
             told = _as_event(self._published)
             events.publish(told.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
-        if self._looks % LINK_EVERY == 0:
+        streamed, self._streamed = self._streamed, self._workcell.streaming
+        if self._streamed:
+            due = last or self._looks % LINK_EVERY == 0
+        else:
+            due = streamed  # its last cycles
+        if due:
             self._publish_link(events)
 
     def _current(self) -> Bodies:
@@ -68,8 +77,6 @@ class BodyView:
         return self._bodies
 
     def _publish_link(self, events: EventStream) -> None:
-        if not self._workcell.streaming:
-            return
         try:
             link = self._workcell.link_statistics()
         except RonnaError:  # its session has just ended

@@ -55,7 +55,7 @@ class DeviceWatch:
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 
-    def look(self) -> None:
+    def look(self, *, last: bool = False) -> None:
         """Publish what is new about every device."""
         for role, device in self._devices.items():
             seen = device.observe()
@@ -81,7 +81,7 @@ class DeviceWatch:
                 pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)
                 self._events.publish(pose if self._bodies is None else self._bodies.at(pose))
         if self._bodies is not None:
-            self._bodies.publish(self._events)
+            self._bodies.publish(self._events, last=last)
 
     def _publish_volume(self, role: str, device: Device) -> None:
         """Where a tracker measures, once it is known."""
@@ -100,16 +100,16 @@ class DeviceWatch:
     ) -> None:
         self._ending.set()
         self._thread.join()
-        self._look()
+        self._look(last=True)
 
     def _look_on(self) -> None:
         while not self._ending.wait(self._period_s):
             self._look()
 
-    def _look(self) -> None:
+    def _look(self, *, last: bool = False) -> None:
         """It looks again, and what it cannot see is reported once; nothing else ends by it."""
         try:
-            self.look()
+            self.look(last=last)
         except Exception as problem:
             if str(problem) != self._told:
                 self._told = str(problem)

@@ -6,7 +6,8 @@ import pytest
 from recording_cell import HOME, RecordingCell
 
 from procedures.engine.body_view import BodyView
-from procedures.engine.events import Bodies, EventStream, Pose
+from procedures.engine.device_watch import DeviceWatch
+from procedures.engine.events import Bodies, EventStream, LinkHealth, Pose
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
@@ -56,3 +57,22 @@ def test_the_cameras_are_not_drawn_after_a_fault_while_the_mounted_head_is_unche
     cell.arm.state = Lifecycle.FAULT
     cell.workcell.recover("arm", "A. Nurse")
     assert view.at(POSE).tool_mm == ()
+
+
+def test_the_health_of_the_link_is_published_once_more_when_its_stream_has_ended(cell: RecordingCell) -> None:
+    view, events = BodyView(cell.workcell), EventStream()
+    reader = events.subscribe()
+    for state in (Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.CONFIGURED):
+        cell.arm.state = state
+        view.publish(events)
+    told = [event.what for event in reader.read(0.0).events]
+    assert [one.cycles for one in told if isinstance(one, LinkHealth)] == [1]
+
+
+def test_the_health_of_a_link_that_still_streams_is_published_at_the_last_look(cell: RecordingCell) -> None:
+    events = EventStream()
+    reader = events.subscribe()
+    cell.arm.state = Lifecycle.ACTIVE
+    with DeviceWatch({}, events, lambda: 0.0, 1000.0, BodyView(cell.workcell)):
+        pass
+    assert [event.what.kind for event in reader.read(0.0).events] == ["bodies", "link"]
