@@ -26,12 +26,13 @@ class Span:
 
 
 def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
-    """The spans in order of their beginning; one that never ended lasts until the last line."""
+    """The spans in order of their beginning; one that never ended lasts until its program's last line."""
     spans: list[Span] = []
     open_now: dict[str, int] = {}  # open spans by key: index in `spans`
-    row = BETWEEN_STEPS
+    row, last_s = BETWEEN_STEPS, 0.0
     for line in journal:
-        entry, time_s = line["entry"], theatre_time_s(line)
+        entry, before_s, time_s = line["entry"], last_s, theatre_time_s(line)
+        last_s = time_s
         host_time = str(line.get("host_time", ""))
         if entry == Entry.INTENT:
             row = str(line.get("step", ""))
@@ -41,6 +42,9 @@ def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
             _end(spans, open_now, "step", time_s, STEP_ENDS[Entry(str(entry))])
             row = BETWEEN_STEPS
         elif entry == Entry.HOME:
+            row = BETWEEN_STEPS
+        elif entry == Entry.RESTARTED:  # what the program before it had begun ended with it
+            _end_all(spans, open_now, before_s, "interrupted")
             row = BETWEEN_STEPS
         elif entry == Entry.MOTION:
             open_now[f"motion {line.get('number')}"] = len(spans)
@@ -53,10 +57,13 @@ def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
             spans.append(Span("rest", name, row, time_s, time_s, "", host_time))
         elif entry == Entry.RESUMED:
             _end(spans, open_now, "rest", time_s, "done")
-    last_s = theatre_time_s(journal[-1]) if journal else 0.0
-    for key in tuple(open_now):
-        _end(spans, open_now, key, last_s, "not ended")
+    _end_all(spans, open_now, last_s, "not ended")
     return tuple(spans)
+
+
+def _end_all(spans: list[Span], open_now: dict[str, int], time_s: float, ended: str) -> None:
+    for key in tuple(open_now):
+        _end(spans, open_now, key, time_s, ended)
 
 
 def _end(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, ended: str) -> None:
