@@ -141,6 +141,11 @@ class PolarisTracker:
         return () if self._volume is None else self._volume.sections_mm
 
     @property
+    def replies_s(self) -> tuple[float, ...]:
+        """As in `TimedTracker`."""
+        return self._tracking.replies_s if self._tracking else ()
+
+    @property
     def notices(self) -> tuple[str, ...]:
         """What the operator should know after `configure`."""
         return tuple(self._notices)

@@ -19,6 +19,7 @@ from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
+from procedures.guards.tracker_link import late_s
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.frame_as_tool import with_its_spheres
 from ronna_hw.clock import Clock
@@ -38,6 +39,7 @@ READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a r
 
 MOVED = "the head, or the tracker, has moved"
 PUSHED = "the guide was pushed or pulled"
+LATE = "the head was watched late: the replies of the tracker were delayed"
 UNSEEN = "the tracker has not seen the head for too long"
 
 
@@ -113,6 +115,8 @@ class MotionWatch:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
         if seen.problem is not None:
             self.find(f"the head was not watched during {what}: {seen.problem.summary}")
+        if seen.late_s > 0.0:
+            self.find(f"{LATE} by up to {seen.late_s:.2f} s during {what}")
         told = self._unseen_s > LONGEST_UNSEEN_S
         self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
         if self._unseen_s > LONGEST_UNSEEN_S and not told:
@@ -147,6 +151,7 @@ class _Looking:
     tell: Callable[[str], object]
     moved_mm: float | None = None
     pushed_mm: float = 0.0  # the guide, at most
+    late_s: float = 0.0  # how long replies took at most, if that was too long
     problem: RonnaError | None = None
     has_seen: bool = False
     unseen_s: float = 0.0
@@ -213,6 +218,7 @@ class _Looking:
                 continue
             self.head.take(with_its_spheres(tracker, frame))
             self._meet_push(frame)
+            self._meet_late()
             now_s = self.clock.now_s()
             if self.head.seen:
                 self.has_seen, began_s, self.room.seen_s = True, now_s, now_s
@@ -233,6 +239,13 @@ class _Looking:
         if not self._overdue and self.room.overdue(self.clock.now_s()):
             self._overdue = True
             self._begin_alarm(UNSEEN, stop=self.arm_moves)
+
+    def _meet_late(self) -> None:
+        """Tell it once, while it is under way; the guard at the next checkpoint suspends while it lasts."""
+        late = late_s(self.workcell.tracker) or 0.0
+        if late > 0.0 and self.late_s == 0.0:
+            self.tell(f"{LATE} by {late:.2f} s")
+        self.late_s = max(self.late_s, late)
 
     def _meet_push(self, frame: TrackerFrame) -> None:
         """Tell it once each time; the guard at the next checkpoint suspends while it lasts."""

@@ -104,8 +104,12 @@ class RoomWatch:
 
     def overdue(self, now_s: float) -> bool:
         """Whether a guide approaches a head that was not seen for too long."""
-        under_way = self.approach is not None and self.approach.under_way
-        return under_way and self.unseen_s(now_s) > MOST_UNSEEN_S
+        return self.approached and self.unseen_s(now_s) > MOST_UNSEEN_S
+
+    @property
+    def approached(self) -> bool:
+        """Whether a guide approaches the head or is held in front of it."""
+        return self.approach is not None and self.approach.under_way
 
     @property
     def arm_hides_head(self) -> bool:

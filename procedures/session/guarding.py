@@ -6,7 +6,7 @@ from functools import partial
 
 from procedures.engine.engine import Engine
 from procedures.engine.step import StepKey
-from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
+from procedures.guards import GuideStill, TrackerLink, patient_watch, sight_guard, standing_guards
 from procedures.recovery.moved_cart import MovedCart
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
@@ -22,7 +22,9 @@ def guard(engine: Engine, *, only_leaving: bool = False) -> None:
     workcell = setting.workcell
     folder = engine.case.folder
     guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
     if setting.clinical is None:
+        guards.append(link)
         return
     engine.goes_on = MovedCart(engine).agreed_to_go_on
     if not only_leaving:
@@ -30,4 +32,5 @@ def guard(engine: Engine, *, only_leaving: bool = False) -> None:
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
     guards.append(sight_guard(engine, void))
     guards.append(GuideStill(workcell, setting.clock, setting.memory))
+    guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching

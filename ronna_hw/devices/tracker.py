@@ -48,3 +48,17 @@ class BoundedTracker(Protocol):
         Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
         """
         ...
+
+
+@runtime_checkable
+class TimedTracker(Protocol):
+    """A tracker that reports how long its replies take: how old a frame is at least when it arrives."""
+
+    @property
+    def replies_s(self) -> tuple[float, ...]:
+        """From request to reply, without the transfer of both, of the last frames, the newest last.
+
+        Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
+        runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
+        """
+        ...

@@ -18,6 +18,7 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 from procedures.engine.events import Finding
 from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.tracker_link import JUDGED
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
@@ -170,6 +171,25 @@ def test_a_tracker_that_fails_during_a_motion_stops_nothing_and_is_a_finding(tmp
     on_the_way(cell, break_it)
     positioned(engine)
     assert any("the head was not watched" in text for text in findings(cell))
+
+
+def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    reader = engine.events.subscribe()
+
+    def told() -> bool:
+        said = [one.what for one in reader.read(0.1).events]
+        return any(isinstance(one, Finding) and "watched late" in one.text for one in said)
+
+    def delay_it() -> None:
+        cell.tracker.replies_s = (0.5,) * JUDGED
+        eventually(told)  # while the arm is on its way
+
+    on_the_way(cell, delay_it)
+    positioned(engine)
+    late = [text for text in findings(cell) if "watched late" in text]
+    assert ["'go'" in late[0], "'insert'" in late[1]] == [True, True]  # each motion that was watched so
 
 
 @pytest.mark.parametrize(("when", "watches"), [(WatchPatient.NEVER, False), (WatchPatient.INSTRUMENT, True)])

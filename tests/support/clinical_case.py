@@ -88,6 +88,7 @@ class SeeingTracker(RecordingTracker):
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
     hidden: bool = False  # the frame
     frames_read: int = 0
+    replies_s: tuple[float, ...] = ()
 
     @property
     def markers_mm(self) -> dict[str, tuple[Numbers3, ...]]:

@@ -79,6 +79,7 @@ class CommandLink:
     ) -> None:
         self.transport = transport
         self.statistics = LinkStatistics()
+        self.waited_s = 0.0  # from the last command to its reply, without the transfer of both
         self._limits_s = limits_s
         self._monotonic = monotonic
         self._settled = False  # replies to an earlier client may still arrive
@@ -124,9 +125,11 @@ class CommandLink:
 
     def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:
         """Time limit of a command: the unit's own plus the transfer both ways."""
+        return self._limits_s.get(name, LONGEST_LIMIT_S) + self._transfer_s(sent_bytes + reply_bytes)
+
+    def _transfer_s(self, count: int) -> float:
         baud = self.transport.baud
-        transfer_s = (sent_bytes + reply_bytes) * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
-        return self._limits_s.get(name, LONGEST_LIMIT_S) + transfer_s
+        return count * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
         """Discard input until the line has been silent for `quiet_s`; returns the last part of it.
@@ -214,6 +217,7 @@ class CommandLink:
                 wire=rest,
                 expected="a reply with CRC",
             )
+        self.waited_s = max(0.0, self._monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
             self._settled = False

@@ -29,6 +29,7 @@ from ronna_hw.wire.polaris import (
 FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
 BYTES_PER_HANDLE = 80  # of TX, the longer form
 BYTES_PER_STRAY = 21
+REPLIES_KEPT = 10  # of which the times are reported
 
 _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
@@ -64,6 +65,7 @@ class Tracking:
         self._longest_reply_bytes = (
             BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
         )
+        self.replies_s: tuple[float, ...] = ()
         self._begin()
 
     def _begin(self) -> None:
@@ -87,8 +89,10 @@ class Tracking:
 
     def read(self, deadline_s: float) -> TrackerFrame:
         """The next frame; raises like `PolarisTracker.read_frame`."""
+        asked_s = self._clock.now_s()
         reply, count = self._newest(deadline_s)
         arrived_s = self._clock.now_s()
+        self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], min(self._link.waited_s, arrived_s - asked_s))
         if reply.system_status & ALARMING_STATUS:
             problem = alarm(reply.system_status, self._link, deadline_s)
             if problem is not None:

@@ -16,6 +16,7 @@ from procedures.guards.guide_still import GuideStill
 from procedures.guards.head_in_sight import HeadInSight
 from procedures.guards.line_of_sight import LineOfSight
 from procedures.guards.mounted_tool import ToolStillMounted
+from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.topic import Topic
@@ -35,9 +36,9 @@ ORDER = order_of([global_localization.STEP], ())
 @pytest.mark.parametrize(
     ("clinical", "only_leaving", "expected"),
     [
-        (True, False, [*OF_EVERY_RUN, UnchangedInputs, *OF_A_PATIENT]),
-        (True, True, [*OF_EVERY_RUN, *OF_A_PATIENT]),
-        (False, False, OF_EVERY_RUN),
+        (True, False, [*OF_EVERY_RUN, UnchangedInputs, *OF_A_PATIENT, TrackerLink]),
+        (True, True, [*OF_EVERY_RUN, *OF_A_PATIENT, TrackerLink]),
+        (False, False, [*OF_EVERY_RUN, TrackerLink]),
     ],
     ids=["a case", "a case whose arm only goes home", "a calibration"],
 )
