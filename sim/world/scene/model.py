@@ -206,8 +206,8 @@ class Mount(Strict):
         description="Pose of the reference frame M, which stays on the mount."
     )
     guide: Guide = Field(default=Guide(), description="The guide and the instrument in it.")
-    tool_number_stereo: ToolNumber = Field(
-        default=1, description="Tool number of the stereo head in the controller."
+    tool_number_stereo: Literal[1] = Field(
+        default=1, description="Tool number of the stereo head in the controller: 1 in every theatre."
     )
     tool_number_guide: ToolNumber = Field(
         default=2, description="Tool number of the guide in the controller."

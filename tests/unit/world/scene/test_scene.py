@@ -76,6 +76,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "fiducials", 0, "base_in_theatre"), 2, "head: a base can be on one screw only"),
         (("head", "x_frame"), True, "head: the x-shaped frame has 4 spheres, not 3"),
         (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm 1"),
+        (("mount", "tool_number_stereo"), 3, "mount.tool_number_stereo"),
         (("mount", "tool_number_guide"), 1, "mount: both tools have number 1"),
         (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
         (("tracker", "tools", 0, "markers_mm"), SPHERE_CENTRES_MM[:2], "tracker.tools 1.markers_mm: .*got 2"),
