@@ -72,6 +72,8 @@ _TAGS = (
     "RescaleSlope",
     "RescaleIntercept",
     "RescaleType",
+    "InstanceNumber",
+    "ImagesInAcquisition",
     "PatientID",  # compared, then discarded
 )
 
@@ -94,6 +96,8 @@ class SliceHeader:
     columns: int
     slope: float
     intercept: float
+    number: float | None  # counted from 1, as a rule
+    stated_count: float | None  # of all images of the acquisition
     oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
 
 
@@ -235,6 +239,8 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
         columns=columns,
         slope=slope,
         intercept=intercept,
+        number=optional_number(path, header, "InstanceNumber"),
+        stated_count=optional_number(path, header, "ImagesInAcquisition"),
         oddities=_oddities(path, header),
     )
 

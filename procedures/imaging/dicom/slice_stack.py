@@ -1,12 +1,13 @@
 """Order and geometry of a series from slice positions alone; refuses anything but a straight, even stack.
 
 Slice thickness and instance numbers are never used for geometry, only positions and orientations
-(DICOM PS3.3 C.7.6.2.1.1).
+(DICOM PS3.3 C.7.6.2.1.1). That slices are missing at an end shows in no position: only numbers tell.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,8 +86,21 @@ def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) 
             f"pixels of {geometry.spacing_mm[1:].max():.2f} mm are larger than {COARSE_PIXEL_MM:g} mm: "
             "the centres will be less accurate"
         )
+    sentences += _incomplete(slices)
     sentences += sorted({oddity for one in slices for oddity in one.oddities})
     return tuple(sentences)
+
+
+def _incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
+    stated = max((one.stated_count or 0.0 for one in slices), default=0.0)
+    if stated > len(slices):
+        yield (
+            f"the scanner states {stated:.0f} images in the acquisition, the folder has {len(slices)}: "
+            "unless the others are of another reconstruction, slices are missing"
+        )
+    first = min((one.number for one in slices if one.number is not None), default=0.0)
+    if first > 1.0:
+        yield f"the slices are numbered from {first:.0f}: those before are missing"
 
 
 def _refuse_different_sizes(slices: tuple[SliceHeader, ...]) -> None:
