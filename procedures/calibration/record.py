@@ -26,6 +26,7 @@ from procedures.calibration.head_model import (
     pose_record,
 )
 from procedures.calibration.observations import ObservationSet
+from procedures.calibration.same_theatre import stamp
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
@@ -46,8 +47,9 @@ class HeadResult:
 
     `tool_error_mm` is its standard error; that of a point measured in the tool frame, where errors of the
     arm hardly count, is what the record states. `tool_shift_mm` is how far the tool centre moved on the
-    flange; `frame_misfit_mm` (rms) how far the cameras have moved relative to each other since the previous
-    record.
+    flange, `smallest_slip_mm` from where on that means that the head has moved on its mount (None where the
+    previous record is of another kind and not compared); `frame_misfit_mm` (rms) how far the cameras have
+    moved relative to each other since the previous record.
     """
 
     fit: BundleFit
@@ -56,7 +58,12 @@ class HeadResult:
     tool_covariance_mm2: Array
     tool_shift_mm: float
     frame_misfit_mm: float
-    head_moved: bool  # on its mount, since the previous calibration
+    smallest_slip_mm: float | None
+
+    @property
+    def head_moved(self) -> bool:
+        """On its mount, since the previous calibration."""
+        return self.smallest_slip_mm is not None and self.tool_shift_mm > self.smallest_slip_mm
 
     @property
     def tool_error_mm(self) -> float:
@@ -93,7 +100,8 @@ def calibrate_head(
     shift_mm = float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm))
     covariance = _covariance(fit, lambda cameras: _seen_again(before, cameras)[0])
     # A drawing is off by what all of the mount is off; a calibration of the same kind only by its error.
-    moved = before.made_by == MADE_BY and shift_mm > MOVED_OVER_ERROR * _standard_error_mm(covariance)
+    smallest_mm = MOVED_OVER_ERROR * _standard_error_mm(covariance) if before.made_by == MADE_BY else None
+    moved = smallest_mm is not None and shift_mm > smallest_mm
     tip = observed.tool_tip
     return HeadResult(
         fit=fit,
@@ -102,7 +110,7 @@ def calibrate_head(
         tool_covariance_mm2=covariance,
         tool_shift_mm=shift_mm,
         frame_misfit_mm=misfit,
-        head_moved=moved,
+        smallest_slip_mm=smallest_mm,
     )
 
 
@@ -112,7 +120,7 @@ def _standard_error_mm(covariance_mm2: Array) -> float:
 
 def new_identifier(name: str, created: datetime) -> str:
     """Name and time."""
-    return f"{name}-{created:%Y%m%dT%H%M%S}"
+    return name + stamp(created)
 
 
 def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:

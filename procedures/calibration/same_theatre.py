@@ -29,23 +29,38 @@ class Measurements(Strict, ABC):
         """The calibration records in use, by their names in the theatre file; None if there was none."""
 
 
-def require_same_theatre(measured: Measurements, found: Mapping[str, Any], theatre: Calibrations) -> None:
+def require_same_theatre(
+    measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
+) -> None:
     """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
-    another mount, it is wrong by their difference.
+    another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record
+    passes that by its name may be what is found.
     """
     for name, then in measured.records.items():
         now = getattr(theatre, name)
         if now is None and then is None:
             continue
-        in_theatre, with_these = _content(now), _content(then)
-        if not any(_alike(in_theatre, one) for one in (with_these, _measured(found.get(name)))):
+        if _alike(_content(now), _content(then)):
+            continue
+        if found is None:
+            may_be_found = now is not None and (
+                now.identifier.endswith(stamp(measured.created)) or now.identifier == _named(then)
+            )
+        else:
+            may_be_found = _alike(_content(now), _measured(found.get(name)))
+        if not may_be_found:
             raise OfAnotherTheatre(
                 f"the measurements were made with another [calibration.{name}] than the theatre file's",
                 expected=_named(now),
                 got=_named(then) if _named(then) != _named(now) else f"{_named(then)} with other numbers",
             )
+
+
+def stamp(created: datetime) -> str:
+    """How the identifier of every record ends that is computed from measurements of then."""
+    return f"-{created:%Y%m%dT%H%M%S}"
 
 
 def _named(record: Dated | None) -> str:

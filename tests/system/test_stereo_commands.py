@@ -23,6 +23,7 @@ from procedures.calibration import Baseline
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.calibration.self_check import BASELINE_FILE
+from procedures.cli.calibrating.calibration import NOT_COMPARED
 from procedures.cli.stereo.command import app
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.reporting.report import REPORT_FILE
@@ -165,7 +166,7 @@ def test_an_incomplete_baseline_is_reported_and_not_written(
     assert said.code == 0, said.errors
     assert said.errors == (
         "warning: ronna-stereo check cannot use this calibration: "
-        "the baseline has too few orientations; expected 8, got 5\n"
+        f"the baseline has too few orientations; expected 8, got 5\n{NOT_COMPARED}\n"
     )
     folder = said.content["folder"]
     assert not (Path(folder) / BASELINE_FILE).exists()

@@ -35,6 +35,10 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.records import write_whole
 
+NOT_COMPARED = (
+    "warning: without --config nothing was compared with the records in force: whether the measurements were "
+    "made with these was not judged"
+)
 Looks = TypeVar("Looks", bound=Measurements)
 Result = TypeVar("Result")
 
@@ -106,6 +110,8 @@ def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: Cal
         folder = new_folder(request.out, kind.name)
         kind.write_looks(recorded, folder)
         leave(kind, run, recorded, result, folder)
+        if run.config is None:
+            terminal.tell(NOT_COMPARED)
     else:
         folder = new_folder(request.out, kind.name, run)
         with held_run(folder), leaving_report(folder, with_truth=False):
@@ -132,9 +138,12 @@ def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: L
 
 def computed(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks) -> Result:
     """What the looks yield. Raises CAL-020 for looks of another theatre, and what the computation raises."""
+    theatre = None if run.config is None else read_theatre_file(run.config).calibration
+    if theatre is None:
+        return kind.compute(looks, timedelta(days=run.days))
+    require_same_theatre(looks, theatre)  # a computation may take minutes
     result = kind.compute(looks, timedelta(days=run.days))
-    if run.config is not None and (theatre := read_theatre_file(run.config).calibration) is not None:
-        require_same_theatre(looks, kind.records(result), theatre)
+    require_same_theatre(looks, theatre, kind.records(result))
     return result
 
 

@@ -63,6 +63,7 @@ def figures_of(result: HeadResult) -> HeadFigures:
         tool_covariance_mm2=result.tool_covariance_mm2.tolist(),
         tool_shift_mm=result.tool_shift_mm,
         frame_misfit_mm=result.frame_misfit_mm,
+        smallest_slip_mm=result.smallest_slip_mm,
         head_moved=result.head_moved,
         ball_mm=fit.ball_mm.tolist(),
         flange_from_tool=head.flange_from_tool,

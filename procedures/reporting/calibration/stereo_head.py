@@ -12,6 +12,8 @@ from procedures.reporting.calibration.figures import AXES, Figure, Figures, Matr
 from procedures.reporting.numbers import micrometres, millimetres
 from ronna_hw.calibration import Numbers3, PoseRecord
 
+SLIP_OF_CHECK_MM = 0.05  # noticed by `ronna-stereo check`, whatever the arm: it compares equal poses
+
 
 class HeadFigures(RecordFigures):
     """A calibration: both cameras, and the tool frame on the flange."""
@@ -27,6 +29,10 @@ class HeadFigures(RecordFigures):
     tool_covariance_mm2: Matrix3
     tool_shift_mm: float
     frame_misfit_mm: float
+    smallest_slip_mm: float | None = Field(
+        default=None,
+        description="Shift of the tool centre from which on the head has moved; absent if not compared.",
+    )
     head_moved: bool = Field(description="On its mount, since the previous calibration.")
     ball_mm: Numbers3 = Field(description="In the robot frame.")
     flange_from_tool: PoseRecord
@@ -57,6 +63,8 @@ class HeadFigures(RecordFigures):
         yield Figure(
             "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.tool_error_mm)
         )
+        slip = "not compared" if self.smallest_slip_mm is None else millimetres(self.smallest_slip_mm)
+        yield Figure("smallest slip on the mount that would show, mm", slip)
         yield Figure("error of a point in the tool frame, mm", "", millimetres(self.stated_error_mm))
         yield Figure("change of the stereo geometry, mm", millimetres(self.frame_misfit_mm))
         yield Figure("rms residual, arm errors included, px", f"{rms_px:.2f}")
@@ -65,12 +73,19 @@ class HeadFigures(RecordFigures):
         yield Figure("arm error, random part, mm", millimetres(self.arm_scatter_mm))
 
     def warnings(self) -> Iterator[str]:
-        """When the head has moved on its mount, and when the arm was worse than it repeats."""
+        """When the head has moved on its mount or may have unnoticed, and when the arm was worse than it
+        repeats."""
         if self.head_moved:
             yield (
                 f"the tool centre is {self.tool_shift_mm:.2f} mm from where the previous calibration had it, "
                 "so the head has moved on the mount. Reference frame and guide have not moved with it: "
                 "repeat ronna-procedure calibrate tracker-frame and tool-tip before the next case"
+            )
+        elif self.smallest_slip_mm is not None and self.smallest_slip_mm > SLIP_OF_CHECK_MM:
+            yield (
+                f"a slip of the head on its mount of less than {self.smallest_slip_mm:.2f} mm since the "
+                "previous calibration does not show in this one; ronna-stereo check with the baseline of "
+                f"that one notices {SLIP_OF_CHECK_MM:g} mm"
             )
         if self.arm_error_mm > REPEATABILITY_MM:
             yield (

@@ -176,6 +176,9 @@ def test_a_head_that_moved_on_the_mount_leaves_the_tip_where_it_is(head: TrueHea
     again = observation_set(head, later).model_copy(update={"start": first.stereo_head, "tool_tip": tip})
     second = calibrate_head(again)
     assert second.tool_shift_mm == pytest.approx(0.5, abs=0.05)
+    assert first.smallest_slip_mm is None  # from a drawing
+    assert second.smallest_slip_mm is not None
+    assert second.smallest_slip_mm < 0.1
     assert second.tool_tip == tip
     (warning,) = KIND.figures(second).warnings()
     assert "the head has moved on the mount" in warning

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -9,13 +10,24 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
 
-from procedures.calibration.errors import TooFewPoses
+from procedures.calibration.errors import OfAnotherTheatre, TooFewPoses
 from procedures.cli.arm.files import KIND
-from procedures.cli.calibrating.calibration import observe, show
-from procedures.cli.case.request import TheatreRequest
+from procedures.cli.calibrating.calibration import (
+    NOT_COMPARED,
+    CalibrationRequest,
+    calibrate,
+    computed,
+    observe,
+    show,
+)
+from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.reporting.calibration.figures import Figure, RecordFigures
 from procedures.steps.calibration.recipe import Calibrated, Recipe
+from ronna_hw.config import parse_theatre
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.scene.named_scenes import named_scene
 
 
 class NoFigures(RecordFigures):
@@ -51,3 +63,41 @@ def test_remarks_on_the_measurements_are_reported_also_if_these_yield_no_calibra
     with pytest.raises(TooFewPoses):
         observe(kind, recipe, TheatreRequest(), tmp_path, too_few)
     assert capsys.readouterr().err == "30 x no sphere in view\n"
+
+
+class Computed(Exception):
+    """The computation was begun."""
+
+
+def begun(*_: object) -> None:
+    raise Computed
+
+
+@pytest.mark.hazard(3)
+@pytest.mark.parametrize(("seed", "expected"), [(3, Computed), (4, OfAnotherTheatre)])
+def test_measurements_of_another_theatre_are_refused_before_anything_is_computed(
+    tmp_path: Path, seed: int, expected: type[Exception]
+) -> None:
+    theatre = tmp_path / "theatre.toml"
+    write_theatre_file(theatre_content(named_scene("mini", seed=seed), ENDPOINTS, "host:", {}, 1.0), theatre)
+    content = parse_theatre(tomllib.loads(theatre.read_text())).calibration
+    assert content is not None
+    looks = LookingArm.of(3).looks(1, 0, SPHERES_MM).model_copy(update={"tool_tip": content.tool_tip})
+    run = CalibrationRun(config=theatre, recipe={}, days=30)
+    with pytest.raises(expected):
+        computed(replace(KIND, compute=begun), run, looks)
+
+
+@pytest.mark.hazard(3)
+@pytest.mark.parametrize("config", [True, False])
+def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_none(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], config: bool
+) -> None:
+    for name in ("computed", "leave", "show", "finished_figures"):
+        monkeypatch.setattr(f"procedures.cli.calibrating.calibration.{name}", lambda *_, **__: None)
+    looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
+    KIND.write_looks(looks, tmp_path)
+    theatre = tmp_path / "theatre.toml" if config else None
+    request = CalibrationRequest(None, tmp_path, theatre, None, 30, tmp_path / "out", as_json=True)
+    calibrate(KIND, Recipe(of=Calibrated.ARM, looks=60, more=12), request)
+    assert (NOT_COMPARED in capsys.readouterr().err) is not config

@@ -11,6 +11,7 @@ from clinical_case import ClinicalCell
 from prepared_results import imported_ct
 
 from procedures.reporting.calibration.result_file import KINDS, RESULT_FILE
+from procedures.reporting.calibration.stereo_head import HeadFigures
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 
@@ -88,6 +89,17 @@ def test_the_key_that_identifies_a_kind_of_figures_is_always_in_it_and_never_in_
     owners = {key: [kind for kind in KINDS.values() if key in kind.model_fields] for key in KINDS}
     assert owners == {key: [kind] for key, kind in KINDS.items()}
     assert all(kind.model_fields[key].is_required() for key, kind in KINDS.items())
+
+
+@pytest.mark.hazard(26)
+@pytest.mark.parametrize(("smallest_mm", "told"), [(3.84, True), (0.04, False), (None, False)])
+def test_a_calibration_says_how_large_a_slip_of_the_head_it_can_see_and_what_sees_a_smaller_one(
+    smallest_mm: float | None, told: bool
+) -> None:
+    figures = HeadFigures.model_validate({**HEAD, "smallest_slip_mm": smallest_mm})
+    said = " ".join(figures.warnings())
+    assert ("less than 3.84 mm" in said) is told
+    assert ("ronna-stereo check" in said) is told
 
 
 def test_excluded_acquisitions_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:
