@@ -47,12 +47,17 @@ class TheatreNote(BaseModel):
 
 
 def _left_home(run: Path, lines_before: int) -> bool | None:
-    """Whether a run brought the arm home; None for one that has moved nothing, as far as that is certain."""
+    """Whether a run brought the arm home; None for one that has moved nothing, as far as that is certain.
+
+    Motions that were refused at home, or stopped there before they began, moved nothing.
+    """
     try:
         if run.is_dir() and not (run / JOURNAL_FILE).exists():
             return None
         chain = read_chain(run / JOURNAL_FILE)
-        if not chain.torn and not any(line["entry"] == Entry.MOTION for line in chain.lines[lines_before:]):
+        lines = chain.lines[lines_before:]
+        begun = sum(line["entry"] == Entry.MOTION for line in lines)
+        if not chain.torn and begun <= sum(line.get("at_home") is True for line in lines):
             return None
         return not (chain.torn or arm_history(chain.lines).left_home)
     except (OSError, RonnaError):

@@ -59,6 +59,8 @@ class ArmHistory:
             case Entry.MOVED if "joints_rad" in line:
                 joints_rad = cast("JointVector", tuple(cast("list[float]", line["joints_rad"])))
                 return replace(self._after_arrival(joints_rad), unfinished=None)
+            case Entry.MOVED if line.get("at_home") is True and self.insertion is None:
+                return replace(self, trail=(), unfinished=None)
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 return replace(self, instrument_in=inside, instrument_out=inside is None)

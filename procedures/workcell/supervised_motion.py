@@ -7,6 +7,7 @@ was last stopped or its stream ended is confirmed by the operator.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
 
 from procedures.journal.journal import Entry, JournalValue
@@ -19,6 +20,7 @@ from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.motion_facts import motion_facts
 from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
+from ronna_hw.devices.lifecycle import RUNNING
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import RonnaError
 
@@ -37,9 +39,11 @@ IN_WORDS = {
 class SupervisedMotion:
     """Carries motions of one arm out one after the other, numbered as they are in the journal."""
 
-    def __init__(self, log: ArmLog, arm: Callable[[], RobotArm]) -> None:
+    def __init__(self, log: ArmLog, arm: Callable[[], RobotArm], at_home: Callable[[], bool]) -> None:
+        """`at_home` measures whether the arm stands at home; it raises what reading raises."""
         self._log = log
         self._arm = arm
+        self._at_home = at_home
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
@@ -129,7 +133,14 @@ class SupervisedMotion:
             reached = drive()
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
-            self._log.note(Entry.MOVED, number=number, error=code)
+            kept = {"at_home": True} if isinstance(error, RonnaError) and self._rests_at_home() else {}
+            self._log.note(Entry.MOVED, number=number, error=code, **kept)
             raise
         self._log.note(Entry.MOVED, number=number, joints_rad=list(reached.joints_rad))
         return reached
+
+    def _rests_at_home(self) -> bool:
+        """Whether a motion that failed led the arm nowhere: refused, or stopped before it began."""
+        with contextlib.suppress(RonnaError):
+            return self._arm().state in RUNNING and self._at_home()
+        return False

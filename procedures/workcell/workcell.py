@@ -69,7 +69,7 @@ class Workcell:
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
-        self.supervised = SupervisedMotion(self._log, lambda: self._arm)
+        self.supervised = SupervisedMotion(self._log, lambda: self._arm, lambda: self.at_home)
         self._way_home = WayHome(
             self.joints_rad,
             lambda: self._log.history.trail,

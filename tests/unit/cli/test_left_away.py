@@ -69,6 +69,24 @@ def test_a_run_that_moved_nothing_does_not_hide_the_one_that_left_the_arm_away(t
         assert away.name in str(warning(tmp_path))
 
 
+@pytest.mark.hazard(5)
+def test_a_run_whose_first_motion_was_refused_at_home_neither_warns_nor_hides_the_one_before(
+    tmp_path: Path,
+) -> None:
+    def refused(number: int) -> None:
+        run = earlier(tmp_path, number)
+        journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+        journal.write(Entry.MOTION, 0.0, number=1, what="go")
+        journal.write(Entry.MOVED, 0.0, number=1, error="ARM-007", at_home=True)
+        journal.close()
+
+    refused(1)
+    assert warning(tmp_path) is None
+    away = earlier(tmp_path, 2, "go")
+    refused(3)
+    assert f"ronna-procedure home {away}" in str(warning(tmp_path))
+
+
 def test_a_check_that_left_the_arm_away_is_named_with_the_pendant_as_the_way_home(tmp_path: Path) -> None:
     check = earlier(tmp_path, 1, "go", resumable=False)
     left = f"run {check.name} left the arm away from its home"

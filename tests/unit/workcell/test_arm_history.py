@@ -9,11 +9,12 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.errors import NotConfirmed
+from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.topic import Topic
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
@@ -86,8 +87,26 @@ def failed(cell: RecordingCell) -> None:
         cell.workcell.go(AWAY)
 
 
+def refused(cell: RecordingCell) -> None:
+    cell.arm.state = Lifecycle.ACTIVE
+    cell.arm.blocked = lambda _start, _target: True
+    with pytest.raises(NotClear):
+        cell.workcell.go(AWAY)
+
+
+def cut_short(cell: RecordingCell) -> None:
+    declining = RecordingOperator(Topic.PAUSE).ask
+    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
+    cell.workcell.supervised.ask_before(resting, declining)
+    cell.arm.interruptions = 1
+    with pytest.raises(OperatorAborted):
+        cell.workcell.go(AWAY)
+
+
 @pytest.mark.hazard(2)
-@pytest.mark.parametrize("made", [nothing, away, inserted, worked, withdrawn, home_again, failed])
+@pytest.mark.parametrize(
+    "made", [nothing, away, inserted, worked, withdrawn, home_again, failed, refused, cut_short]
+)
 def test_the_journal_tells_a_resumed_case_what_the_running_one_knew(
     cell: RecordingCell, made: Callable[[RecordingCell], None]
 ) -> None:
@@ -98,7 +117,15 @@ def test_the_journal_tells_a_resumed_case_what_the_running_one_knew(
 
 @pytest.mark.parametrize(
     ("made", "is_away"),
-    [(nothing, False), (away, True), (inserted, True), (withdrawn, True), (home_again, False)],
+    [
+        (nothing, False),
+        (away, True),
+        (inserted, True),
+        (withdrawn, True),
+        (home_again, False),
+        (refused, False),
+        (cut_short, True),
+    ],
 )
 def test_the_arm_is_away_from_when_it_leaves_home_until_it_is_back(
     cell: RecordingCell, made: Callable[[RecordingCell], None], is_away: bool
