@@ -108,9 +108,9 @@ def doctor_command(
     which program holds the port. A camera's address: which cameras are on its network, which application
     controls it, which packet size arrives. Ends with a verdict for each device and one for a case, which
     names whatever `run` would refuse. Tracker and cameras are switched on for this; nothing moves. Exit
-    codes: 0 every device and record is ready, 4 a device, line, camera or the theatre's clock does not answer
-    or is not ready, or a calibration record has expired. With 0 the case may still be NOT READY, for the
-    theatre file or this computer.
+    codes: 0 every device and record is ready, 3 an endpoint of a theatre that is in use, 4 a device, line,
+    camera or the theatre's clock does not answer or is not ready, or a calibration record has expired. With 0
+    the case may still be NOT READY, for the theatre file or this computer.
     """
     from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.terminal import progress_bar

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import socket
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,19 @@ def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
         if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(each.pid, _name(each.pid))
     return None
+
+
+def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
+    """Other processes of this computer that are connected to a TCP port, here or elsewhere."""
+    try:
+        there = (socket.gethostbyname(host), port)
+    except OSError:
+        return ()
+    return tuple(
+        PortUser(each.pid or 0, _name(each.pid) if each.pid else "a program of another user")
+        for each in psutil.net_connections(kind="tcp4")
+        if each.status == psutil.CONN_ESTABLISHED and each.raddr == there and each.pid != os.getpid()
+    )
 
 
 def holder_of_lock(file: int) -> PortUser | None:

@@ -99,7 +99,10 @@ def _not_opened(line: LineState) -> Diagnosis:
     if line.users:
         users = " and ".join(str(user) for user in line.users)
         return Diagnosis(
-            False, f"held by another program: {users}", "Stop that program, or use another port."
+            False,
+            f"held by another program: {users}",
+            "If it runs a case, leave it alone: its arm may be at a patient. Otherwise stop it, or use "
+            "another port.",
         )
     if line.opening is Opening.HELD:
         return Diagnosis(

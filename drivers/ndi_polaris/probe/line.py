@@ -18,7 +18,7 @@ from drivers.ndi_polaris.line.discovery import LIKELY_BAUDS
 from drivers.ndi_polaris.line.inquiry import INQUIRY, inquire
 from drivers.ndi_polaris.line.transport import open_transport
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import PortUser, users_of_serial_port
+from ronna_hw.host.port_users import PortUser, clients_of_tcp_port, users_of_serial_port
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR
 
 # The driver reaches rates outside its list with a break, which a probe must not send.
@@ -100,6 +100,8 @@ def look_at_line(endpoint: Endpoint) -> LineState:
             return LineState(endpoint, Opening.FORBIDDEN, users=users)
         if users:
             return LineState(endpoint, Opening.HELD, users=users)
+    elif users := clients_of_tcp_port(endpoint.host, endpoint.port):  # a second client may disturb theirs
+        return LineState(endpoint, Opening.HELD, users=users)
     try:
         transport = open_transport(endpoint, OPEN_LIMIT_S)
     except PortUnavailable as error:

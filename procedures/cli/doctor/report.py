@@ -15,11 +15,12 @@ from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.theatre_use import RUN, use_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
+from procedures.engine.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
-from ronna_hw.devices.probing import Diagnostic, Inspection, refusal
+from ronna_hw.devices.probing import Diagnostic, Inspection, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND
 from ronna_hw.registry import endpoint_probes, load_probe
@@ -54,9 +55,11 @@ def examine(
 ) -> Report:
     """Look at the computer, at each endpoint, and at every device of a theatre file.
 
-    Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at.
+    Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at, PRO-043 for one
+    of a theatre that a run uses.
     """
-    looks: dict[str, Look] = dict(_looks_at_endpoints(endpoints))
+    parsed = [parse_endpoint(text) for text in endpoints]
+    looks: dict[str, Look] = dict(_looks_at_endpoints(parsed))
     calibrations: tuple[Diagnostic, ...] = ()
     case: tuple[Diagnostic, ...] = ()
     devices: list[str] = []
@@ -69,6 +72,8 @@ def examine(
             *setting_diagnostics(file),
         )
         case = (*use_diagnostics(config), *case_diagnostics(file))
+        if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
+            require_free_theatre(config)
         if all(one.subject != RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
@@ -122,14 +127,14 @@ def show_findings(report: Report, *, as_json: bool) -> None:
             )
 
 
-def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[tuple[str, Look]]:
+def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Look]]:
     """One look for each probe that is asked for, with all its endpoints."""
-    if not texts:
+    if not endpoints:
         return
     probes = endpoint_probes()
     schemes = sorted({scheme for probe in probes.values() for scheme in probe.endpoint_schemes})
     asked: dict[str, list[Endpoint]] = {}
-    for endpoint in map(parse_endpoint, texts):
+    for endpoint in endpoints:
         endpoint.require(*schemes)
         drivers = [name for name, probe in probes.items() if endpoint.scheme in probe.endpoint_schemes]
         if len(drivers) > 1:
@@ -138,8 +143,8 @@ def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[tuple[str, Look]]:
                 action="Name the driver in a theatre file, and use --config.",
             )
         asked.setdefault(drivers[0], []).append(endpoint)
-    for driver, endpoints in asked.items():
-        yield f"endpoints of {driver}", partial(probes[driver].look_at, endpoints)
+    for driver, its_own in asked.items():
+        yield f"endpoints of {driver}", partial(probes[driver].look_at, its_own)
 
 
 def _probe(name: str, config: DeviceConfig, inspect: Inspection, progress: Progress) -> Sequence[Diagnostic]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -54,6 +55,22 @@ def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
     assert f"ronna-procedure watch {folder}" in told.advice
     assert not report.verdicts[-1].ready
     assert examine(theatre).devices != ()
+
+
+@pytest.mark.hazard(34)
+def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
+    theatre: Path, tmp_path: Path
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as unit:
+        endpoint = f"tcp://127.0.0.1:{unit.getsockname()[1]}"
+        theatre.write_text(theatre.read_text().replace("tcp://127.0.0.1:1", endpoint))
+        with run_on(theatre, tmp_path / "runs" / "20261121T180000-ab12"):
+            done = in_this_process(ronna_procedure, "doctor", "--config", theatre, "--endpoint", endpoint)
+        unit.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            unit.accept()
+    assert done.returncode == EXIT_REFUSED
+    assert "PRO-043: 20261121T180000-ab12" in done.stderr
 
 
 @pytest.mark.parametrize(

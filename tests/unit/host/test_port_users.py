@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from ronna_hw.host.port_users import user_of_udp_port, users_of_serial_port
+from ronna_hw.host.port_users import clients_of_tcp_port, user_of_udp_port, users_of_serial_port
 
 OPENS_OURS = (
     "import sys; port = open(sys.argv[1], 'r+b', buffering=0); print('open', flush=True); sys.stdin.read()"
@@ -54,6 +54,22 @@ def test_another_process_using_a_serial_port_is_reported_with_its_command_line(
     assert user.pid == pid
     assert sys.executable[:20] in user.name
     assert f"(pid {pid})" in str(user)
+
+
+CONNECTS = (
+    "import socket, sys; there = socket.create_connection(('127.0.0.1', int(sys.argv[1])));"
+    " print('open', flush=True); sys.stdin.read()"
+)
+
+
+def test_another_process_connected_to_a_tcp_port_is_reported_and_this_one_is_not(start: Start) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        with socket.create_connection(("127.0.0.1", port)):
+            assert clients_of_tcp_port("localhost", port) == ()
+        pid, _ = start(CONNECTS, str(port))
+        (user,) = clients_of_tcp_port("localhost", port)
+    assert user.pid == pid
 
 
 def test_the_process_on_the_master_side_of_a_terminal_is_not_reported(start: Start) -> None:

@@ -20,6 +20,7 @@ from drivers.ndi_polaris.probe.diagnosis import diagnose, line_diagnostic
 from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.polaris import crc16
 
 ANSWER = b"G.001.005%04X\r" % crc16(b"G.001.005")
@@ -167,6 +168,18 @@ def test_another_program_is_named_and_its_line_is_left_alone(other_program: tupl
     assert diagnosis.seen.startswith("held by another program: ")
     assert f"(pid {pid})" in diagnosis.seen
     assert end.heard == []
+
+
+@pytest.mark.hazard(34)
+def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
+    with socket.create_server(("127.0.0.1", 0)) as unit:
+        diagnosis = diagnose(look_at_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
+        unit.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            unit.accept()
+    assert diagnosis.seen == "held by another program: ronna-procedure (pid 4711)"
+    assert "leave it alone" in diagnosis.advice
 
 
 def test_a_lock_with_an_invisible_holder_is_reported(
