@@ -249,6 +249,9 @@ class ArmCalibration(DatedRecord):
     """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
 
     arm: Words = Field(description="Name of the kinematic model to correct.")
+    serial: Words | None = Field(
+        default=None, description="Serial number of the arm; absent where its controller reports none."
+    )
     scatter_mm: Scatter = Field(
         description="Random error per axis from pose to pose, one standard deviation."
     )

@@ -30,6 +30,7 @@ RELIABLE_AXIS_RATIO = (
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0
+TOO_FAINT = "the sphere is too faint"
 FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
 FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
 FILLED_RINGS, FILLED_RAYS = 12, 36
@@ -60,7 +61,7 @@ def judged(
         "too much of the rim is stained": carrying < CARRYING_RIM,
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
-        "the sphere is too faint": contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
+        TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
     }
     doubt = next((words for words, holds in doubts.items() if holds), "")
     quality = (

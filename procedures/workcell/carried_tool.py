@@ -30,6 +30,14 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
     return CalibratedArm(kinematics, ArmDeviations.of(record))
 
 
+def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
+    """Raise CAL-013 for the record of another arm of the model; `serial` is empty where none is reported."""
+    if record is not None and record.serial and serial and record.serial != serial:
+        raise AnotherArm(
+            f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
+        )
+
+
 @dataclass(frozen=True)
 class CarriedTool:
     """A tool on an arm: between poses ROBOT <- TOOL and joint angles."""

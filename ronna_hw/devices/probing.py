@@ -17,7 +17,7 @@ from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError, RonnaError
 
@@ -50,10 +50,10 @@ def refusal(subject: str, error: RonnaError) -> Diagnostic:
     return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
 
 
-Inspection = Callable[[Device], Iterable[Diagnostic]]  # further checks on a connected device
+Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
 
 
-def leave_alone(_device: Device) -> Iterable[Diagnostic]:
+def leave_alone(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
     """No further checks."""
     return ()
 
@@ -104,7 +104,7 @@ def connect_and_leave(
         device = make_device(name, config, HostClock())
         try:
             identity = device.connect(CONNECT_LIMIT_S)
-            found = tuple(inspect(device))
+            found = tuple(inspect(device, identity))
         finally:
             device.close()
     except RonnaError as error:

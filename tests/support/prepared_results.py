@@ -26,7 +26,7 @@ from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose,
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import Prediction, RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
-from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.link_health import LinkHealth
@@ -36,6 +36,7 @@ from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
+from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
@@ -123,7 +124,7 @@ def checked_plan(**changes: object) -> CheckedPlan:
 
 def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
     return CheckedSetUp(
-        identities={},
+        identities={"arm": DeviceIdentity.of(Identity("Test", "an arm", "1", "0"))},
         notices=(),
         calibrations=cell.calibrations,
         tools=cell.theatre.tools,

@@ -45,6 +45,7 @@ class ArmLooks(Measurements):
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
+    arm_serial: str = Field(default="", description="Its serial number, if its controller reports one.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")

@@ -54,6 +54,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
             identifier=new_identifier("arm", observed.created),
             stated_error_mm=validation.model_mm,
             arm=observed.arm,
+            serial=observed.arm_serial or None,
             scatter_mm=fit.scatter_mm,
             **fit.deviations.as_plain(),
             created=observed.created,

@@ -7,16 +7,19 @@ moves: an arm is configured, which takes its port, and never activated.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import partial
 
+from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.relocalization.triangulation import check_serial
-from procedures.workcell.carried_tool import calibrated_arm
+from procedures.workcell.carried_tool import calibrated_arm, require_this_arm
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
+from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.interfaces import interface_of, require_interface
-from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.picture_check import picture_diagnostics
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.devices.readiness import TellsReadiness, fact_diagnostics
@@ -27,13 +30,17 @@ from ronna_hw.errors import RonnaError
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
+OF_THIS_ARM = (
+    "Controller and record do not both name a serial number: that [calibration.arm] is of this very arm, not "
+    "of another of its model, was not checked. ronna-arm check measures whether it fits."
+)
 
 
-def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[Diagnostic]]:
+def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], Iterator[Diagnostic]]:
     """How the device of that table is looked at; its refusals become diagnostics, one by one."""
     calibrations, driver = theatre.calibration, theatre.devices[name].driver
 
-    def inspect(device: Device) -> Iterator[Diagnostic]:
+    def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
         subject = f"{name}: "
         wrong_kind = _refusal(partial(require_interface, name, driver, device, interface_of(name)))
         if wrong_kind is not None:
@@ -42,7 +49,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[D
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
-            yield from _matching(subject, device, calibrations, ToolRecords.of(theatre))
+            yield from _matching(subject, device, identity.serial, calibrations, ToolRecords.of(theatre))
         refused = _refusal(device.configure)
         if refused is not None:
             yield refusal(f"{subject}configured", refused)
@@ -52,7 +59,9 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[D
         if isinstance(device, OpticalTracker):
             yield from _seen_by_tracker(subject, device, calibrations)
         elif isinstance(device, StereoPair):
-            yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT)
+            head = None if calibrations is None else calibrations.stereo_head
+            judged = partial(pair_diagnostics, subject, head=head)
+            yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT, 1 + FURTHER_TRIES, judged)
         if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
             yield Diagnostic(f"{subject}start", True, f"a person will be asked to confirm: {words}")
 
@@ -60,7 +69,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device], Iterator[D
 
 
 def _matching(
-    subject: str, device: Device, calibrations: Calibrations, tools: ToolRecords
+    subject: str, device: Device, serial: str, calibrations: Calibrations, tools: ToolRecords
 ) -> Iterator[Diagnostic]:
     """Whether the records are of this very device, and the right tool is mounted."""
     if isinstance(device, OpticalTracker):
@@ -78,8 +87,13 @@ def _matching(
             yield _checked(f"{subject}calibration of the {side} camera", serial, refused)
     if isinstance(device, RobotArm):
         kinematics = device.kinematics
-        refused = _refusal(partial(calibrated_arm, kinematics, calibrations.arm))
-        yield _checked(f"{subject}calibration of the arm", kinematics.name, refused)
+        arm = calibrations.arm
+        refused = _refusal(partial(calibrated_arm, kinematics, arm)) or _refusal(
+            partial(require_this_arm, arm, serial)
+        )
+        unknown = arm is not None and not (arm.serial and serial)
+        of_arm = _checked(f"{subject}calibration of the arm", f"{kinematics.name} {serial}".rstrip(), refused)
+        yield replace(of_arm, advice=OF_THIS_ARM) if unknown and refused is None else of_arm
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         refused = _refusal(partial(mount.check, MountedTool.STEREO_HEAD))
         yield _checked(f"{subject}mounted tool", str(MountedTool.STEREO_HEAD), refused)

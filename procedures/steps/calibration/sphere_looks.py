@@ -66,7 +66,7 @@ class SphereLooks:
 
     def run(self, context: StepContext) -> Outcome[ObservedSpheres]:
         """Raises CAL-009, CAL-010 with too few poses, CAL-014 for a check, PRO-002 unless confirmed."""
-        context.result(CheckedSetUp)
+        set_up = context.result(CheckedSetUp)
         workcell = context.workcell
         if self.count == 0:
             require_record(workcell.calibrations.arm)
@@ -98,6 +98,7 @@ class SphereLooks:
         observed = ArmLooks(
             created=context.setting.began,
             arm=workcell.arm.kinematics.name,
+            arm_serial=set_up.identities["arm"].serial,
             serials=workcell.stereo.serials,
             stereo_head=head,
             tool_tip=workcell.calibrations.tool_tip,

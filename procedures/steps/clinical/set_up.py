@@ -11,6 +11,7 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.triangulation import check_serial
 from procedures.results.result import Numbers6, StepResult, Values
 from procedures.workcell import MountedTool
+from procedures.workcell.carried_tool import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -67,6 +68,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
         identities[role] = DeviceIdentity.of(device.connect())
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
+    require_this_arm(calibrations.arm, identities["arm"].serial)
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)

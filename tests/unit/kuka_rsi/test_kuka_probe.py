@@ -13,7 +13,7 @@ from fake_controller import FakeController
 from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.probe import stream_port_diagnostic
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.devices.readiness import TellsReadiness
 from ronna_hw.endpoints import Endpoint
@@ -72,7 +72,7 @@ def test_a_pressed_emergency_stop_is_named_with_its_remedy(controller: FakeContr
     controller.facts["EStop"] = "1"
     facts = {}
 
-    def inspect(arm: Device) -> tuple[Diagnostic, ...]:
+    def inspect(arm: Device, _identity: Identity) -> tuple[Diagnostic, ...]:
         assert isinstance(arm, TellsReadiness)
         facts.update({fact.name: fact for fact in arm.readiness()})
         return ()

@@ -1,10 +1,12 @@
 """The tool on a calibrated arm: corrected poses, and refusal of another arm's record."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 from arm_looks import ENDPOINTS
 
-from procedures.workcell.carried_tool import CarriedTool, calibrated_arm
+from procedures.workcell.carried_tool import CarriedTool, calibrated_arm, require_this_arm
 from procedures.workcell.errors import AnotherArm
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.config import parse_theatre
@@ -23,6 +25,19 @@ def _records():  # of a calibrated theatre
 def test_the_record_of_another_arm_is_refused() -> None:
     with pytest.raises(AnotherArm, match="CAL-013"):
         calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arm)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "reported", "refused"),
+    [("1", "1", False), ("1", "2", True), (None, "2", False), ("1", "", False)],
+)
+def test_the_record_of_another_arm_of_the_model_is_refused_where_both_have_a_serial_number(
+    recorded: str | None, reported: str, refused: bool
+) -> None:
+    record = _records().arm.model_copy(update={"serial": recorded})
+    expected = pytest.raises(AnotherArm, match="expected 2, got 1") if refused else nullcontext()
+    with expected:
+        require_this_arm(record, reported)
 
 
 def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:

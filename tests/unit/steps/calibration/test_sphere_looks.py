@@ -34,6 +34,7 @@ def test_a_sphere_out_of_reach_is_named_and_the_others_are_measured(cell: Clinic
     done = observed(cell, OUT_OF_REACH_MM, NEAR_MM, SECOND_MM)
     assert done.remarks == ("the sphere at 870 373 1063 mm was left out: it is out of reach",)
     assert {one.sphere for one in done.observed.looks} == {0, 1}
+    assert done.observed.arm_serial == "1"  # the arm's, so that no other arm gets its record
 
 
 def test_without_a_sphere_within_reach_nothing_moves(cell: ClinicalCell) -> None:

@@ -1,0 +1,92 @@
+"""Whether images from two cameras are well exposed and sharp, as diagnostics.
+
+Sharpness, and an image that is too dark, show only on a sphere near the tool centre: a head that looks at
+nothing has dark images too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.relocalization import measure_sphere
+from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
+from procedures.relocalization.outline_quality import TOO_FAINT
+from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.readings import CameraImage, StereoReading
+from ronna_hw.errors import RonnaError
+
+MOST_SATURATED = 0.02  # of an image: lamps rather than film
+LARGEST_GREY = {1: 255.0, 2: 4095.0}  # by the bytes of a pixel: Mono8, Mono12
+NEAR_TOOL = 0.1  # of the radius at the tool centre: nearer or farther, a sphere is rightly out of focus
+MOST_BLUR_PX = 10.0  # of a rim there: 1 to 2 px in focus, 7 px at the ends of that range
+MOST_SIGMA_PX = 0.1  # of a centre
+NOT_JUDGED = "exposure and focus were not judged: {}"
+SHOW_A_SPHERE = "To have them judged, bring a sphere to the tool centre (ronna-stereo measure --find)."
+DARK = "The other camera sees the sphere: check lens cap, ring light and exposure_us."
+UNSHARP = "Focus the lens on the tool centre and clean it, then calibrate the head."
+
+
+def pair_diagnostics(
+    subject: str, pair: StereoReading, head: StereoHeadCalibration | None
+) -> Iterator[Diagnostic]:
+    """Exposure and focus of both images, as far as what is in view shows them."""
+    records = (None, None) if head is None else (head.left, head.right)
+    images = (pair.left, pair.right)
+    found = [_seen(image, record) for image, record in zip(images, records, strict=True)]
+    for number, (side, image) in enumerate(zip(("left", "right"), images, strict=True)):
+        if image is not None:
+            in_both = _in_the_middle(images[1 - number], found[1 - number])
+            yield _judged(f"{subject}exposure of the {side} camera", image, found[number], in_both)
+
+
+def _seen(image: CameraImage | None, record: CameraCalibration | None) -> SphereImage | RonnaError | None:
+    """A sphere near the tool centre, or why there is none; None where that cannot be known."""
+    if image is None or record is None:
+        return None
+    radius_px = SPHERE_RADIUS_MM * record.focal_px[0] / math.hypot(*record.camera_from_tool.translation_mm)
+    try:
+        return measure_sphere(
+            image.pixels, radius_range_px=((1.0 - NEAR_TOOL) * radius_px, (1.0 + NEAR_TOOL) * radius_px)
+        )
+    except (NoContrast, NoSphere, Saturated, BadImage) as error:
+        return error
+
+
+def _in_the_middle(image: CameraImage | None, seen: SphereImage | RonnaError | None) -> bool:
+    """Whether one camera sees a sphere where the other must see some of it."""
+    if image is None or not isinstance(seen, SphereImage):
+        return False
+    rows, columns = image.pixels.shape
+    x, y = seen.centre_px
+    return bool(0.25 < x / columns < 0.75 and 0.25 < y / rows < 0.75)
+
+
+def _judged(
+    subject: str, image: CameraImage, seen: SphereImage | RonnaError | None, in_both: bool
+) -> Diagnostic:
+    largest = LARGEST_GREY[image.pixels.dtype.itemsize]
+    saturated = float((image.pixels >= largest).mean())
+    mean = float(image.pixels.mean()) / largest
+    figures = f"mean {100.0 * mean:.1f} % of the largest value, {100.0 * saturated:.2f} % saturated"
+    if saturated > MOST_SATURATED:
+        advice = "Reduce exposure_us, or remove the lamp that shines into the lens."
+        return Diagnostic(subject, False, f"too bright: {figures}", advice)
+    if isinstance(seen, NoContrast) and in_both:
+        return Diagnostic(subject, False, f"too dark: {figures}", DARK)
+    if not isinstance(seen, SphereImage):
+        why = "without a calibration record" if seen is None else "no sphere near the tool centre"
+        return Diagnostic(subject, True, f"{figures}; {NOT_JUDGED.format(why)}", SHOW_A_SPHERE)
+    sigma_px = math.sqrt(max(seen.covariance_px2[0][0], seen.covariance_px2[1][1]))
+    figures += f"; a sphere to {sigma_px:.2f} px, its rim {seen.blur_px:.1f} px soft"
+    if seen.blur_px > MOST_BLUR_PX:
+        return Diagnostic(subject, False, f"not sharp: {figures}", UNSHARP)
+    if seen.doubt == TOO_FAINT or (seen.status is SphereStatus.OK and sigma_px > MOST_SIGMA_PX):
+        advice = "Lengthen exposure_us, check the ring light, clean lens and sphere."
+        return Diagnostic(subject, False, f"too dark: {figures}", advice)
+    if seen.doubt:
+        return Diagnostic(subject, True, f"{figures}; {NOT_JUDGED.format(seen.doubt)}", SHOW_A_SPHERE)
+    return Diagnostic(subject, True, figures)
