@@ -14,6 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.registration.shift import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
@@ -64,6 +65,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     )
     tracker_from_marker = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     strays = average_strays(frames)
+    _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.spec.reads else 1)
     spread_mm = _checked_spread_mm(strays)
     joints = workcell.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
@@ -91,8 +93,19 @@ def _rows(points_mm: NDArray[np.float64]) -> tuple[Numbers3, ...]:
     return tuple((float(x), float(y), float(z)) for x, y, z in points_mm)
 
 
+def _check_count(seen: int, least: int) -> None:
+    """Before anything is stored: a result with too few spheres would supersede a good one."""
+    if seen < least:
+        raise GateFailed(
+            "the tracker sees too few spheres",
+            limit=f"at least {least}",
+            got=str(seen),
+            action="Send the arm home if it hides them, clear the line of sight, then repeat the step.",
+        )
+
+
 def _checked_spread_mm(strays: StrayAverage) -> float:
-    spread_mm = max((float(group.spread_mm) for group in strays.groups), default=0.0)
+    spread_mm = max(float(group.spread_mm) for group in strays.groups)
     if spread_mm > SPREAD_LIMIT_MM:
         raise GateFailed(
             "a sphere moved while the tracker was measuring",

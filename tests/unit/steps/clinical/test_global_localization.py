@@ -8,11 +8,11 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from clinical_case import ClinicalCell
-from prepared_results import checked_set_up
+from clinical_case import SPHERES_MM, ClinicalCell
+from prepared_results import checked_set_up, clamped_head, locked_cart
 
 from procedures.results.errors import GateFailed
-from procedures.steps.clinical.global_localization import STEP
+from procedures.steps.clinical.global_localization import IN_CASE, STEP
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames
 from ronna_hw.devices.errors import WrongState
@@ -60,6 +60,12 @@ def test_the_step_fails_with_the_trackers_own_fault(latched: bool, cell: Clinica
     with pytest.raises(Bumped):
         cell.begin(checked_set_up(cell), STEP).run_to()
     assert tracker.calls == ([] if latched else ["deactivate"])
+
+
+def test_too_few_spheres_are_no_localization(cell: ClinicalCell) -> None:
+    cell.tracker.spheres_mm = SPHERES_MM[:2]  # the arm hides the others
+    with pytest.raises(GateFailed, match=r"too few spheres; limit at least 3, got 2.*arm home"):
+        cell.begin(checked_set_up(cell), clamped_head(), locked_cart(), IN_CASE).run_to()
 
 
 def frame(validity: Validity = Validity.OK, tool: Validity = Validity.MISSING) -> TrackerFrame:
