@@ -14,6 +14,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
@@ -115,7 +116,7 @@ def _own_files() -> Iterator[None]:
 
 
 def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
-    command = with_common_options(typer.main.get_command(app))
+    command = _command_of(app)
     try:
         outcome = command.main(args=list(arguments), standalone_mode=False)
     except _USAGE_ERROR as mistake:
@@ -124,6 +125,11 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
             return EXIT_USAGE
         raise usage_mistake(mistake, *asked_for(command, arguments)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
+
+
+@cache  # typer takes ten milliseconds to make it
+def _command_of(app: typer.Typer) -> Any:
+    return with_common_options(typer.main.get_command(app))
 
 
 def _report(problem: Exception, *, verbose: bool) -> int:

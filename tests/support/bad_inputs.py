@@ -6,6 +6,7 @@ import json
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
 from pathlib import Path
@@ -45,6 +46,7 @@ class BadInput:
         return [word.format_map(names) for word in shlex.split(self.command)]
 
 
+@cache
 def app_of(name: str) -> typer.Typer:
     """The application of a console script."""
     (script,) = entry_points(group="console_scripts", name=name)

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
 from procedures.cli.case.request import CaseRequest
@@ -31,16 +32,28 @@ def _step(
     )
 
 
-def test_steps_can_be_listed_run_and_refused_with_reasons(commands: Commands, tmp_path: Path) -> None:
-    done = _step(
-        commands,
-        tmp_path,
-        "list",
-        "run to ct_import",
-        "why positioning:T1",
-        "run positioning:T1",
-        "quit",
-    )
+@pytest.fixture(scope="module")
+def stepped(
+    shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """A case stepped to its CT with every option that only some cases have, and its folder."""
+
+    def step(out: Path) -> str:
+        lines = ("list", "run to ct_import", "why positioning:T1", "run positioning:T1", "quit")
+        options = ("--calibrated", "--measure-targets", "--keep-raw")
+        done = _step(shared_commands, out, *lines, options=options)
+        assert shared_commands.await_no_survivors() == []
+        return json.dumps([done.returncode, done.stdout, done.stderr])
+
+    out, said = made_once(tmp_path_factory, "stepped", step)
+    (run,) = out.iterdir()
+    return subprocess.CompletedProcess((), *json.loads(said)), run
+
+
+def test_steps_can_be_listed_run_and_refused_with_reasons(
+    stepped: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    done, _ = stepped
     assert done.returncode == 0, done.stderr
     assert "next  ct_import" in done.stdout
     assert "done ct_import: " in done.stdout
@@ -48,12 +61,11 @@ def test_steps_can_be_listed_run_and_refused_with_reasons(commands: Commands, tm
     assert "PRO-001" in done.stderr
 
 
-def test_a_stepped_case_has_every_option_of_a_case(commands: Commands, tmp_path: Path) -> None:
-    options = ("--calibrated", "--measure-targets", "--keep-raw")
-    done = _step(commands, tmp_path, "list", "quit", options=options)
-    assert done.returncode == 0, done.stderr
+def test_a_stepped_case_has_every_option_of_a_case(
+    stepped: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    done, run = stepped
     assert "target_measurement:T1" in done.stdout
-    (run,) = tmp_path.iterdir()
     asked = read_request(run)
     assert isinstance(asked, CaseRequest)
     assert asked.keep_raw

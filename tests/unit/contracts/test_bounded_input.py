@@ -210,12 +210,10 @@ def test_a_file_is_not_read_beyond_its_limit() -> None:
         read_bounded(Path("/proc/cpuinfo"), 100)  # of size 0 as the file system tells
 
 
-@pytest.mark.parametrize(
-    "packed", [zlib.compress(bytes(50_000_000)), zlib.compress(b"whole")[:-3], b"no such thing"]
-)
-def test_inflated_data_must_be_complete_and_within_the_limit(packed: bytes) -> None:
-    with bounded_cost(20 << 20, 1.0), pytest.raises(InputRefused, match="deflated data"):
-        inflate(packed, 1_000_000)
+def test_inflated_data_must_be_complete_and_within_the_limit() -> None:
+    for packed in (zlib.compress(bytes(50_000_000)), zlib.compress(b"whole")[:-3], b"no such thing"):
+        with bounded_cost(20 << 20, 1.0), pytest.raises(InputRefused, match="deflated data"):
+            inflate(packed, 1_000_000)
     assert inflate(zlib.compress(b"whole"), 5) == b"whole"
 
 
