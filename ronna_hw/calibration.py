@@ -16,6 +16,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    PlainSerializer,
     ValidationInfo,
     model_validator,
 )
@@ -23,6 +24,9 @@ from pydantic import (
 from ronna_hw.errors import EXIT_REFUSED, DataError
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
+    FINEST_MM,
+    LARGEST_DEVIATION_MM,
+    LARGEST_DEVIATION_RAD,
     SHORTEST_TRANSLATION_MM,
     WIDEST_VIEW_DEG,
     ArmError,
@@ -245,6 +249,23 @@ class TrackerFrameCalibration(DatedRecord):
     tool_from_marker: OnTheMount = Field(description="Pose tool centre <- reference frame.")
 
 
+def _numbers(rows: object) -> object:
+    """Rows of numbers from lines of text; anything else as it is."""
+    if isinstance(rows, list | tuple):
+        return tuple(tuple(map(float, row.split())) if isinstance(row, str) else row for row in rows)
+    return rows
+
+
+def _lines(rows: tuple[tuple[float, ...], ...]) -> tuple[str, ...]:
+    return tuple(" ".join(map(str, row)) for row in rows)
+
+
+# A line of text for each row: TOML would have one for each of three thousand numbers.
+Rows = Annotated[
+    tuple[tuple[float, ...], ...], BeforeValidator(_numbers), PlainSerializer(_lines, tuple[str, ...])
+]
+
+
 class ArmCalibration(DatedRecord):
     """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
 
@@ -282,6 +303,12 @@ class ArmCalibration(DatedRecord):
     backlash_rad: tuple[DeviationRad, ...] = Field(
         description="Backlash; a joint rests half of it to either side."
     )
+    remaining: Rows | None = Field(
+        default=None,
+        description="Errors that the calibration leaves, with their correlations: the lower triangle L of "
+        "their covariance L L^T, a line of text for each row. Order: the deviations as listed here, each "
+        "joint by joint; then the stereo head on the flange, x, y, z. Without it, from stated_error_mm.",
+    )
 
     @model_validator(mode="after")
     def _of_one_arm(self) -> Self:
@@ -289,6 +316,26 @@ class ArmCalibration(DatedRecord):
         if len(set(counts.values())) != 1:
             listed = ", ".join(f"{name} {count}" for name, count in counts.items())
             raise ValueError(f"every deviation needs one entry per joint: {listed}")
+        return self
+
+    @model_validator(mode="after")
+    def _leaves_plausible_errors(self) -> Self:
+        """A triangle cannot be asymmetric or indefinite: what remains is its shape, and the size of a row."""
+        if self.remaining is None:
+            return self
+        joints = len(self.joint_offset_rad)
+        count = PER_JOINT * joints + 3
+        if [len(row) for row in self.remaining] != list(range(1, count + 1)):
+            raise ValueError(f"remaining: expected {count} rows, of 1 to {count} numbers")
+        for number, row in enumerate(self.remaining):
+            size = math.hypot(*row)
+            in_mm = not 3 * joints <= number < count - 3
+            if in_mm and size < FINEST_MM:
+                raise ValueError(
+                    f"remaining: row {number + 1} is {size:.2g} mm, expected at least {FINEST_MM:g} mm"
+                )
+            if size > (limit := LARGEST_DEVIATION_MM if in_mm else LARGEST_DEVIATION_RAD):
+                raise ValueError(f"remaining: row {number + 1} is {size:.2g}, expected at most {limit:g}")
         return self
 
 
@@ -301,3 +348,4 @@ ARM_DEVIATIONS = (
     "sag_rad",
     "backlash_rad",
 )
+PER_JOINT = 13  # numbers in all of them

@@ -1,6 +1,7 @@
 """An arm's errors as sources of a predicted target error: how each displaces the tool at every pose.
 
-Sizes are those of an uncalibrated arm (parameter set S of the error study) unless given.
+Sizes are those of an uncalibrated arm (parameter set S of the error study) unless given, or what the
+calibration of the arm has left, correlations included.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from procedures.calibration.arm_geometry import (
     UNCALIBRATED_MM,
     error_columns,
 )
+from procedures.calibration.identified_arm import IdentifiedArm, by_deviation
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
-from ronna_hw.arm.deviations import FLANK_SHARE, gravity_levers
+from ronna_hw.arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
 from ronna_hw.arm.links import Chain
 
 if TYPE_CHECKING:
@@ -42,13 +44,15 @@ class ErrorSizes:
     """Remaining errors of an arm as fractions of set S; the tool frame's in mm per axis.
 
     `links` includes the joint offsets, `joints` harmonics and sag. `backlash` is the fraction remaining if it
-    is known on which side a joint rests; otherwise all of it remains.
+    is known on which side a joint rests; otherwise all of it remains. Of an `identified` arm, predictions use
+    what is known of it instead of independent errors of these sizes.
     """
 
     tool_mm: float = TOOL_MM
     links: float = 1.0
     joints: float = 1.0
     backlash: float = 1.0
+    identified: IdentifiedArm | None = None
 
     @classmethod
     def stated(cls, settings: ProcedureSettings, arm: ArmCalibration | None) -> Self:
@@ -62,7 +66,7 @@ class ErrorSizes:
             tool_mm = max(settings.tool_error_mm, LINK_TRANSLATION_MM)
         else:
             tool_mm = arm.tool_error_mm or PER_AXIS * arm.stated_error_mm
-        return cls(tool_mm, share, share, share)
+        return cls(tool_mm, share, share, share, None if arm is None else IdentifiedArm.of(arm))
 
 
 def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> float:
@@ -98,17 +102,30 @@ def arm_sources(
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Geometry, joints, backlash and repeatability, for one target and its `n` spheres.
+    """Geometry, joints, backlash, repeatability and tool frame, for one target and its `n` spheres.
 
-    Repeatability is the same in all arms. `servo_mm` is 0 if the servo's residual is measured.
+    Repeatability is the same in all arms that are not identified. `servo_mm` is 0 if the servo's residual is
+    measured.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
-    moved = displacements(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]), sizes)
+    points = np.concatenate([spheres.points_mm, target.points_mm])
+    moved, arm = displacements(chain, joints, points, sizes), sizes.identified
+    if arm is not None:
+        sides = [np.zeros_like(at.joints_rad) if at.sides is None else at.sides for at in (spheres, target)]
+        columns = by_deviation(chain, joints, points, np.concatenate(sides))
+        unknown = _backlash(moved.swings_mm * arm.backlash_rad, spheres.sides, target.sides, 0.0)
+        return (
+            _shared("arm and tool frame as identified", columns @ arm.remaining),
+            *([unknown] if isinstance(unknown, OwnErrors) else []),
+            _at_rest(len(spheres.joints_rad), servo_mm, arm.scatter_mm),
+        )
     return (
         _shared("links and joint offsets", moved.links_mm),
         _shared("harmonics and sag", _sag_added(moved.joints_mm)),
-        _backlash(moved.swings_mm, spheres.sides, target.sides, sizes.backlash),
-        _at_rest(len(spheres.joints_rad), servo_mm),
+        _backlash(BACKLASH_RAD * moved.swings_mm, spheres.sides, target.sides, sizes.backlash),
+        _at_rest(len(spheres.joints_rad), servo_mm, REPEATABILITY_MM),
+        # It turns with the flange; the same in all directions.
+        _shared("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
     )
 
 
@@ -133,14 +150,6 @@ def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Erro
     return Displacements(sizes.links * links, sizes.joints * np.concatenate([harmonics, sag], axis=2), swings)
 
 
-def tool_frame(at_spheres: Array, at_target: Array, tool_mm: float = TOOL_MM) -> SharedErrors:
-    """The tool frame's error on the flange, `tool_mm` per axis: it turns with the tool.
-
-    Rotations robot <- flange at the spheres (n, 3, 3) and at the target (3, 3).
-    """
-    return SharedErrors("tool frame", tool_mm * at_spheres, tool_mm * at_target)
-
-
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
     """Errors of the spheres in the CT, (n, 3, 3) mm2 in the robot frame."""
     return OwnErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
@@ -157,9 +166,9 @@ def _shared(source: str, columns_mm: Array) -> SharedErrors:
 
 
 def _backlash(
-    swings: Array, at_spheres: Array | None, at_target: Array | None, left: float
+    whole: Array, at_spheres: Array | None, at_target: Array | None, left: float
 ) -> SharedErrors | OwnErrors:
-    half = FLANK_SHARE * BACKLASH_RAD * swings
+    half = FLANK_SHARE * whole
     if at_spheres is not None and at_target is not None:
         return _shared("backlash", left * half * np.concatenate([at_spheres, at_target])[:, None, :])
     own = half @ half.transpose(0, 2, 1)
@@ -168,8 +177,8 @@ def _backlash(
     return OwnErrors("backlash", own[:-1], own[-1])
 
 
-def _at_rest(spheres: int, servo_mm: float) -> OwnErrors:
-    at_target = np.eye(3) * REPEATABILITY_MM**2
+def _at_rest(spheres: int, servo_mm: float, scatter_mm: float) -> OwnErrors:
+    at_target = np.eye(3) * scatter_mm**2
     at_sphere = at_target + np.eye(3) * servo_mm**2 / 3.0
     name = "servo and repeatability" if servo_mm else "repeatability"
     return OwnErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)

@@ -93,6 +93,12 @@ def flange_poses(
     return poses
 
 
+def flange_rotations(chain: Chain, joints_rad: Array) -> Array:
+    """Orientations (m, 3, 3) ROBOT <- FLANGE of the nominal arm."""
+    nominal = ArmDeviations.none(len(chain.joints))
+    return np.asarray(flange_poses(chain, nominal, joints_rad)[:, :3, :3])
+
+
 def joint_errors(chain: Chain, deviations: ArmDeviations, encoders_rad: Array, flanks: ArrayLike) -> Array:
     """Difference between the effective angles and the encoders', (m, n) rad."""
     errors = deviations.joint_offset_rad + FLANK_SHARE * deviations.backlash_rad * np.asarray(flanks)

@@ -21,7 +21,7 @@ from procedures.calibration.arm_geometry import (
     LINK_ROTATION_RAD,
     LINK_TRANSLATION_MM,
 )
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.frames import Frame, Transform
 
@@ -97,6 +97,20 @@ class ArmModel:
         change = RigidTransform.from_components(TOOL_MM * head[:3], Rotation.from_rotvec(TOOL_RAD * head[3:]))
         return Transform(Frame.FLANGE, Frame.TOOL, self.flange_from_tool.rigid * change)
 
+    @property
+    def to_record(self) -> Array:
+        """Derivative (k, size) of what a record of the arm states by a vector without spheres.
+
+        All deviations, then the head on the flange in mm. A turn of the head moves no sphere that it is
+        centred on.
+        """
+        prior = self.prior
+        arm, head = len(prior), self.size - TOOL
+        rows = np.zeros((arm + 3, self.size))
+        rows[np.flatnonzero(prior), np.arange(head)] = prior[prior > 0.0]
+        rows[arm:, head : head + 3] = TOOL_MM * self.flange_from_tool.rotation_matrix
+        return rows
+
     def misses(self, values: Array, looks: LookArrays) -> Array:
         """Deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
         flange = flange_poses(self.kinematics.chain, self.deviations(values), looks.joints_rad, looks.flanks)
@@ -116,6 +130,5 @@ class ArmModel:
 
     def rotations(self, looks: LookArrays) -> Array:
         """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
-        nominal = ArmDeviations.none(self.joints)
-        flange = flange_poses(self.kinematics.chain, nominal, looks.joints_rad)
-        return np.asarray(flange[:, :3, :3] @ self.flange_from_tool.rotation_matrix)
+        flange = flange_rotations(self.kinematics.chain, looks.joints_rad)
+        return np.asarray(flange @ self.flange_from_tool.rotation_matrix)

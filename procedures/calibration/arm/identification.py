@@ -61,6 +61,16 @@ class ArmFit:
         """Standard error of each parameter except the spheres', relative to its prior."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
 
+    @property
+    def remaining(self) -> Array:
+        """Lower triangle (k, k) of the covariance of what a record of the arm states, spheres wherever."""
+        size = self.model.size
+        root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
+        _, upper = np.linalg.qr(root.T)
+        found = np.zeros((len(root), len(root)))
+        found[:, : len(upper)] = upper.T
+        return found
+
 
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
     """The arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""

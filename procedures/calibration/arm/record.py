@@ -18,6 +18,7 @@ from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipC
 from ronna_hw.frames import Frame
 
 MADE_BY = "ronna-arm calibrate"
+DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,10 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
             serial=observed.arm_serial or None,
             scatter_mm=fit.scatter_mm,
             **fit.deviations.as_plain(),
+            remaining=tuple(
+                tuple(float(f"{value:.{DIGITS}g}") for value in row[: number + 1].tolist())
+                for number, row in enumerate(fit.remaining)
+            ),
             created=observed.created,
             expires=observed.created + life,
             made_by=MADE_BY,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors, tool_frame
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.planning.prediction.instrument_error import (
     DIRECTION,
@@ -92,21 +92,16 @@ def arm_error_sources(
         [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)],
         dtype=float,
     )
-    rotations = np.array([one.visit.pose.rotation_matrix for one in looks])
-    spheres = np.array([one.visit.pose.translation_mm for one in looks])
-    return (
-        tool_frame(rotations, target.visit.pose.rotation_matrix, setting.sizes.tool_mm),
-        *arm_sources(
-            setting.kinematics.chain,
-            ArmPoses(
-                np.array([one.at_rad for one in looks]),
-                spheres,
-                np.repeat(signs, len(looks), axis=0) if setting.strategy.controls_approach else None,
-            ),
-            ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
-            setting.sizes,
-            servo_mm=0.0,  # the servo's residual is measured
+    return arm_sources(
+        setting.kinematics.chain,
+        ArmPoses(
+            np.array([one.at_rad for one in looks]),
+            np.array([one.visit.pose.translation_mm for one in looks]),
+            np.repeat(signs, len(looks), axis=0) if setting.strategy.controls_approach else None,
         ),
+        ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
+        setting.sizes,
+        servo_mm=0.0,  # the servo's residual is measured
     )
 
 

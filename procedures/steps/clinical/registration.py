@@ -41,7 +41,7 @@ from procedures.steps.clinical.error_budget.arm import arm_errors
 from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
 from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.error_budget.held_guide import held_guide
-from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm, shared_with_target
+from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -308,7 +308,6 @@ def predict_tip_error(
         OwnErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
         OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
         *arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
-        shared_with_target(context, pairs.tool_mm, held),
         OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
         OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)),
         *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),

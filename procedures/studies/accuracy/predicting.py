@@ -10,7 +10,6 @@ from procedures.calibration.arm_sources import (
     ErrorSizes,
     arm_sources,
     ct_errors,
-    tool_frame,
 )
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.studies.accuracy.phantom import Phantom
@@ -46,9 +45,6 @@ def predictions(
         )
         ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
         sources = [
-            tool_frame(
-                planned.localizations.rotations[looks], planned.targets.rotations[number], left.tool_mm
-            ),
             *arm_sources(ARM.chain, at_spheres, at_target, left),
             ct_errors(ct),
         ]

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ErrorSizes
+from procedures.calibration.identified_arm import IdentifiedArm
 from procedures.studies.accuracy.identified import LOOKS, BelievedArm, identified, identified_errors
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.random_arms import RandomArms, drawn_arm
@@ -28,7 +29,7 @@ from procedures.studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
 STRATEGIES = ("nos", "ocs", "jdms", "improved")
 BLOCK_ARMS = 10
-CELL, ARM = "arms", "arm"
+CELL, ARM, PREDICTED = "arms", "arm", "predicted"
 # Assumed when choosing poses: tool frame and arm known to about a tenth.
 EXPECTED = ErrorSizes(tool_mm=0.1, links=0.1, joints=0.1, backlash=0.1)
 GOAL_MM = 0.13
@@ -52,7 +53,10 @@ class IdentifiedStudy:
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what."""
+        """Length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what.
+
+        Predicted, as sums: predicted|strategy|spheres|inside, rms2.
+        """
         drawn = phantom(Markers.FREE, DEPTHS_MM, TARGETS)
         scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
         planned = {
@@ -62,7 +66,7 @@ class IdentifiedStudy:
         }
         spheres = place(1).apply(drawn.spheres_mm)
         first = unit.block * BLOCK_ARMS
-        found: Sums = {}
+        found: Sums = defaultdict(float)
         for number in range(first, first + unit.runs):
             fit = identified(self.seed, number, spheres)
             apart_rad = fit.deviations.backlash_rad - np.array(drawn_arm(self.seed, number)[0].backlash_rad)
@@ -70,25 +74,32 @@ class IdentifiedStudy:
             found[f"{ARM}|{number}|scatter"] = fit.scatter_mm
             believed = BelievedArm(fit.deviations, fit.flange_from_tool)
             arm = RandomArms.draw(self.seed, [number])
+            known = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
+            left = ErrorSizes(identified=known)
             for scene in scenes:
                 for strategy in STRATEGIES:
-                    errors = identified_errors(
-                        arm, believed, planned[scene.number, strategy], scene, [number], Sizes(FINE_CT_MM)
-                    )
+                    poses = planned[scene.number, strategy]
+                    errors = identified_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
+                    predicted = scene.predicted(poses, left, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
-                        key = f"{strategy}|{scene.counts[count]}|{number}|{scene.number}|{target + 1}"
-                        found[key] = float(length)
-        return found
+                        series = f"{strategy}|{scene.counts[count]}"
+                        found[f"{series}|{number}|{scene.number}|{target + 1}"] = float(length)
+                        one = predicted[count][target]
+                        found[f"{PREDICTED}|{series}|inside"] += float(one.holds(errors[target, count]))
+                        found[f"{PREDICTED}|{series}|rms2"] += one.rms_mm**2
+        return dict(found)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Errors at the targets, and what identification leaves."""
     errors = _errors(sums)
-    arms = defaultdict(list)
+    arms, predicted = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
         for key, value in content.items():
             if key.startswith(f"{ARM}|"):
                 arms[key.split("|")[2]].append(value)
+            elif key.startswith(f"{PREDICTED}|"):
+                predicted[key] += value
     return [
         Table(
             "Arms as they are identified",
@@ -118,6 +129,22 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} "
             f"measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, from the "
             "scatter of the arms (Student).",
+        ),
+        Table(
+            "Predicted and actual error",
+            ("strategy", "spheres", "trials", "inside 95 % region %", "predicted rms mm", "actual rms mm"),
+            [
+                [
+                    strategy,
+                    count,
+                    each.size,
+                    100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size,
+                    float(np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)),
+                    float(np.sqrt(np.mean(each**2))),
+                ]
+                for (strategy, count), each in errors.items()
+            ],
+            "The prediction knows the covariance that the identification of each arm has left.",
         ),
         Table(
             "What the identification leaves",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from strategy_arms import ARM, FIDUCIALS, KR6, LEANING, ROOM
 
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, displacements, tool_frame
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, displacements
 from procedures.registration.target_prediction import predict_target_error
 from procedures.strategies.best import BestOfEach
 from procedures.strategies.catalogue import strategy_named
@@ -25,17 +25,12 @@ def predicted_mm(name: str, sizes: ErrorSizes, along: Trajectory = LEANING) -> f
     poses = strategy_named(name).localization_poses(along, FIDUCIALS, ROOM, arm)
     spheres, tip = ROOM.apply(FIDUCIALS), ROOM.apply(along.target_mm)
     looks = np.array([arm.stereo_at(pose) for pose in poses])
-    sources = [
-        tool_frame(
-            np.array([pose.rotation_matrix for pose in poses]), at_target.rotation_matrix, sizes.tool_mm
-        ),
-        *arm_sources(
-            arm.kinematics.chain,
-            ArmPoses(looks, spheres, np.ones((len(looks), 6))),
-            ArmPoses(np.array([arm.guide_at(at_target)]), tip[None], np.ones((1, 6))),
-            sizes,
-        ),
-    ]
+    sources = arm_sources(
+        arm.kinematics.chain,
+        ArmPoses(looks, spheres, np.ones((len(looks), 6))),
+        ArmPoses(np.array([arm.guide_at(at_target)]), tip[None], np.ones((1, 6))),
+        sizes,
+    )
     return predict_target_error(spheres, tip, sources).rms_mm
 
 

@@ -21,7 +21,8 @@ from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
 from procedures.studies.application_error import ApplicationErrorStudy
 from procedures.studies.campaign.unit import Unit
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
-from procedures.studies.strategies.identified import EXPECTED, GOAL_MM
+from procedures.studies.strategies import identified as by_looks
+from procedures.studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
 from procedures.studies.strategies.study import PREDICTION, StrategiesStudy
 from procedures.studies.strategies.tables import plots, tables
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -183,3 +184,16 @@ def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
             arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
         )
         assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM
+
+
+@pytest.mark.slow
+def test_the_errors_of_identified_arms_have_the_size_that_is_predicted_with_every_strategy() -> None:
+    study = IdentifiedStudy(arms=4)
+    (unit,) = study.units()
+    found = {table.title: table for table in by_looks.tables({unit.cell: study.run(unit)})}
+    rows = found["Predicted and actual error"].rows
+    assert len(rows) == 4 * 3
+    for _, _, trials, inside, predicted_mm, actual_mm in rows:
+        assert trials == 4 * 8 * 10
+        assert float(str(inside)) > 80.0  # the targets of one arm err alike, and these are four
+        assert float(str(predicted_mm)) == pytest.approx(float(str(actual_mm)), rel=0.25)

@@ -125,6 +125,51 @@ def test_a_number_beyond_what_is_built_or_measured_is_refused(
         parse_theatre(content)
 
 
+def _remaining(change: Callable[[list[list[float]]], object] = lambda rows: rows) -> list[str]:
+    """Lines for an arm of six joints, each error alone and half of what is allowed, after a change."""
+    count = 13 * 6 + 3
+    rows = [[0.0] * number + [0.05 if 18 <= number < count - 3 else 10.0] for number in range(count)]
+    change(rows)
+    return [" ".join(map(str, row)) for row in rows]
+
+
+def test_the_covariance_of_an_arm_is_read(content: dict[str, Any]) -> None:
+    content["calibration"]["arm"]["remaining"] = _remaining()
+    calibration = parse_theatre(content).calibration
+    assert calibration is not None
+    assert calibration.arm is not None
+    assert calibration.arm.remaining is not None
+    assert calibration.arm.remaining[-1] == (*[0.0] * 80, 10.0)
+
+
+def _set(row: int, *last: float) -> Callable[[list[list[float]]], object]:
+    return lambda rows: rows[row].__setitem__(slice(-len(last), None), last)
+
+
+@pytest.mark.parametrize(
+    ("remaining", "said"),
+    [
+        ([], "remaining: expected 81 rows, of 1 to 81 numbers"),
+        (_remaining(list.pop), "remaining: expected 81 rows, of 1 to 81 numbers"),
+        (_remaining(lambda rows: rows[3].append(0.0)), "remaining: expected 81 rows, of 1 to 81 numbers"),
+        (_remaining(lambda rows: rows[0].clear()), "remaining: expected 81 rows, of 1 to 81 numbers"),
+        (_remaining(_set(0, 0.0)), "remaining: row 1 is 0 mm, expected at least 0.001 mm"),
+        (_remaining(_set(80, 1e-4)), "remaining: row 81 is 0.0001 mm, expected at least 0.001 mm"),
+        (_remaining(_set(17, 15.0, 15.0)), "remaining: row 18 is 21, expected at most 20"),
+        (_remaining(_set(18, 0.2)), "remaining: row 19 is 0.2, expected at most 0.1"),
+        (_remaining(_set(77, HUGE, HUGE)), "remaining: row 78 is 1.4e+300, expected at most 0.1"),
+        (_remaining(_set(5, float("nan"))), "finite number"),
+        ([*_remaining()[:-1], "one two"], "could not convert"),
+    ],
+)
+def test_a_covariance_that_no_calibration_leaves_is_refused(
+    content: dict[str, Any], remaining: list[str], said: str
+) -> None:
+    content["calibration"]["arm"]["remaining"] = remaining
+    with pytest.raises(BadTheatreFile, match=rf"CFG-001.*1 mistake: calibration\.arm.*{re.escape(said)}"):
+        parse_theatre(content)
+
+
 def test_a_tool_with_the_number_of_the_stereo_head_is_refused(content: dict[str, Any]) -> None:
     del content["tools"]["stereo_head"]
     _change(content, "tools.guide.number", lambda _: 1)
