@@ -84,7 +84,7 @@ def place(
     if strategy == CHOSEN_BY_PLACE:
         raise UsageMistake(
             f"--strategy {strategy} chooses by the errors at one known cart position",
-            action="Map with --strategy ocs: wherever that works, a case with best can choose it.",
+            action="Map with --strategy ocs: where that works, best can choose it.",
         )
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     assert theatre is not None

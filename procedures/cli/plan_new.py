@@ -15,7 +15,7 @@ READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the spher
 
 def new(
     series_dir: Annotated[Path, typer.Argument(metavar="SERIES_DIR", help="Folder of the CT series.")],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file: the plan.")] = Path(
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The plan file to write.")] = Path(
         "plan.toml"
     ),
 ) -> None:

@@ -1,4 +1,4 @@
-"""The last line of a run: how it ended, and the hashes that hold its files and inputs to what they were."""
+"""The last line of a run: how it ended, and the hashes of its files and inputs."""
 
 from __future__ import annotations
 

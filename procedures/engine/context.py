@@ -1,4 +1,4 @@
-"""What a step may use. That it asked for a result makes that result a parent of its own."""
+"""What a step may use. Each result that it reads becomes a parent of its own result."""
 
 from __future__ import annotations
 

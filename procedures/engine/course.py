@@ -1,4 +1,4 @@
-"""What of a case is done, left out, or comes next: the same while it runs and after a restart."""
+"""Which steps of a case are done, left out or next: the same while it runs and after a restart."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where we are: the state chart of the procedure, made from its steps.
+"""The procedure's state chart, derived from its steps.
 
 Transitions are instant and pure; the work of a step happens while the machine rests in the step's state,
 never in a callback. Whether a step may begin is the engine's to decide, before it asks for the transition.

@@ -1,4 +1,4 @@
-"""One program at a time works on a run: its folder is locked, and free when the program ends, however."""
+"""One program at a time works on a run: it locks the folder until it ends, even if it is killed."""
 
 from __future__ import annotations
 

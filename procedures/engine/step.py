@@ -1,4 +1,4 @@
-"""What a step says about itself, in one place: where it stands, what it reads, what it leaves, its work."""
+"""The declaration of a step: its place in the order, what it reads, its result, its work."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
         )
         if not (_written(noted, note) or only_leaving):
             raise TheatreNotNoted(
-                f"cannot write {path}: a later run could not know that this one left the arm away from home"
+                f"cannot write {path}: a later run would not know that this one left the arm away from home"
             )
         try:
             yield before

@@ -1,4 +1,4 @@
-"""Enough room for the run: a journal that cannot be written stops everything, so it must not come to that."""
+"""Enough disk space for the run: suspend before the journal can no longer be written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""While a guide approaches the head, or an instrument is in it, the tracker must see the head now and then.
+"""Limits how long the tracker may not see the head while a guide approaches it or an instrument is in it.
 
 A head that moves while every sphere is covered is noticed when one is seen again. This bounds how long that
 may take: then the case suspends, and the operator decides whether it continues without sight.

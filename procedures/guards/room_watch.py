@@ -1,4 +1,4 @@
-"""Is the room still as it was localized? The frame on the arm and the patient's spheres show it.
+"""Whether anything has moved since the localization, by the frame on the arm and the patient's spheres.
 
 The place of the frame is compared by its difference between tracker and arm. That difference depends on the
 arm's orientation by as much as the mount is off its drawing, some millimetres, so it is compared with what it

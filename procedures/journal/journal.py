@@ -119,7 +119,7 @@ class Journal:
         self, entry: Entry, theatre_time_s: float, data: Mapping[str, JournalValue], *, durable: bool
     ) -> None:
         if self.closed:
-            raise self._not_writable("it is closed")
+            raise self._not_writable("the journal is closed")
         self._settle()
         if entry is Entry.INTENT:
             self._hold_room()

@@ -1,1 +1,1 @@
-"""The operator, who decides; the room's hands, which act; and where a case rests for either."""
+"""The operator, who decides; the room's hands, which act; and the points where a case waits for them."""

@@ -1,4 +1,4 @@
-"""What a question is decided by."""
+"""The evidence shown with a question."""
 
 from __future__ import annotations
 

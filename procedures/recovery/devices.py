@@ -45,7 +45,7 @@ def compare_devices(
         if (then := recorded.identities.get(role)) == found:
             comparison.same(f"{role} {found.model}")
         elif role != ARM and only_leaving:
-            comparison.note(f"{role}: not needed on the way home, and another one: {_named(found)}")
+            comparison.note(f"{role}: a different one; not needed on the way home: {_named(found)}")
         else:
             comparison.differs(role, _named(then) if then else "none", _named(found))
     if not only_leaving:
@@ -74,7 +74,7 @@ def _compare_calibrations(
     for name, record in now.records.items():
         if record != then.get(name) and only_leaving and name not in FOR_MOTION:
             comparison.note(
-                f"calibration {name}: not needed on the way home, and another one: {_dated(record)}"
+                f"calibration {name}: a different one; not needed on the way home: {_dated(record)}"
             )
             continue
         if record != then.get(name):

@@ -1,4 +1,4 @@
-"""What the workcell refuses, so that the arm does not move wrongly."""
+"""Motions and looks that the workcell refuses."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class SupervisedMotion:
         checkpoint = self._checkpoint
         if checkpoint is None:
             raise NotConfirmed(
-                f"nobody can confirm the motion '{motion.what}'", expected="a case that is open"
+                f"the motion '{motion.what}' cannot be confirmed: the case is closed", expected="an open case"
             )
         named = f"the motion '{motion.what}' ({IN_WORDS[motion.what]})"
 

@@ -1,4 +1,4 @@
-"""Readings of the tracker while the arm rests: so many measurements, each another one, and their mean."""
+"""Tracker readings while the arm is at rest: a number of distinct measurements, and their mean."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What hands have done through the guide at each trajectory: it stays done, whatever moves or ends since."""
+"""Stages done through the guide at each trajectory. They stay done after motions, failures and restarts."""
 
 from __future__ import annotations
 

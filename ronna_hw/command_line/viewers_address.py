@@ -56,7 +56,8 @@ class ViewersAddress:
             )
         if address not in own_addresses():
             raise UsageMistake(
-                f"--bind {self.address} is not an address of this computer", action="ip address lists them."
+                f"--bind {self.address} is not an address of this computer",
+                action="List them with `ip address`.",
             )
         self.context()
         warnings = [WARNING]

@@ -1,4 +1,4 @@
-"""The truth of a simulated theatre, secured during a run, so that an exchange before its end also shows.
+"""The truth of a simulated theatre, hashed during a run, so that replacing it before the end is detected.
 
 The first line of the journal and every result state the length of its files and their hashes so far. The
 scene is constant, and samples are added only while a step runs.

@@ -180,7 +180,7 @@ class RsiContext(_Table):
             raise ValueError(f"feedback: indx {unsent} is not sent")
         for element in self.send:
             if (element.indx == INTERNAL) != element.tag.startswith("DEF_"):
-                raise ValueError(f"send: {element.tag} is INTERNAL exactly when it begins with DEF_")
+                raise ValueError(f"send: {element.tag}: a tag is INTERNAL if and only if it begins with DEF_")
         return self
 
     def wired_tag(self, object_name: str, input_name: str) -> str | None:

@@ -150,7 +150,7 @@ def test_without_consent_the_localization_is_voided(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.operator.refusing = (Topic.MOVE_FOLLOWED,)
-    with pytest.raises(PatientMoved, match="no registration follows it"):
+    with pytest.raises(PatientMoved, match="the registration was not updated"):
         run(engine, NAME)
     assert voided(cell)[-1] == "global_localization"
 

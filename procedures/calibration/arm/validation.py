@@ -62,7 +62,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     if statistic > limit:
         got, refused_from = told_apart(statistic, limit, 0)
         raise DoesNotFit(
-            "the identified arm does not hold for measurements that it was not fitted to",
+            "the identified arm does not agree with the measurements kept for validation",
             limit=f"chi-square {refused_from}",
             got=f"{got}: {_rms(misses):.3f} mm",
         )

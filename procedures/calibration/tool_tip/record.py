@@ -122,7 +122,7 @@ def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     if rms_mm > limit_mm:
         rms, limit = told_apart(rms_mm, limit_mm, 3)
         raise DoesNotFit(
-            "the tip does not hold for readings that it was not fitted to",
+            "the tip does not agree with the readings kept for validation",
             limit=f"{limit} mm rms",
             got=f"{rms} mm",
         )

@@ -129,7 +129,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
         rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
         got, refused_from = told_apart(statistic, limit, 0)
         raise DoesNotFit(
-            "the frame does not hold for poses that it was not fitted to",
+            "the frame does not agree with the poses kept for validation",
             limit=f"chi-square {refused_from}",
             got=f"{got}: {rms_mm:.2f} mm",
         )

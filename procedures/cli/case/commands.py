@@ -171,7 +171,7 @@ def leave_head(engine: Engine) -> None:
 def _help(_engine: Engine, _argument: str, say: Say) -> None:
     for name, command in COMMANDS.items():
         say(f"{f'{name} {command.argument}'.strip():<22} {command.does}")
-    say(f"{'quit':<22} leave the case, not while an instrument is inside")
+    say(f"{'quit':<22} leave the case; not possible while an instrument is inside")
 
 
 def _named(engine: Engine, argument: str) -> StepKey:

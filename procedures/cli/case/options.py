@@ -140,7 +140,7 @@ class CaseOptions(TheatreOptions):
         int | None, typer.Option(min=3, max=8, help="Spheres on the head, instead of the scene's.")
     ] = None
     targets: Annotated[
-        int | None, typer.Option(min=1, max=10, help="Trajectories, instead of the scene's.")
+        int | None, typer.Option(min=1, max=10, help="Number of trajectories (default: the scene's).")
     ] = None
     fiducials: Annotated[
         FiducialChoice, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")

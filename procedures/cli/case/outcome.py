@@ -1,4 +1,4 @@
-"""Runs a case to its end and says what it came to: by its records, and by the truth where there is one."""
+"""Runs a case to its end and reports the outcome: from its records, and from the truth where there is one."""
 
 from __future__ import annotations
 

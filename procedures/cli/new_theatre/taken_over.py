@@ -1,4 +1,4 @@
-"""What a new theatre file takes over from another: records, tools, cell; and single options as told."""
+"""What a new theatre file copies from another: records, tools, cell, and the options that were named."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Commands about runs that there are: take one up again, verify, draw, list and show it."""
+"""Commands on existing runs: resume, verify, draw, list and show them."""

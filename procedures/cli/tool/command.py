@@ -41,7 +41,7 @@ def define(
             metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
         ),
     ],
-    purpose: Annotated[Purpose, typer.Option(help="What it is for.")],
+    purpose: Annotated[Purpose, typer.Option(help="What the tool is for.")],
     number: Annotated[
         int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
     ],

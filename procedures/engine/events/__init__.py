@@ -1,4 +1,4 @@
-"""What happens in a case, as one numbered stream that everybody reads: journal, terminal, console, links."""
+"""What happens in a case, as one numbered stream for every reader: journal, terminal, console, links."""
 
 from procedures.engine.events.event import Event
 from procedures.engine.events.happenings import (

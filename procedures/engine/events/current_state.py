@@ -1,4 +1,4 @@
-"""What holds at present, out of everything that has happened: what a newcomer is shown first."""
+"""The present state, from all events so far: the snapshot that a new reader starts from."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One happening with its number and its time, as every reader gets it and the run's file holds it."""
+"""One event with its number and time, as readers receive it and the run's file stores it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can happen: facts, of which a reader gets every one, and signals, of which it gets the latest.
+"""Kinds of events: facts, all of which reach a reader, and signals, of which the latest does.
 
 A signal is replaced by the next of the same kind about the same thing (`about`): a slow reader misses poses,
 never a question or a fault.

@@ -1,4 +1,4 @@
-"""Operator, room and clock of a replay: they say what they said in the run, and do nothing."""
+"""Operator, room and clock of a replay: they repeat their recorded answers, and do nothing."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ class BoundedStream(io.BytesIO):
             raise DataSetDeflated(self.tell())
         self._left -= 1
         if self._left < 0:
-            raise InputRefused("it has too many elements", limit=f"{MOST_READS} reads")
+            raise InputRefused("too many elements", limit=f"{MOST_READS} reads")
         if size > self._longest:
             raise InputRefused("a value is too long", limit=f"{self._longest} bytes", got=f"{size}")
         return super().read(size)

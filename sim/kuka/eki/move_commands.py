@@ -51,7 +51,7 @@ class EkiMoves:
         pose = pose_of_frame(frame(given))
         speed_m_s = number(given, "Vel")
         if not 0.0 < speed_m_s <= FASTEST_LINE_M_S:
-            raise ValueError(f"Vel is above 0 up to {FASTEST_LINE_M_S} m/s")
+            raise ValueError(f"Vel must be above 0 and at most {FASTEST_LINE_M_S} m/s")
         refusal = self._prepared(given)
         if refusal is not None:
             return refusal

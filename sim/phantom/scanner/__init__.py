@@ -1,1 +1,1 @@
-"""How it is scanned: voxel grid, blur, noise, and the DICOM series."""
+"""The simulated scanner: voxel grid, blur, noise, and the DICOM series."""

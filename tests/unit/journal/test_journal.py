@@ -174,5 +174,5 @@ def test_a_journal_cannot_be_opened_in_a_missing_folder(tmp_path: Path) -> None:
 def test_a_closed_journal_accepts_no_further_entries(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     journal.close()
-    with pytest.raises(JournalNotWritable, match="it is closed"):
+    with pytest.raises(JournalNotWritable, match="the journal is closed"):
         journal.write(Entry.INTENT, 0.0, step="ct_import")

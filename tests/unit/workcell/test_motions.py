@@ -97,7 +97,7 @@ def test_the_intent_is_on_the_disk_before_the_arm_moves(
 @pytest.mark.hazard(33)
 def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: RecordingCell) -> None:
     cell.journal.close()
-    with pytest.raises(JournalNotWritable, match="it is closed"):
+    with pytest.raises(JournalNotWritable, match="the journal is closed"):
         cell.workcell.go(turned(0.1))
     with pytest.raises(JournalNotWritable, match="the journal is closed"):
         cell.make_workcell()

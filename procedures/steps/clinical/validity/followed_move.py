@@ -219,6 +219,6 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
     )
     if context.choose(question) != FOLLOW:
         raise PatientMoved.by(
-            "the head has moved, and no registration follows it", move.fit.rms_mm, PATIENT_LIMIT_MM
+            "the head has moved, and the registration was not updated", move.fit.rms_mm, PATIENT_LIMIT_MM
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")
