@@ -17,7 +17,7 @@ from typing import NamedTuple, cast
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
-from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
+from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, is_made_anew, read_seal, sha256_of
 from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
@@ -27,7 +27,8 @@ RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
 FINISH_IT = (
-    "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it."
+    "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
+    "ronna-procedure report RUN its report."
 )
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 SHOWN = 3  # problems named in an error; verify lists all
@@ -37,8 +38,8 @@ SHOWN = 3  # problems named in an error; verify lists all
 class Problem:
     """One file that is not as the run left it, and how.
 
-    `unfinished` if the only problem is that the run did not reach its end, `beside` if nothing written by the
-    run is affected: its folder was renamed, or a file was added.
+    `unfinished` if the only problem is that the run did not reach its end, or that a file of its report is to
+    be made anew; `beside` if nothing written by the run is affected: its folder was renamed, or a file added.
     """
 
     file: str
@@ -326,7 +327,7 @@ def _against(folder: Path, hashes: Mapping[str, str]) -> Iterator[Problem]:
             if sha256_of(folder / name) != recorded:
                 yield Problem(name, "changed")
         except FileNotFoundError:
-            yield Problem(name, "missing")
+            yield Problem(name, "missing", unfinished=is_made_anew(name))
         except OSError as error:
             yield Problem(name, _why_unread(error))
 

@@ -24,9 +24,11 @@ from ronna_hw.records import PARTIAL, canonical_json, write_whole
 
 SEAL_FILE = "seal.json"
 ROOM_FILE = f".room{PARTIAL}"  # held while a run is open; a kill leaves it as an unfinished file
+REPORT_FILE = "report.html"
+ONLY_IN_REPORT = "report/postoperative"  # the check after the operation: its CT is elsewhere
 # Also written after the run is closed: prefixes of file names, and folders with everything in them.
 LATER_FILES = (
-    *("log.jsonl", "events.jsonl", "report.html", ROOM_FILE),
+    *("log.jsonl", "events.jsonl", REPORT_FILE, ROOM_FILE),
     *("theatre/world.json", "theatre/.world.json"),
 )
 RAW_FOLDER = "raw"  # images and frames as files, if wanted
@@ -136,6 +138,11 @@ def is_sealed(folder: Path) -> bool:
 def is_later(name: str) -> bool:
     """Whether a file with that name is also written after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
+
+
+def is_made_anew(name: str) -> bool:
+    """Whether it is a file of the report that follows from the rest of the run."""
+    return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
 
 
 def _as_written(made: Seal) -> bytes:

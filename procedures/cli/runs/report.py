@@ -13,7 +13,7 @@ from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.inspection import inspected, is_closed
-from ronna_hw.evidence.seal import BESIDE, SEAL_FILE, is_sealed
+from ronna_hw.evidence.seal import BESIDE, REPORT_FILE, SEAL_FILE, is_sealed
 from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.host.interruption import interruption_deferred
 
@@ -29,7 +29,7 @@ def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
     from procedures.reporting.files import forget_unconfirmed_truth
-    from procedures.reporting.report import REPORT_FILE, write_report
+    from procedures.reporting.report import write_report
 
     with contextlib.nullcontext() if out else held_run(run):
         found = inspected(run)

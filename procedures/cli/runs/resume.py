@@ -23,11 +23,10 @@ from procedures.engine.course import Course
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
-from procedures.reporting.report import REPORT_FILE
 from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
-from ronna_hw.evidence.seal import is_sealed
+from ronna_hw.evidence.seal import REPORT_FILE, is_sealed
 
 if TYPE_CHECKING:
     from procedures.cli.console.attaching import ConsoleRequest

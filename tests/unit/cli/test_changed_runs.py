@@ -141,6 +141,36 @@ def test_an_interrupted_report_does_not_leave_the_run_changed(
     assert inspected(run).problems == ()
 
 
+@pytest.mark.hazard(39)
+def test_missing_files_of_the_report_alone_are_made_anew(run: Path) -> None:
+    picture = make_report(run).parent / "report" / "timeline.csv"
+    (run / "report.html").unlink()
+    picture.unlink()
+    named = json.loads(in_this_process(app, "verify", run, "--json").stdout)["problems"]
+    assert {problem["file"] for problem in named} == {"report.html", "report/timeline.csv"}
+    refused = in_this_process(app, "export", run)
+    assert (refused.returncode, "report RUN its report" in refused.stderr) == (EXIT_REFUSED, True)
+    made = in_this_process(app, "report", run)
+    assert (made.returncode, made.stdout) == (0, f"{run / 'report.html'}\n")
+    assert "not as the run left it" not in (run / "report.html").read_text()
+    assert picture.exists()
+    assert inspected(run).problems == ()
+    (run / "report.html").unlink()
+    foreign_record(run)
+    assert in_this_process(app, "report", run).returncode == EXIT_REFUSED
+
+
+def test_a_missing_check_after_the_operation_is_not_forgotten_by_a_new_report(run: Path) -> None:
+    kept = run / "report" / "postoperative.json"
+    kept.parent.mkdir(exist_ok=True)
+    kept.write_text("{}")
+    seal_run(run)
+    kept.unlink()
+    refused = in_this_process(app, "report", run)
+    assert refused.returncode == EXIT_REFUSED
+    assert "report/postoperative.json: missing" in refused.stderr
+
+
 def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path) -> None:
     case, folder = tmp_path / "case", tmp_path / "run"
     (case / "ct").mkdir(parents=True)
