@@ -2,7 +2,7 @@
 
 The tool centre is moved onto a sphere until the residual is below the tolerance. Recorded is the nominal
 tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
-helps to find the next one.
+helps to find the next one. It is checked before: a wrong sphere must not lead the head on to the next one.
 
 Where the strategy asks for it, every position that is looked from is approached with each joint turning the
 way it will turn on its way to the target, so that backlash is the same in all of them and cancels.
@@ -10,20 +10,21 @@ way it will turn on its way to the target, so that backlash is the same in all o
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.head_watch import check_head
 from procedures.results.errors import GateFailed
 from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
@@ -40,11 +41,7 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which does not matter
-
-
-class _Measured(NamedTuple):
-    planned: LocalizationPose
-    sphere: CentredSphere
+SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
@@ -87,7 +84,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         standoff_mm=settings.standoff_mm,
     )
     offset_mm = np.zeros(3)
-    found: list[_Measured] = []
+    offsets_mm: list[Array] = []
+    spheres: list[CentredSphere] = []
     left_out: list[LeftOutSphere] = []
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
@@ -101,14 +99,12 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
         context.keep_picture(name, pair_picture(sphere.last_look))
         offset_mm = sphere.point_mm - coarse.translation_mm
-        found.append(_Measured(item, sphere))
-    spheres = [one.sphere for one in found]
+        offsets_mm.append(offset_mm)
+        spheres.append(sphere)
+        _check_last(offsets_mm, [one.fiducial for one in spheres], context)
     gaps_mm = tuple(sphere.ray_gap_mm for sphere in spheres)
     radii_mm = tuple(sphere.radii_mm for sphere in spheres)
     check_head(radii_mm, gaps_mm, workcell.calibrations.stereo_head.stated_error_mm)
-    coarse_mm = np.array([one.planned.tool_pose.translation_mm for one in found])
-    differences = np.array([sphere.point_mm for sphere in spheres]) - coarse_mm
-    _gate(differences, [sphere.fiducial for sphere in spheres], settings.coarse_fine_limit_mm)
     check_room(context, "after the spheres were localized again")
     return Outcome(
         Relocalization(
@@ -120,7 +116,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
             radii_mm=radii_mm,
             looks=tuple(sphere.looks for sphere in spheres),
             joints_rad=tuple(sphere.joints_rad for sphere in spheres),
-            coarse_offset_mm=differences.mean(axis=0).tolist(),
+            coarse_offset_mm=np.mean(offsets_mm, axis=0).tolist(),
             left_out=tuple(left_out),
         ),
         summary=(
@@ -171,19 +167,37 @@ def _shifted(pose: Transform, offset_mm: Array) -> Transform:
     )
 
 
-def _gate(differences_mm: Array, fiducials: Sequence[int], limit_mm: float) -> None:
-    """A sphere whose fine position disagrees with the coarse one is another one, or the patient moved.
+def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:
+    """A sphere whose offset differs from those before is another one, or the patient moved.
 
-    What all spheres share is the tool frame's error and is removed first.
+    What all spheres share is the error of tool frame and tracker frame: it alone bounds the first offset.
     """
-    apart_mm = np.linalg.norm(differences_mm - differences_mm.mean(axis=0), axis=1)
-    if float(apart_mm.max()) > limit_mm:
+    *before, last = offsets_mm
+    limit_mm = context.setting.settings.coarse_fine_limit_mm
+    *others, name = (f"sphere {one + 1}" for one in fiducials)
+    if not before:
+        limit_mm += _shared_mm(context)
+        before = [np.zeros(3)]
+    elif len(before) == 1:  # which of two is wrong nobody knows
+        name = f"{others[0]} or {name}"
+    apart_mm = max(math.dist(last, one) for one in before)
+    if apart_mm > limit_mm:
         raise GateFailed(
-            f"sphere {fiducials[int(apart_mm.argmax())] + 1} is not where the tracker saw it",
-            limit=f"{limit_mm:g} mm",
-            got=f"{beyond(float(apart_mm.max()), limit_mm, 2)} mm",
+            f"{name} is not where the tracker saw it",
+            limit=f"{limit_mm:.3g} mm",
+            got=f"{beyond(apart_mm, limit_mm, 2)} mm",
             action="Check that the patient has not moved, then localize with the tracker again.",
         )
+
+
+def _shared_mm(context: StepContext) -> float:
+    """How far tool frame and tracker frame may put the coarse position off: both turn with the tool.
+
+    The tracker looks in one orientation, the stereo head in another: at most the error counts twice.
+    """
+    records = context.workcell.calibrations
+    tool_mm = ErrorSizes.stated(context.setting.settings, records.arm).tool_mm
+    return 2.0 * SIGMAS * math.hypot(tool_mm, records.tracker_frame.stated_error_mm)
 
 
 STEP = StepSpec(

@@ -6,7 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from clinical_case import FIRST, HOME_RAD, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell, shifted
-from prepared_results import ARRIVING, checked_paths, checked_plan, coarse, localized_fiducials
+from prepared_results import ARRIVING, STANDOFF_MM, checked_paths, checked_plan, coarse, localized_fiducials
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
@@ -85,6 +85,41 @@ def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(
     cell.workcell.spheres_mm[0] += (0.0, 0.0, 6.0)
     with pytest.raises(GateFailed, match=r"PRO-007: sphere 1 is not where the tracker saw it"):
         relocalize(cell, fiducials=(3, 2, 1, 0))
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("WRONG_SPHERE")
+def test_a_wrong_sphere_does_not_lead_the_head_on_to_the_next_one(cell: ClinicalCell) -> None:
+    cell.workcell.spheres_mm[2] += (0.0, 4.4, 0.0)  # 2.9 mm beside the mean of three
+    with pytest.raises(GateFailed, match=r"PRO-007: sphere 1 or sphere 3 is not .* limit 3 mm, got 4\.40 mm"):
+        relocalize(cell, fiducials=(0, 2, 1))
+    assert len(list((cell.folder / "pictures").iterdir())) == 2
+    assert stands_off(cell, 2)
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("WRONG_SPHERE")
+def test_the_first_sphere_may_be_off_by_what_is_known_of_the_frames(cell: ClinicalCell) -> None:
+    relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, (0.0, first_limit_mm(cell) - 0.1, 0.0)))
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("WRONG_SPHERE")
+def test_after_a_wrong_first_sphere_nothing_moves(cell: ClinicalCell) -> None:
+    with pytest.raises(GateFailed, match="PRO-007: sphere 1 is not where the tracker saw it"):
+        relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, (0.0, first_limit_mm(cell) + 0.1, 0.0)))
+    assert stands_off(cell, 0)
+
+
+def first_limit_mm(cell: ClinicalCell) -> float:
+    """The limit, and twice four deviations of the tool frame and of the frame on it."""
+    return 3.0 + 8.0 * math.hypot(2.0, cell.calibrations.tracker_frame.stated_error_mm)
+
+
+def stands_off(cell: ClinicalCell, fiducial: int) -> bool:
+    """Whether the head is still in front of that sphere, where its measurement ended."""
+    away_mm = np.linalg.norm(cell.workcell.tool_pose().translation_mm - cell.workcell.spheres_mm[fiducial])
+    return abs(float(away_mm) - STANDOFF_MM) < 0.1
 
 
 @pytest.mark.hazard(27)
