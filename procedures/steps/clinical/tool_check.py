@@ -26,6 +26,7 @@ from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
+from procedures.workcell.parking import park
 from ronna_hw.arm.angles import radians6
 from ronna_hw.calibration import Numbers3
 from ronna_hw.tool_record import Gauge
@@ -94,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))
         context.have_instrument_out()
-    workcell.return_home()
+    park(workcell, "park the arm from the gauge")
     offset, tilt_deg = compared(guide.gauge, readings)
     off_mm = math.hypot(*offset)
     told = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"

@@ -17,7 +17,7 @@ from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
-from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
+from procedures.steps.clinical.tool_check import APPROACHES, STEP, TIP_LIMIT_MM, CheckedTool
 from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
@@ -102,6 +102,14 @@ def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
         InstrumentInGuide, match="TOOL-001: home: an instrument is in the guide, and in the gauge"
     ):
         cell.workcell.return_home()
+
+
+@pytest.mark.hazard(36)
+def test_the_arm_does_not_leave_the_gauge_without_confirmation(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.PARK)
+    with pytest.raises(NotConfirmed, match=r"PRO-002: .*from the gauge.* the guide moves .* mm/s; "):
+        check(cell, *(0.0,) * 5)
+    assert len(cell.arm.motions) == 2 * APPROACHES  # none of them home
 
 
 @pytest.mark.hazard(47)
