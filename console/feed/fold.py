@@ -26,6 +26,7 @@ from procedures.engine.events import (
     Questioned,
     Refusal,
     Seat,
+    SignalsLost,
     StepState,
     Waiting,
 )
@@ -84,6 +85,8 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
             return _device(view, device, what)
         case JournalLine(line=line):
             return _journal(view, line)
+        case SignalsLost():
+            return {}  # of the file; the picture has the latest of each
         case Fault() | Refusal() | Finding():
             return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
 

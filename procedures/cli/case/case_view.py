@@ -19,6 +19,7 @@ from procedures.engine.events import (
     Progress,
     Questioned,
     Refusal,
+    SignalsLost,
     StepState,
 )
 from procedures.engine.machine import HELD
@@ -81,12 +82,18 @@ def in_words(case: CaseState) -> str:
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
+def lost_in_words(told: SignalsLost) -> str:
+    """How much a follower did not get."""
+    return f"{told.count} poses and other signals are not in the file of events; no fact is missing"
+
+
 class CaseView:
     """Present state: state, step and progress, devices, journal, errors."""
 
     def __init__(self) -> None:
         self.state = "starting"
         self._step = ""  # that began last
+        self._lost = ""
         self.share = 0.0
         self.doing = ""
         self._devices: dict[str, DeviceState] = {}
@@ -118,6 +125,8 @@ class CaseView:
                 self._errors.append((step, f"{step} refused: {'; '.join(unmet)}"))
             case Questioned(subject=subject):
                 self.state = f"{self.state.partition(' (')[0]} (asks: {subject})"
+            case SignalsLost() as told:
+                self._lost = lost_in_words(told)
             case Answered():
                 self.state = self.state.partition(" (asks: ")[0]
             case _:
@@ -133,7 +142,7 @@ class CaseView:
         shown = [("", self.state)]
         if self._devices:
             shown.append(("", self.devices))
-        shown += [("dim", text) for text in self._journal]
+        shown += [("dim", text) for text in (*self._journal, self._lost) if text]
         shown += [("red", text) for _step, text in self._errors]
         return shown
 

@@ -6,8 +6,8 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from procedures.cli.case.case_view import entry_of, in_words
-from procedures.engine.events import CaseState, Event, Questioned, Refusal
+from procedures.cli.case.case_view import entry_of, in_words, lost_in_words
+from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.terminal import message_console, on_terminal, tell
 from ronna_hw.evidence.inspection import inspected
@@ -60,6 +60,8 @@ def _line(event: Event) -> str | None:
     match event.what:
         case CaseState() as case:
             return in_words(case)
+        case SignalsLost() as told:
+            return lost_in_words(told)
         case Questioned(subject=subject, value=value):
             return f"? {subject}: {value}"
         case Refusal(step=step, unmet=unmet):

@@ -23,6 +23,7 @@ from procedures.engine.events.happenings import (
     Questioned,
     Refusal,
     Seat,
+    SignalsLost,
     StepState,
     Waiting,
 )
@@ -54,6 +55,7 @@ __all__ = [
     "Reader",
     "Refusal",
     "Seat",
+    "SignalsLost",
     "StepState",
     "Waiting",
 ]

@@ -13,6 +13,7 @@ from procedures.engine.events.happenings import (
     Order,
     Questioned,
     Seat,
+    SignalsLost,
     StepState,
     Waiting,
 )
@@ -52,7 +53,7 @@ def _key(event: Event) -> str | None:
             return f"step {step}"
         case DeviceState(device=device):
             return f"device {device}"
-        case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume():
+        case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume() | SignalsLost():
             return event.what.kind
         case JournalLine(line=line) if line.get("entry") in BEGINNINGS:
             return "opened"

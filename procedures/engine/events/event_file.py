@@ -1,8 +1,8 @@
 """`RUN/events.jsonl`: the stream of events on disk, one event per line, for followers outside the process.
 
 Evidence is the journal's business; this file is a convenience and never stops anything. Every fact is in it,
-signals at a bounded rate and size. Its writer holds a lock on it, so that a follower can distinguish a quiet
-run from a killed one.
+signals at a bounded rate and size, and how many of them are missing. Its writer holds a lock on it, so that a
+follower can distinguish a quiet run from a killed one.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ import fcntl
 import os
 import threading
 import time
+from datetime import UTC, datetime
 from pathlib import Path
 
 from procedures.engine.events.event import Event
+from procedures.engine.events.happenings import SignalsLost
 from procedures.engine.events.stream import EventStream
 from ronna_hw.logs import logger
 
 EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
+LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
 SIGNALS_BYTES = 8 << 20  # of signals in one session; some ten hours of an arm, a tracker and a stereo head
 LARGEST_BYTES = 100_000_000  # of the file: a dozen sessions with all their signals
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
@@ -37,6 +40,9 @@ class EventFile:
         self._signals_left = signals_bytes
         self._written_s: dict[str, float] = {}  # monotonic, of signals by subject
         self._held: dict[str, Event] = {}  # signals that came too soon
+        self._lost = self._lost_told = 0  # signals that are not in the file
+        self._lost_told_s = time.monotonic()
+        self._last: Event | None = None
         self._waiting: list[bytes] = []
         self._complained = False
         self._file = self._open()
@@ -65,12 +71,16 @@ class EventFile:
             self._reader.wait(self._until_due_s())
             batch = self._reader.read(0.0)
             ended = batch.ended
+            self._lost += batch.lost
             for event in batch.events:
+                self._last = event
                 if event.what.signal:
+                    self._lost += event.subject in self._held
                     self._held[event.subject] = event
                 else:
                     self._waiting.append(_line(event))
             self._release_signals(all_of_them=ended)
+            self._tell_lost(at_once=ended)
             self._write()
         if self._file is not None:
             os.close(self._file)
@@ -92,6 +102,17 @@ class EventFile:
             if self._signals_left >= len(line):
                 self._signals_left -= len(line)
                 self._waiting.append(line)
+            else:
+                self._lost += 1
+
+    def _tell_lost(self, *, at_once: bool) -> None:
+        """It bears number and time of the last event: of the stream itself it is none."""
+        now_s = time.monotonic()
+        due = at_once or now_s - self._lost_told_s >= LOST_PERIOD_S
+        if due and self._lost > self._lost_told and (last := self._last) is not None:
+            self._lost_told, self._lost_told_s = self._lost, now_s
+            told = {"host_time": datetime.now(UTC), "what": SignalsLost(count=self._lost)}
+            self._waiting.append(_line(last.model_copy(update=told)))
 
     def _write(self) -> None:
         """Write whole lines or nothing; what did not go in waits for the next time."""

@@ -262,6 +262,13 @@ class Fault(_Happening):
     advice: str = ""
 
 
+class SignalsLost(_Happening):
+    """A follower of the file sees fewer signals than there were. No fact is ever among them."""
+
+    kind: Literal["signals_lost"] = "signals_lost"
+    count: int = Field(ge=1, description="Signals of this session so far that the file does not hold.")
+
+
 class JournalLine(_Happening):
     """A line of the journal, as it was written."""
 
@@ -287,6 +294,7 @@ Happening = Annotated[
     | Finding
     | Refusal
     | Fault
+    | SignalsLost
     | JournalLine,
     Field(discriminator="kind"),
 ]

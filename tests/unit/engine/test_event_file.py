@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 from bounded_cost import bounded_cost
 
+from procedures.cli.runs.watching import line_of
 from procedures.engine.errors import EventsUnreadable
-from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, StepState
+from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, SignalsLost, StepState
 from procedures.engine.events.event_file import EVENTS_FILE, EventFile
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.errors import PathProblem
@@ -40,6 +41,9 @@ def test_the_file_contains_every_fact_and_the_last_of_a_burst_of_poses(tmp_path:
     poses = [what for what in happened if isinstance(what, Pose)]
     assert len(poses) <= 2
     assert poses[-1] == pose(299.0)
+    assert happened[-1] == SignalsLost(count=301 - len(poses))
+    (present,) = FollowedRun(tmp_path).batches()
+    assert "signals are not in the file" in str([line_of(event) for event in present])
 
 
 def test_signals_are_limited_in_size_and_facts_are_not(tmp_path: Path) -> None:
@@ -48,7 +52,7 @@ def test_signals_are_limited_in_size_and_facts_are_not(tmp_path: Path) -> None:
     stream.publish(pose(0.0))
     stream.publish(CaseState(state="idle"))
     ended(stream, file)
-    assert [event.what.kind for event in written(tmp_path)] == ["case"]
+    assert [event.what for event in written(tmp_path)] == [CaseState(state="idle"), SignalsLost(count=1)]
 
 
 def test_an_unwritable_event_file_blocks_nothing(tmp_path: Path) -> None:
