@@ -39,11 +39,21 @@ IN_WORDS = {
 class SupervisedMotion:
     """Carries motions of one arm out one after the other, numbered as they are in the journal."""
 
-    def __init__(self, log: ArmLog, arm: Callable[[], RobotArm], at_home: Callable[[], bool]) -> None:
-        """`at_home` measures whether the arm stands at home; it raises what reading raises."""
+    def __init__(
+        self,
+        log: ArmLog,
+        arm: Callable[[], RobotArm],
+        at_home: Callable[[], bool],
+        require: Callable[[CellMotion], None],
+    ) -> None:
+        """`at_home` measures whether the arm stands at home; it raises what reading raises.
+
+        `require` raises what forbids a motion from where the arm is.
+        """
         self._log = log
         self._arm = arm
         self._at_home = at_home
+        self._require = require
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
@@ -83,12 +93,13 @@ class SupervisedMotion:
             raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
         return True
 
-    def carry_out(self, motion: CellMotion, require: Callable[[], None] = lambda: None) -> ArmReading:
+    def carry_out(self, motion: CellMotion) -> ArmReading:
         """Carry out a motion; re-planned after a stop if the operator says so.
 
-        `require` raises what forbids it, each time right before it is driven. Raises PRO-002, PRO-003,
+        What forbids it is asked first, and each time right before it is driven. Raises PRO-002, PRO-003,
         PRO-004, what a guard or a watch found, and what `require` and the motion raise.
         """
+        self._require(motion)
         checkpoint = self._checkpoint
         if checkpoint is None:
             raise NotConfirmed(
@@ -98,7 +109,7 @@ class SupervisedMotion:
 
         def drive() -> ArmReading:
             with checkpoint.watching(named, True):
-                require()
+                self._require(motion)
                 return motion.drive(self._arm())
 
         while True:

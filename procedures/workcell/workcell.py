@@ -69,11 +69,13 @@ class Workcell:
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
-        self.supervised = SupervisedMotion(self._log, lambda: self._arm, lambda: self.at_home)
+        self.supervised = SupervisedMotion(
+            self._log, lambda: self._arm, lambda: self.at_home, self._require_allowed
+        )
         self._way_home = WayHome(
             self.joints_rad,
             lambda: self._log.history.trail,
-            lambda what, to_rad: self._move(self._joint_motion(what, JointMove(to_rad))),
+            lambda what, to_rad: self.supervised.carry_out(self._joint_motion(what, JointMove(to_rad))),
         )
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
@@ -85,7 +87,7 @@ class Workcell:
     @property
     def arm(self) -> ArmView:
         """The arm, for looking."""
-        return self._arm
+        return ArmView(self._arm)
 
     @property
     def _arm(self) -> RobotArm:
@@ -266,7 +268,7 @@ class Workcell:
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        return self._move(self.going(joints_rad))
+        return self.supervised.carry_out(self.going(joints_rad))
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
@@ -281,11 +283,11 @@ class Workcell:
 
         With None straight from where it stands. From afar by way of home where the direct way is not clear.
         """
-        return self._move(self.settling(joints_rad, arriving, from_afar=from_afar))
+        return self.supervised.carry_out(self.settling(joints_rad, arriving, from_afar=from_afar))
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
-        return self._move(self.straight(pose, arriving))
+        return self.supervised.carry_out(self.straight(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """From where the approach of a trajectory begins along its axis to where the guide is held.
@@ -294,8 +296,7 @@ class Workcell:
         """
         self._require_outside(MotionName.INSERT)
         self.check_mounted(MountedTool.GUIDE)
-        insertion.check_on_axis(self.tool_pose())
-        return self._keep_to(insertion, self.inserting(insertion))
+        return self.supervised.carry_out(self.inserting(insertion))
 
     def hold(self) -> None:
         """Stand still, with the standstill watched by the link: out of it leads only the next motion."""
@@ -312,8 +313,7 @@ class Workcell:
         if insertion is None or insertion.trajectory != trajectory:
             on = "no trajectory" if insertion is None else insertion.trajectory
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
-        insertion.check_on_axis(self.tool_pose())
-        return self._keep_to(insertion, self.withdrawing(insertion))
+        return self.supervised.carry_out(self.withdrawing(insertion))
 
     def recover(self, role: str, by: str) -> None:
         """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
@@ -350,14 +350,15 @@ class Workcell:
         """End all sessions, the arm's first; never raises."""
         self._theatre.close()
 
-    def _move(self, motion: CellMotion) -> ArmReading:
-        self._require_outside(motion.what)
-        return self.supervised.carry_out(motion)
-
-    def _keep_to(self, insertion: Insertion, motion: CellMotion) -> ArmReading:
-        """Along the axis while the guide is on it; after a stop someone may have pushed it aside."""
-        self.instrument.require_out(motion.what)
-        return self.supervised.carry_out(motion, lambda: insertion.check_on_axis(self.tool_pose()))
+    def _require_allowed(self, motion: CellMotion) -> None:
+        """Along its axis while the guide is on it: after a stop someone may have pushed it aside."""
+        on, axis = self.insertion, motion.axis
+        if axis is None or (on is not None and axis.trajectory != on.trajectory):
+            self._require_outside(motion.what)
+        else:
+            self.instrument.require_out(motion.what)
+            for pose in (self.tool_pose(), axis.held):
+                (on or axis).check_on_axis(pose)
 
     def _joint_motion(self, what: MotionName, *legs: JointMove, by_home: bool = False) -> CellMotion:
         home_rad = self._way_home.known_rad if by_home else None

@@ -110,7 +110,7 @@ def plan_of(engine: Engine) -> Path:
 
 
 def motions(engine: Engine) -> list[object]:
-    return engine.setting.workcell.arm.motions  # type: ignore[attr-defined, no-any-return]
+    return engine.setting.workcell.devices["arm"].motions  # type: ignore[attr-defined, no-any-return]
 
 
 @pytest.mark.hazard(1)
@@ -133,7 +133,7 @@ def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_moti
         another_target(engine)
         return False  # the way is clear
 
-    engine.setting.workcell.arm.blocked = change_on_the_way  # type: ignore[attr-defined]
+    engine.setting.workcell.devices["arm"].blocked = change_on_the_way  # type: ignore[attr-defined]
     with pytest.raises(InputChanged):
         engine.run_step(engine.order.find(POSITIONING))
     assert [kind for kind, _ in motions(engine)] == ["joints"]  # type: ignore[misc]

@@ -149,7 +149,9 @@ def test_a_replay_equals_a_resumed_run(tmp_path: Path) -> None:
 
 def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: Path) -> None:
     def asks_whether_it_is_open(context: StepContext) -> Outcome[Localization]:
-        return Outcome(Localization(number=int(context.workcell.arm.state is Lifecycle.DISCONNECTED)))
+        return Outcome(
+            Localization(number=int(context.workcell.arm.observe().state is Lifecycle.DISCONNECTED))
+        )
 
     recorded = Recorded(tmp_path, localization=asks_whether_it_is_open)
     recorded.cell.arm.state = Lifecycle.DISCONNECTED

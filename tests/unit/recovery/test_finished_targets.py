@@ -190,7 +190,7 @@ class Rolls:
     name = "cart"
 
     def unmet(self) -> str | None:
-        arm = self.engine.setting.workcell.arm
+        arm = self.engine.setting.workcell.devices["arm"]
         assert isinstance(arm, RecordingArm)
         finished = self.engine.case.stands(StepKey(ReachedTarget.kind, self.target))
         if finished and len(arm.motions) == self.at:

@@ -10,6 +10,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
 from procedures.workcell.workcell import APPROACH_RAD
 from ronna_hw.arm.errors import NotClear
@@ -146,6 +147,14 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
+VIEWS: dict[str, Callable[[RecordingCell], CellMotion]] = {
+    "going": lambda cell: cell.workcell.going(turned(0.1)),
+    "returning home": lambda cell: cell.workcell.returning_home(),
+    "settling": lambda cell: cell.workcell.settling(turned(0.1), (1,) * 6),
+    "straight": lambda cell: cell.workcell.straight(tool_pose(HOME, cell)),
+    "inserting": lambda cell: cell.workcell.inserting(insertion(cell, "T2")),
+    "withdrawing": lambda cell: cell.workcell.withdrawing(insertion(cell, "T2")),
+}
 Anything = Callable[[RecordingCell], object]
 OTHER_MOTIONS: dict[str, Anything] = {
     "go": lambda cell: cell.workcell.go(turned(0.1)),
@@ -153,6 +162,10 @@ OTHER_MOTIONS: dict[str, Anything] = {
     "settle": lambda cell: cell.workcell.settle(turned(0.1), (1,) * 6),
     "line": lambda cell: cell.workcell.line_to(tool_pose(HOME, cell)),
     "insert": lambda cell: cell.workcell.insert(insertion(cell, "T2")),
+    **{
+        f"{view} carried out": lambda cell, view=view: cell.workcell.supervised.carry_out(VIEWS[view](cell))
+        for view in VIEWS
+    },
 }
 
 
@@ -175,6 +188,21 @@ def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> N
     with pytest.raises(InstrumentInside, match="not on T1; expected T1, got T2"):
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(24)
+def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCell) -> None:
+    inserted(cell)
+    moved = len(cell.arm.motions)
+    aside = tool_pose(turned(0.1), cell)
+    with pytest.raises(TipOffAxis, match="PRO-015"):
+        cell.workcell.supervised.carry_out(cell.workcell.withdrawing(Insertion("T1", aside, WAY_MM)))
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(24)
+def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
+    assert {name for name in dir(cell.workcell.arm) if name[0] != "_"} == {"kinematics", "observe"}
 
 
 @pytest.mark.hazard(24)
