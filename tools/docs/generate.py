@@ -21,7 +21,7 @@ from scanner_table import scanner_faults
 
 import console
 import drivers
-import procedures
+import procedures.steps
 import ronna_hw
 import sim
 from drivers.basler_stereo.options import BaslerOptions
@@ -32,15 +32,9 @@ from procedures.exchange import allowed_fields
 from procedures.operator.question import words
 from procedures.operator.topic import FOR_A_PERSON, Topic
 from procedures.planning.plan.model import Plan
+from procedures.results.result import StepResult
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
-from procedures.steps.calibration.ball_look import LookedAtBall
-from procedures.steps.calibration.ball_observation import ObservedBall
-from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.baseline_visit import VisitedBaseline
-from procedures.steps.calibration.frame_looks import ObservedFrame
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.catalogue import clinical_steps
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
@@ -52,16 +46,6 @@ from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
-RESULTS = (
-    *(step.result for step in CASE_STEPS),
-    BallPlace,
-    ObservedBall,
-    VisitedBaseline,
-    LookedAtBall,
-    ObservedFrame,
-    ObservedStand,
-    ReadTip,
-)
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 
@@ -88,7 +72,7 @@ def tables() -> dict[str, str]:
         "link-disturbances.md": disturbances(),
         "plan-file.md": model_tables({"plan": Plan}),
         "polaris-checklist.md": checklist(tracker.SUITE, "ndi-polaris"),
-        "records.md": model_tables({model.kind: model for model in RESULTS}),
+        "records.md": model_tables({model.kind: model for model in step_results()}),
         "robot-checklist.md": checklist(robot.SUITE, "kuka-rsi-eki"),
         "robot-options.md": model_tables({"Options": KukaOptions}),
         "robot-parameters.md": robot_parameters(),
@@ -105,6 +89,15 @@ def tables() -> dict[str, str]:
 def with_table(page: str, content: str) -> str:
     """The page with this content below its mark."""
     return page.partition(MARK)[0] + MARK + content
+
+
+def step_results() -> list[type[StepResult]]:
+    """What all steps leave behind: those of a case in their order, then those of calibrations by name."""
+    for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
+        importlib.import_module(module.name)
+    ours = [model for model in StepResult.__subclasses__() if model.__module__.startswith("procedures.")]
+    case = [step.result for step in CASE_STEPS]
+    return [*case, *sorted(set(ours) - set(case), key=lambda model: model.kind)]
 
 
 def errors_with_a_code() -> list[type[RonnaError]]:

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 import pytest
 from clinical_case import HOME_RAD, OUTLINE, ClinicalCell
+from generate import step_results
 from prepared_results import (
     LINK,
     SERIES,
@@ -21,6 +22,9 @@ from prepared_results import (
 from pydantic import BaseModel, ValidationError
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
+from procedures.calibration.arm.looks import ArmLooks, SphereLook
+from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks
+from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
 from procedures.engine.order import Steps
 from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec
@@ -29,12 +33,19 @@ from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.baseline_visit import VisitedBaseline
+from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.procedures import (
+    arm_looks,
+    frame_looks,
     head_calibration,
     head_check,
     head_look,
     look_where_it_stands,
+    tip_readings,
 )
+from procedures.steps.calibration.sphere_looks import ObservedSpheres
+from procedures.steps.calibration.stand_ball import ObservedStand
+from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -53,12 +64,18 @@ PROCEDURES: dict[str, Steps] = {
     "check": head_check(BASELINE, 3),
     "look": head_look(None),
     "look where it stands": look_where_it_stands(),
+    "spheres": arm_looks(60, 10),
+    "reference frame": frame_looks(20, 4),
+    "tip": tip_readings(20, 4, None),
+    "tip at a stated place": tip_readings(20, 4, (700.0, 0.0, 300.0)),
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
-UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg")
+RESULTS = step_results()
+UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg", "_N")
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
     *("quality", "odds", "confidence", "rim_fraction", "distortion"),
+    "remaining",  # of an arm's record: a covariance of mm and rad
     "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }
 
@@ -71,8 +88,12 @@ def test_a_step_reads_only_results_of_earlier_steps(procedure: str) -> None:
         left.add(step.result)
 
 
+def test_every_kind_of_result_has_its_step() -> None:
+    assert set(STEPS) == set(RESULTS)
+
+
 def test_no_two_steps_produce_the_same_kind_of_result() -> None:
-    kinds = [model.kind for model in STEPS]
+    kinds = [model.kind for model in RESULTS]
     assert len(set(kinds)) == len(kinds)
 
 
@@ -105,7 +126,7 @@ def leaves(annotation: Any) -> Iterator[type]:
         yield from leaves(one)
 
 
-@pytest.mark.parametrize("model", STEPS, ids=lambda model: model.kind)
+@pytest.mark.parametrize("model", RESULTS, ids=lambda model: model.kind)
 def test_every_field_is_described_and_every_quantity_has_its_unit_in_its_name(
     model: type[StepResult],
 ) -> None:
@@ -119,11 +140,10 @@ def test_every_field_is_described_and_every_quantity_has_its_unit_in_its_name(
 def examples(cell: ClinicalCell) -> list[StepResult]:
     """One result of every step."""
     pose, outline = correspondence().robot_from_ct, Outline.of(OUTLINE)
+    flange = PoseRecord(translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz)
     look = Observation(
         joints_rad=HOME_RAD,
-        robot_from_flange=PoseRecord(
-            translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
-        ),
+        robot_from_flange=flange,
         left=outline,
         right=outline,
         orientation=3,
@@ -132,6 +152,24 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     observed = ObservationSet(
         created=head.created, serials=("1", "2"), arm_variant="kr6", start=head, observations=(look,)
     )
+    measured: dict[str, Any] = {"created": head.created, "arm": cell.arm.kinematics.name, "stereo_head": head}
+    sphere = SphereLook(
+        sphere=0,
+        joints_rad=HOME_RAD,
+        flanks=(1, -1, 1, -1, 1, -1),
+        point_mm=(0.1, 0.2, 1 / 3),
+        covariance_mm2=((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-3)),
+        validation=True,
+    )
+    turned = FrameLook(
+        use=Use.RETURN,
+        joints_rad=HOME_RAD,
+        robot_from_flange=flange,
+        tracker_from_marker=flange,
+        frames=30,
+    )
+    ball = BallLook(joints_rad=HOME_RAD, robot_from_flange=flange, ball_mm=(0.1, 0.2, 1 / 3))
+    divot = DivotReading(look=0, joints_rad=HOME_RAD, robot_from_flange=flange, dials_mm=(0.1, 0.0, 0.0))
     return [
         *up_to_correspondence(cell),
         *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide(), checked_tool()),
@@ -157,13 +195,28 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         ObservedBall(observed=observed, remarks=("a remark",)),
         VisitedBaseline(calibration=SERIES, looks=(look,)),
         LookedAtBall(position_mm=None, left=outline, right=None, reason="no sphere"),
+        ObservedSpheres(observed=ArmLooks(**measured, serials=("1", "2"), looks=(sphere,)), remarks=()),
+        ObservedFrame(
+            observed=FrameLooks(**measured, start=cell.calibrations.tracker_frame, looks=(turned,)),
+            remarks=("a remark",),
+        ),
+        ObservedStand(looks=(ball,), remarks=()),
+        ReadTip(
+            observed=TipLooks(
+                **measured,
+                start=cell.calibrations.tool_tip,
+                looks=(ball,),
+                readings=(divot,),
+                validation=(0,),
+            )
+        ),
     ]
 
 
 def test_every_result_is_read_back_unchanged_and_is_immutable(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD)
     results = examples(cell)
-    assert {type(result) for result in results} == set(STEPS)
+    assert {type(result) for result in results} == set(RESULTS)
     for result in results:
         stored = cell.case.store(StepKey(result.kind), result, ())
         record = read_record(cell.folder / "records" / f"{stored.record.identifier}.json")
