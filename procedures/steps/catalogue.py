@@ -1,4 +1,4 @@
-"""The clinical steps, in the order of a case. A new step is one new module and one line here."""
+"""The clinical steps, in the order of a case. A new step is one new module and its entry here."""
 
 from __future__ import annotations
 
