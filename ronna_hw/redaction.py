@@ -40,6 +40,8 @@ _SAID_IN_FULL = (
     RefusedError,
     StateError,
 )
+# They name trajectories, and a trajectory may be named after the patient; their words are in the journal.
+_NAME_TRAJECTORIES = ("PLAN-", "PRO-", "TOOL-001")
 _PATIENT_KEY = re.compile(
     r"patient|birth|accession|institution|physician|operator|person|acknowledged|confirmed_by|token|secret",
     re.IGNORECASE,
@@ -93,10 +95,10 @@ def scrubbed(text: str) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """The text of an error about a device, a limit or the configuration; of any other, its code or type."""
-    if isinstance(error, _SAID_IN_FULL):
-        return scrubbed(str(error))
+    """The text of an error about a device, a limit or the theatre; of any other, its code or type."""
     code = error.code if isinstance(error, RonnaError) else ""
+    if isinstance(error, _SAID_IN_FULL) and not code.startswith(_NAME_TRAJECTORIES):
+        return scrubbed(str(error))
     return code or type(error).__name__
 
 

@@ -7,6 +7,9 @@ from typing import Any
 
 import pytest
 
+from procedures.planning.errors import NotReachable, PlanUnreadable
+from procedures.results.errors import StepRefused
+from procedures.workcell.errors import InstrumentInGuide, InstrumentInside
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
 from ronna_hw.redaction import REDACTED, error_text, redacted, redacted_arguments, scrubbed
@@ -72,6 +75,11 @@ def test_a_record_is_logged_field_by_field() -> None:
         (ConnectError("tracker: no reply from /dev/ttyUSB0"), "tracker: no reply from /dev/ttyUSB0"),
         (Unreadable("DOE_JOHN is truncated"), "XX-001"),
         (RonnaError("DOE_JOHN"), "RonnaError"),
+        (PlanUnreadable("line 3: expected a value, trajectory DOE_JOHN"), "PLAN-001"),
+        (NotReachable("trajectory DOE_JOHN is out of reach"), "PLAN-007"),
+        (StepRefused("registration:DOE_JOHN cannot start"), "PRO-001"),
+        (InstrumentInside("the guide is held in front of the entry of DOE_JOHN"), "PRO-014"),
+        (InstrumentInGuide("an instrument is in the guide, and in DOE_JOHN"), "TOOL-001"),
         (ValueError("could not convert 'DOE'"), "ValueError"),
     ],
 )

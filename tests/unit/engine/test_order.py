@@ -2,10 +2,13 @@
 
 import pytest
 from plain_steps import plain_order
+from recording_cell import RecordingCell
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.order import CaseOrder, order_of
+from procedures.results.errors import StepRefused
 from procedures.steps.catalogue import CLINICAL_STEPS
+from ronna_hw.log_output import LOG_FILE, keep_log
 
 
 def names(order: CaseOrder) -> list[str]:
@@ -77,3 +80,22 @@ def test_a_step_may_run_when_its_predecessors_are_done_and_no_other_sequence_is_
     before = order.find(latest) if latest else None
     unmet = order.unmet(order.find(name), before, lambda key: str(key) in standing)
     assert unmet == (() if reason is None else (reason,))
+
+
+@pytest.mark.hazard(35)
+def test_the_log_of_a_case_has_numbers_of_trajectories_and_no_names(cell: RecordingCell) -> None:
+    with keep_log(cell.folder):
+        engine = cell.engine(plain_order("DOE_JOHN", "DOE"))
+        engine.run_step(engine.order.find("image"))
+        engine.run_step(engine.order.find("localization:DOE_JOHN"))
+        with pytest.raises(StepRefused):
+            engine.run_step(engine.order.find("fit:DOE"))
+    log = (cell.folder / LOG_FILE).read_text()
+    assert "localization:1" in log
+    assert "localization:2 comes first" in log
+    assert "DOE" not in log
+
+
+def test_only_whole_words_are_taken_for_the_name_of_a_trajectory() -> None:
+    order = plain_order("DOE", "A+")
+    assert order.without_names("DOE: A+, not DOE_JOHN or ADOE") == "1: 2, not DOE_JOHN or ADOE"
