@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
@@ -80,6 +81,7 @@ class DeviceFaults:
         self._workcell = workcell
         self._journal = journal
         self._clock = clock
+        self._acknowledged = 0
 
     @property
     def now(self) -> dict[str, str]:
@@ -110,7 +112,19 @@ class DeviceFaults:
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
+            self._acknowledged += 1
         return done
+
+    @contextmanager
+    def none_acknowledged(self) -> Iterator[None]:
+        """While a case rests: what comes after it relies on devices that were in fault, and is begun again.
+
+        Raises PRO-001 at the end of the block; only what begins asks what is kept and what is mounted.
+        """
+        before = self._acknowledged
+        yield
+        if self._acknowledged != before:
+            raise StepRefused("a fault was acknowledged during the pause", action="Repeat what was paused.")
 
     def doubt_results(self) -> None:
         """What was localized or checked before the arm was in fault: someone may have been at it since.

@@ -306,7 +306,7 @@ class Engine:
     def _resting(self, state: str, reason: str) -> Iterator[None]:
         """While the case is paused or suspended, also on the way home of one that has ended."""
         try:
-            with self.machine.resting(state):
+            with self.machine.resting(state), self.faults.none_acknowledged():
                 self._write(Entry.RESTED, state=state, reason=reason)
                 self.events.publish(CaseState(state=state, reason=reason))
                 yield

@@ -197,8 +197,8 @@ COMMANDS: dict[str, Command] = {
     "dry": Command("[STEP]", "the motions of a step; nothing moves", _dry),
     "pause": Command("", "pause before the next step", _pause),
     "resume": Command("", "continue a paused case", _resume),
-    "home": Command("", "have an instrument removed, retreat along the axis, then park", _home),
-    "acknowledge": Command("YOUR-NAME", "recover the devices that are in fault", _acknowledge),
+    "home": Command("", "instrument out, guide back, then park; not in a pause, where a step is on", _home),
+    "acknowledge": Command("YOUR-NAME", "recover devices in fault; a paused step begins again", _acknowledge),
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),
 }

@@ -29,8 +29,8 @@ HELD = (
     "the case is held, the arm is at rest: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
 )
 PAUSED = "paused> "
-AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}"
 ACKNOWLEDGE = "acknowledge"
+AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {ACKNOWLEDGE} YOUR-NAME | {' | '.join(LOOKING)}"
 QUIT = ("quit", "q")
 MEANT = {"exit": "quit", "stop": "quit", "continue": "resume"}  # else the nearest might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
@@ -94,7 +94,7 @@ class Prompt:
         return False
 
     def ask(self, question: Question) -> str:
-        """A pause: `resume` or `abort`, and commands that only look. The end of the input ends the case."""
+        """A pause: `resume`, `abort`, or what moves nothing. The end of the input ends the case."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
         self._say(f"{question.subject}; {question.value}")
@@ -105,15 +105,15 @@ class Prompt:
                 self._say(f"{name} takes no argument; nothing was done")
             elif name in AT_PAUSE:
                 return AT_PAUSE[name]
-            elif self._engine is not None and name in LOOKING:
+            elif self._engine is not None and name in (ACKNOWLEDGE, *LOOKING):
                 try:
                     COMMANDS[name].work(self._engine, argument.strip(), self._say)
-                except NOTHING_DONE as mistake:
+                except RonnaError as mistake:
                     fail_with(mistake)
             else:
                 rests = f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}"
-                known = name in COMMANDS
-                self._say(rests if known else _unknown(name, (*AT_PAUSE, *LOOKING), AT_PAUSE_CHOICES))
+                known = (*AT_PAUSE, ACKNOWLEDGE, *LOOKING)
+                self._say(rests if name in COMMANDS else _unknown(name, known, AT_PAUSE_CHOICES))
         return question.silence
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:

@@ -109,6 +109,32 @@ def test_only_resume_ends_a_pause(cell: RecordingCell, monkeypatch: pytest.Monke
     assert not engine.case.stands(engine.order.find("localization:T1"))
 
 
+@pytest.mark.hazard(32)
+def test_a_fault_acknowledged_in_a_pause_has_its_step_begun_again(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Stopped(Pauses):
+        def ask(self, question: Question) -> str:
+            if question.topic is Topic.PAUSE:
+                cell.arm.state = Lifecycle.FAULT
+            return super().ask(question)
+
+    operator = Stopped()
+    cell.operator = operator  # type: ignore[assignment]
+    engine = cell.engine(plain_order())
+    lines = ("pause", "next", "acknowledge", "home", "acknowledge Ann", "resume", "next")
+    typed = Typed(monkeypatch, *lines)
+    operator.prompt = typed.prompt
+    typed.at(engine)
+    shown = capsys.readouterr().err
+    assert "acknowledge needs your name" in shown
+    assert "PRO-001: a fault was acknowledged during the pause" in shown
+    assert any(said.startswith("home is not available while the case is paused") for said in typed.said)
+    assert "recovered by Ann" in cell.arm.calls
+    assert [entry for entry, _ in cell.entries("failed")] == ["failed"]  # only the pause let it fail
+    assert engine.case.stands(engine.order.find("image"))
+
+
 def test_an_unknown_command_is_reported_with_a_suggestion(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
