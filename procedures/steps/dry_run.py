@@ -1,34 +1,54 @@
-"""What a step would move, by the motions that the path check has previewed; nothing is asked or moved."""
+"""What a step would move, by the motions that the path check has previewed, and those over the gauge.
+
+Nothing is asked or moved.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from procedures.engine.case import Case
+from procedures.engine.context import CaseSetting
 from procedures.engine.step import StepKey
 from procedures.planning.reach.motions import HOME
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.paths.surroundings import planning_scene
+from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.tool_check import APPROACHES, ARRIVING, CheckedTool
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.motion_facts import facts_from
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.motion_plan import plan_motion
+from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.devices import Motion
+from ronna_hw.devices.readings import JointVector
 
 MOVE, LINE = "move", "line"
 SPHERE = "/fiducial "  # in the name of a pose, before its number
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
-def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] | None:
+def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
     """One line for each motion of a step, from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
         return None
+    workcell = setting.workcell
     if key.name == CheckedTool.kind:
-        return ("move from home to the gauge and back; clearance is checked right before",)
+        lines = _over_the_gauge(case, setting)
+        return lines if workcell.at_home else ("the arm is not home; from home it would", *lines)
     paths = stored.result
     motions = [one for one in paths.motions if _belongs(one, key)]
     if workcell.at_home or not motions or motions[0].start != HOME:
@@ -38,6 +58,39 @@ def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] 
         return "the arm is not home; from home it would", *_told(motions, key)
     reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
     return f"the arm is over sphere {over + 1}; from there", *_told(motions[max(reached, default=0) :], key)
+
+
+@dataclass(frozen=True)
+class _PlannedArm:
+    """The arm as it will be, with the guide mounted."""
+
+    kinematics: Kinematics
+    around: Surroundings
+
+    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
+        limits = working_limits(self.kinematics)
+        return preview(
+            self.kinematics, plan_motion(self.kinematics, start_rad, motion, limits), self.around, limits
+        )
+
+
+def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
+    """The motions of the tool check, from home: another tool may be mounted and no path be recorded."""
+    workcell = setting.workcell
+    scene = planning_scene(
+        setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
+    )
+    robot_from_ct = case.get(Correspondence).result.robot_from_ct.transform
+    around = scene.with_guide(robot_from_ct, workcell.flange_from(MountedTool.GUIDE), None)
+    there = workcell.settling(radians6(*workcell.tools.guide.gauge.joints_deg), ARRIVING)
+    motions = (*[there] * APPROACHES, replace(workcell.returning_home(), otherwise=()))
+    facts = facts_from(
+        workcell.home_rad,
+        _PlannedArm(workcell.arm.kinematics, around),
+        [replace(one, moves=f"the {MountedTool.GUIDE}") for one in motions],
+    )
+    names = ("home to the gauge", *["onto the gauge again"] * (APPROACHES - 1), "the gauge to home")
+    return tuple(f"{MOVE} {name}, {fact}" for name, fact in zip(names, facts, strict=True))
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:

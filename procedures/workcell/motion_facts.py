@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from procedures.operator.question import ReadBack
 from procedures.workcell.cell_motion import CellMotion
@@ -13,6 +14,19 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.devices.readings import JointVector
+
+
+class PreviewingArm(Protocol):
+    """What facts need: an arm, or a plan of one."""
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """Of the arm."""
+        ...
+
+    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
+        """What a motion would do if driven from there."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,9 +79,13 @@ class MotionFacts:
 
 def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
     """What driving these motions one after the other would do. Raises what `RobotArm.preview` raises."""
-    facts: list[MotionFacts] = []
     here = arm.read_state()
-    at_rad = here.commanded_rad or here.joints_rad  # as `RobotArm.preview` begins by itself
+    return facts_from(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` begins by itself
+
+
+def facts_from(at_rad: JointVector, arm: PreviewingArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
+    """As `motion_facts`, from other joints than the arm has now."""
+    facts: list[MotionFacts] = []
     for motion in motions:
         told, end_rad = _facts(arm, motion, motion.legs, at_rad)
         if motion.otherwise and not told.previews[0].clear:
@@ -78,7 +96,7 @@ def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFac
 
 
 def _facts(
-    arm: RobotArm, motion: CellMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
+    arm: PreviewingArm, motion: CellMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
 ) -> tuple[MotionFacts, JointVector]:
     """With the joints after the last joint move."""
     travel_mm, previews = 0.0, []

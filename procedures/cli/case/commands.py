@@ -117,7 +117,7 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
     if not engine.order.spec(key).moves:
         say("this step moves nothing")
         return
-    motions = would_move(engine.case, key, engine.setting.workcell)
+    motions = would_move(engine.case, key, engine.setting)
     if motions is None:
         say("this step moves the arm; its motions are known after path_check")
         return

@@ -11,6 +11,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Transform
 
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
@@ -18,9 +19,16 @@ READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the 
 
 def planning_scene_of(context: StepContext) -> PlanningScene:
     """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
-    plan, localized = context.result(CheckedPlan), context.result(LocalizedFiducials)
+    around = context.setting.surroundings
+    return planning_scene(around, context.result(CheckedPlan), context.result(LocalizedFiducials))
+
+
+def planning_scene(
+    around: CollisionConfig, plan: CheckedPlan, localized: LocalizedFiducials
+) -> PlanningScene:
+    """As `planning_scene_of`, of these results."""
     return PlanningScene(
-        context.setting.surroundings,
+        around,
         plan.head,
         tuple(marker.centre_mm for marker in localized.markers),
         frame_bodies(plan.plan.fiducials, localized.centres_mm),

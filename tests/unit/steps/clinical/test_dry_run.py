@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 
 import pytest
 from clinical_case import HOME_RAD, ClinicalCell
-from prepared_results import checked_paths, coarse
+from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
 
 from procedures.engine.step import StepKey
 from procedures.planning.reach.motions import HOME
+from procedures.steps.clinical import tool_check
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import MotionPreview
 from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.dry_run import would_move
 from procedures.workcell import MountedTool
 
@@ -37,7 +40,7 @@ def told(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
     engine = cell.begin(paths, *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     key = next(key for key in engine.order.sequence if key.name == STEP.name)
-    lines = would_move(engine.case, StepKey(key.name, "T1"), cell.workcell)
+    lines = would_move(engine.case, StepKey(key.name, "T1"), cell.setting())
     assert lines is not None
     return lines
 
@@ -64,3 +67,22 @@ def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell,
     heading, first, *_others = told(cell, paths)
     assert heading == "the arm is over sphere 1; from there"
     assert first.startswith("move T1/sphere 1 to T1/sphere 2, ")
+
+
+def test_the_motions_over_the_gauge_are_told_with_distance_speed_and_clearance(
+    cell: ClinicalCell, paths: CheckedPaths
+) -> None:
+    cell.arm.joints_rad = HOME_RAD
+    engine = cell.begin(checked_plan(), localized_fiducials(), paths, *coarse(), tool_check.STEP)
+    engine.run_to(engine.order.sequence[-2])
+    there, again, back = would_move(engine.case, StepKey(CheckedTool.kind), cell.setting()) or ()
+    facts = r"the guide moves (\d+) mm, joints turn up to \d+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
+    far = re.fullmatch(f"move home to the gauge, {facts}", there)
+    home = re.fullmatch(f"move the gauge to home, {facts}", back)
+    assert far is not None
+    assert home is not None
+    assert int(far[1]) >= int(home[1]) > 100
+    assert re.fullmatch(f"move onto the gauge again, {facts}", again)
+    assert not cell.arm.motions
+    assert "surround" not in cell.arm.calls  # what is mounted now is not the guide
+    assert cell.operator.asked == []
