@@ -79,7 +79,7 @@ def test_a_renewed_tracker_frame_record_does_not_keep_the_arm_over_the_head(
     other_frame(again)
     assert bring_home(engine, left)
     (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
-    assert "calibration tracker_frame: not needed on the way home" in asked.value
+    assert "calibration tracker_frame: a different one; not needed on the way home" in asked.value
 
 
 def test_another_tracker_does_not_keep_the_arm_over_the_head(cell: ClinicalCell) -> None:
