@@ -12,7 +12,6 @@ import fcntl
 import os
 import threading
 import time
-from datetime import UTC, datetime
 from pathlib import Path
 
 from procedures.engine.events.event import Event
@@ -111,8 +110,7 @@ class EventFile:
         due = at_once or now_s - self._lost_told_s >= LOST_PERIOD_S
         if due and self._lost > self._lost_told and (last := self._last) is not None:
             self._lost_told, self._lost_told_s = self._lost, now_s
-            told = {"host_time": datetime.now(UTC), "what": SignalsLost(count=self._lost)}
-            self._waiting.append(_line(last.model_copy(update=told)))
+            self._waiting.append(_line(last.model_copy(update={"what": SignalsLost(count=self._lost)})))
 
     def _write(self) -> None:
         """Write whole lines or nothing; what did not go in waits for the next time."""

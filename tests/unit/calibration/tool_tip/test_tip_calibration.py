@@ -107,7 +107,7 @@ def test_held_out_readings_must_agree_with_the_fit(read: tuple[TipCell, TipLooks
         with_dials(one, (0.2, 0.2, 0.0)) if one.look in observed.validation else one
         for one in observed.readings
     ]
-    with pytest.raises(DoesNotFit, match="does not hold"):
+    with pytest.raises(DoesNotFit, match="kept for validation"):
         calibrate_tip(among(observed, spoilt))
 
 

@@ -178,7 +178,7 @@ def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, Fra
 
     with pytest.raises(DoesNotFit, match="no pose of the frame"):
         calibrate_frame(spoilt(Use.FIT, 2.0))
-    with pytest.raises(DoesNotFit, match="does not hold"):
+    with pytest.raises(DoesNotFit, match="kept for validation"):
         calibrate_frame(spoilt(Use.VALIDATION, 1.0))
 
 
