@@ -109,13 +109,14 @@ class TipInHead(Strict):
     @classmethod
     def of(cls, flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Self:
         """From both records of the theatre file."""
-        from ronna_hw.frames import Frame
+        from ronna_hw.arm.pose import Pose  # a theatre computes this as it starts: SciPy would double that
 
-        head = flange_from_head.transform(Frame.FLANGE, Frame.TOOL)
-        tip = head.rigid.inv() * flange_from_tip.transform(Frame.FLANGE, Frame.TOOL).rigid
-        x, y, z = tip.translation.tolist()
-        w, i, j, k = tip.rotation.as_quat(canonical=True, scalar_first=True).tolist()
-        return cls(translation_mm=(x, y, z), quaternion_wxyz=(w, i, j, k))
+        head, tip = (
+            Pose.from_quaternion(record.translation_mm, record.quaternion_wxyz)
+            for record in (flange_from_head, flange_from_tip)
+        )
+        here = head.inverse().compose(tip)
+        return cls(translation_mm=here.position_mm, quaternion_wxyz=here.quaternion())
 
     def off(self, other: TipInHead) -> tuple[float, float]:
         """How far another pose is from this one, mm and rad."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from math import cos, sin
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING
 
 from ronna_hw.arm.kr6_r900.dimensions import Dimensions
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector, Vector3
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
 
 
 def forward(arm: Dimensions, joints_rad: JointVector) -> Pose:
@@ -57,6 +59,8 @@ def forward(arm: Dimensions, joints_rad: JointVector) -> Pose:
 
 def jacobian(arm: Dimensions, joints_rad: JointVector) -> NDArray[np.float64]:
     """Geometric Jacobian of the flange in $ROBROOT, (6, 6): rows vx vy vz in mm, wx wy wz in rad, per rad."""
+    import numpy as np  # for planning only: the real-time process goes without
+
     A1, A2, A3, A4, _, _ = joints_rad
     c1, s1 = cos(A1), sin(A1)
     c23, s23 = cos(A2 + A3), sin(A2 + A3)

@@ -1,7 +1,9 @@
 import numpy as np
 import pytest
 
+from ronna_hw.calibration import PoseRecord
 from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.tool_record import TipInHead
 
 
 def test_composing_across_matching_frames_maps_points_through_both() -> None:
@@ -54,3 +56,16 @@ def test_the_inverse_swaps_frames_and_undoes_the_motion() -> None:
     both = transform @ transform.inverse()
     assert (both.target, both.source) == (Frame.ROBOT, Frame.ROBOT)
     assert both.as_matrix() == pytest.approx(np.eye(4), abs=1e-12)
+
+
+def test_the_tip_in_the_stereo_head_composes_both_records() -> None:
+    head, tip = (
+        PoseRecord(translation_mm=(110.0, -20.0, 300.0), quaternion_wxyz=(0.5, -0.5, 0.5, 0.5)),
+        PoseRecord(translation_mm=(220.0, 7.0, 60.0), quaternion_wxyz=(0.0, 0.6, 0.0, 0.8)),
+    )
+    found = TipInHead.of(head, tip)
+    by_scipy = head.transform(Frame.FLANGE, Frame.CAMERA_LEFT).inverse() @ tip.transform(
+        Frame.FLANGE, Frame.TOOL
+    )
+    assert found.translation_mm == pytest.approx(by_scipy.translation_mm)
+    assert found.quaternion_wxyz == pytest.approx(by_scipy.quaternion_wxyz)

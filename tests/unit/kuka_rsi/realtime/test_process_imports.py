@@ -9,7 +9,7 @@ import pytest
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 
-HEAVY = {"scipy", "pydantic", "cv2", "structlog", "pinocchio", "pydicom", "typer"}
+HEAVY = {"numpy", "scipy", "pydantic", "cv2", "structlog", "pinocchio", "pydicom", "typer"}
 
 
 def test_a_running_link_imports_no_heavy_package(
