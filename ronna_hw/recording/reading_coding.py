@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
@@ -47,4 +48,7 @@ def _with_pixels(value: Any, get: GetPixels) -> Any:
 
 @cache
 def _adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+    adapter = TypeAdapter(kind)
+    # Readings import NumPy for their annotations only; they are complete with these names.
+    adapter.rebuild(raise_errors=False, _types_namespace={"np": np, "NDArray": NDArray})
+    return adapter
