@@ -11,12 +11,12 @@ PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 # Each worker collects all that it is given: where nothing is for `make test`, there is no need to look.
 QUICK := tests/unit tests/system tests/hazards
 
-.PHONY: setup demo test test-all test-browser test-browser-all soak lint bench docs lock clean
+.PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
-test test-all test-browser test-browser-all soak: export OPENBLAS_NUM_THREADS := 1
-test test-all test-browser test-browser-all soak: export PYTHONDONTWRITEBYTECODE :=
+test test-all test-browser test-browser-all soak fuzz: export OPENBLAS_NUM_THREADS := 1
+test test-all test-browser test-browser-all soak fuzz: export PYTHONDONTWRITEBYTECODE :=
 
 setup: $(STAMP)
 
@@ -50,6 +50,10 @@ test-all: setup
 soak: setup
 	@$(PYTEST) -m soak
 
+fuzz: setup
+	@$(PIP) --require-hashes -r requirements/fuzz.txt
+	@$(BIN)/python -m pytest -n auto -m soak tests/soak/test_hostile_guided.py
+
 # One after the other and never beside the others: a browser takes the processor from the robot's link.
 test-browser: setup
 	@$(BIN)/python -m pytest -p no:xdist -m "browser and not slow" tests/browser
@@ -76,6 +80,8 @@ lock:
 	uv pip compile --universal --generate-hashes --no-header --no-emit-index-url --no-emit-find-links --no-annotate \
 	  --python-version 3.11 --extra build --extra compressed --extra console \
 	  -c requirements/locked.txt pyproject.toml -o requirements/run.txt
+	uv pip compile --universal --generate-hashes --no-header --no-emit-index-url --no-emit-find-links --no-annotate \
+	  --python-version 3.11 --group fuzz -o requirements/fuzz.txt
 
 clean:
 	rm -rf $(VENV) build dist runs *.egg-info .pytest_cache .mypy_cache .ruff_cache
