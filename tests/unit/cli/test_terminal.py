@@ -394,26 +394,3 @@ def test_an_unknown_access_setting_is_a_usage_error(
     monkeypatch.setenv("RONNA_ACCESS", "everybody")
     assert terminal.exit_code_of(app_that(lambda: None), []) == 2
     assert "CLI-001: RONNA_ACCESS is 'everybody'; expected owner or group" in capsys.readouterr().err
-
-
-MULTIPLYING = """
-import os, typer
-from ronna_hw.command_line import terminal
-app = typer.Typer()
-@app.command()
-def multiply() -> None:
-    import numpy as np
-    square = np.ones((600, 600))
-    square @ square
-    print(len(os.listdir("/proc/self/task")))
-terminal.run(app)
-"""
-
-
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor has one thread anyway")
-def test_linear_algebra_of_a_command_uses_one_thread_on_any_number_of_processors() -> None:
-    command = [sys.executable, "-P", "-c", MULTIPLYING]
-    done = subprocess.run(
-        command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "2"}
-    )
-    assert done.stdout == "1\n", done.stderr
