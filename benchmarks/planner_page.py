@@ -74,9 +74,9 @@ def measure() -> list[Figure]:
             page.get_by_label("crosshair to the target").click()
             page.wait_for_selector(HANDLE, state="attached")
             drags_ms = [_drag_ms(page, 3 if number % 2 else -3) for number in range(DRAGS)]
-    told = shape.split(",")[0].removeprefix("CT of ")
+    label = shape.split(",")[0].removeprefix("CT of ")
     return [
-        _of(f"scroll to picture, {told}", scrolls_ms).at_most(SCROLL_MS),
+        _of(f"scroll to picture, {label}", scrolls_ms).at_most(SCROLL_MS),
         _of("drag to expected error", drags_ms).at_most(DRAG_MS),
         Figure("page to head", OURS, head_s, "s", head_s / bare_s, BARE).at_most(HEAD_S),
         Figure("page to its number", BARE, bare_s, "s"),

@@ -77,17 +77,17 @@ class Cost:
     squares_mm2: list[float] = field(default_factory=list)
     fitted_mm2: list[float] = field(default_factory=list)  # after a rigid fit
     chi2: list[float] = field(default_factory=list)
-    told: list[str] = field(default_factory=list)  # refusals and warnings
+    said: list[str] = field(default_factory=list)  # refusals and warnings
 
     def add(self, painted: Painted) -> None:
         """Localize without the expected count."""
-        self.told += motion_warnings(painted.volume.voxels, painted.volume.geometry)
+        self.said += motion_warnings(painted.volume.voxels, painted.volume.geometry)
         self.markers += len(painted.centres_mm)
         try:
             found = localize(painted.volume)
         except RonnaError as error:
             self.missed += len(painted.centres_mm)
-            self.told.append(f"{error.code}: {error.summary.partition(';')[0]}")
+            self.said.append(f"{error.code}: {error.summary.partition(';')[0]}")
             return
         self._compare(found, painted.centres_mm)
 
@@ -110,9 +110,9 @@ class Cost:
 
     def row(self, case: Case) -> dict[str, object]:
         """For the data file; lengths in µm."""
-        told = sorted(set(self.told))
+        said = sorted(set(self.said))
         if not self.squares_mm2:
-            return {"fault": case.words, "options": _options(case), "told": " / ".join(told) or "refused"}
+            return {"fault": case.words, "options": _options(case), "told": " / ".join(said) or "refused"}
         return {
             "fault": case.words,
             "options": _options(case),
@@ -123,7 +123,7 @@ class Cost:
             "largest_um": round(1e3 * float(np.sqrt(np.max(self.squares_mm2))), 1),
             "fitted_um": round(1e3 * float(np.sqrt(np.mean(self.fitted_mm2))), 1),
             "chi2": round(float(np.mean(self.chi2)), 2),
-            "told": " / ".join(told),
+            "told": " / ".join(said),
         }
 
 
@@ -131,7 +131,7 @@ def _options(case: Case) -> str:
     words = [
         f"--{name.replace('_', '-')}"
         + ("" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}")
-        for name, value in case.faults.told().items()
+        for name, value in case.faults.said().items()
     ]
     return " ".join(words)
 
@@ -162,10 +162,10 @@ def refused(case: Case, seed: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         try:
             read_series(write_case(scan.scene, Path(folder), scan=scan).series)
-            told = "read without a warning"
+            said = "read without a warning"
         except RonnaError as error:
-            told = f"{error.code}: {error.summary}"
-    return {"fault": case.words, "options": _options(case), "told": told}
+            said = f"{error.code}: {error.summary}"
+    return {"fault": case.words, "options": _options(case), "told": said}
 
 
 def main() -> None:

@@ -135,15 +135,15 @@ def _deceived(studio: Studio) -> list[Figure]:
 def _servo() -> list[Figure]:
     who = "the step's loop"
     drawn, exact = servo_campaign(SERVO_STARTS), servo_campaign(EXACT_STARTS, without_arm_errors)
-    told = servo_campaign(TOLD_STARTS, drawn=False)
-    told_share = 100.0 * told.within / told.starts
+    from_truth = servo_campaign(TOLD_STARTS, drawn=False)
+    truth_share = 100.0 * from_truth.within / from_truth.starts
     share = 100.0 * drawn.within / drawn.starts
     more = {"starts": float(drawn.starts), "most_steps": float(max(drawn.steps))}
     beyond_mm = max(exact.beyond_mm)
     return [
         Figure("servo within 8 steps of 5 mm to 0.03 mm", who, share, "%", more=more).at_least(100.0),
         Figure(
-            "the same, looks from the truth", who, told_share, "%", more={"starts": float(told.starts)}
+            "the same, looks from the truth", who, truth_share, "%", more={"starts": float(from_truth.starts)}
         ).at_least(WITHIN_PERCENT),
         Figure("recorded point beyond repeatability, arm exact", who, beyond_mm * 1e3, "µm").at_most(
             POINT_UM

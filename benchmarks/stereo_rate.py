@@ -46,7 +46,7 @@ Told = dict[str, float]
 
 def measure() -> list[Figure]:
     """Alternating rounds; 3,000 pairs of each client in total. Takes about five minutes as superuser."""
-    told: dict[str, list[Told]] = {}
+    measured: dict[str, list[Told]] = {}
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
         job = json.dumps({"addresses": addresses, "pairs": PAIRS_PER_ROUND, "packet_bytes": PACKET_BYTES})
@@ -55,8 +55,8 @@ def measure() -> list[Figure]:
             for who, line in clients.items():
                 came = _round([*line, job])
                 if came is not None:
-                    told.setdefault(who, []).append(came)
-    return [*_figures(told), _drawing()]
+                    measured.setdefault(who, []).append(came)
+    return [*_figures(measured), _drawing()]
 
 
 def _clients() -> dict[str, list[str]]:
@@ -90,8 +90,8 @@ def _kernel_drops() -> int:
     return int(dict(zip(names, values, strict=True))["RcvbufErrors"])
 
 
-def _figures(told: dict[str, list[Told]]) -> Iterator[Figure]:
-    for who, rounds in told.items():
+def _figures(measured: dict[str, list[Told]]) -> Iterator[Figure]:
+    for who, rounds in measured.items():
         total, pairs = _sums(rounds), len(rounds) * PAIRS_PER_ROUND
         ours = who.startswith(OURS)
         peer = who.replace(OURS, ARAVIS)
@@ -102,8 +102,8 @@ def _figures(told: dict[str, list[Told]]) -> Iterator[Figure]:
             goal_hz = FULL_RATE_HZ * (1.0 - RATE_SLACK)
             rate = replace(rate, goal=f"{FULL_RATE_HZ:g}", met=rate.value >= goal_hz)
             cpu = replace(cpu, more={"receiver process": total["receiver_cpu_s"] / pairs * 1e3})
-            if peer in told:
-                theirs, their_pairs = _sums(told[peer]), len(told[peer]) * PAIRS_PER_ROUND
+            if peer in measured:
+                theirs, their_pairs = _sums(measured[peer]), len(measured[peer]) * PAIRS_PER_ROUND
                 their_hz, their_ms = their_pairs / theirs["seconds"], theirs["cpu_s"] / their_pairs * 1e3
                 rate = replace(rate, ratio=rate.value / their_hz, baseline=peer)
                 cpu = replace(cpu, ratio=cpu_ms / their_ms, baseline=peer)

@@ -198,8 +198,8 @@ async def _refuse(send: Send, status: int, why: str) -> None:
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: dict[str, str]) -> None:
-    told = {**headers, "content-length": str(len(body))}
-    named = [(name.encode(), value.encode("latin-1")) for name, value in told.items()]
+    with_length = {**headers, "content-length": str(len(body))}
+    named = [(name.encode(), value.encode("latin-1")) for name, value in with_length.items()]
     guarded = _with_headers(send)
     await guarded({"type": "http.response.start", "status": status, "headers": named})
     await guarded({"type": "http.response.body", "body": body})

@@ -25,14 +25,18 @@ PENDANT = "pendant at "  # prefix of a message on the simulated controller's pen
 class TheatreProcess:
     """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
 
-    def __init__(self, *arguments: str, pendant: Callable[[str], None] = lambda _line: None) -> None:
-        """`pendant` is called with each message on the simulated controller's pendant."""
+    def __init__(
+        self, *arguments: str, on_controller_message: Callable[[str], None] = lambda _line: None
+    ) -> None:
+        """`on_controller_message` is called with each message on the simulated controller's pendant."""
 
-        def told(line: str) -> None:
+        def on_message(line: str) -> None:
             if line.startswith(PENDANT):
-                pendant(line)
+                on_controller_message(line)
 
-        self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, told=told)
+        self.child = ChildProcess(
+            NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, on_message=on_message
+        )
 
     def await_ready(self) -> None:
         """Return once every device is ready; raises PRC-001 with the command's own message."""

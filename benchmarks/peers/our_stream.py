@@ -19,7 +19,7 @@ from tests.support.camera_stream import stream_pairs  # noqa: E402
 def main(job: dict[str, object]) -> None:
     """Receive, and report the result."""
     came = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
-    told = {
+    summary = {
         "seconds": came.seconds,
         "cpu_s": came.receiver_cpu_s + came.driver_cpu_s,
         "receiver_cpu_s": came.receiver_cpu_s,
@@ -27,7 +27,7 @@ def main(job: dict[str, object]) -> None:
         "broken": came.broken,
         "repeated": came.repeated,
     }
-    print(json.dumps(told))
+    print(json.dumps(summary))
 
 
 if __name__ == "__main__":

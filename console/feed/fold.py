@@ -7,6 +7,7 @@ from typing import Any
 
 from console.feed.view import CaseView, DeviceRow, Notice, StepRow, StoodPose
 from procedures.engine.events import (
+    Advisory,
     Answered,
     Bodies,
     CaseState,
@@ -14,7 +15,6 @@ from procedures.engine.events import (
     DeviceState,
     Event,
     Fault,
-    Finding,
     Happening,
     JournalLine,
     LinkHealth,
@@ -87,7 +87,7 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
             return _journal(view, line)
         case SignalsLost():
             return {}  # of the file; the picture has the latest of each
-        case Fault() | Refusal() | Finding():
+        case Fault() | Refusal() | Advisory():
             return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
 
 
@@ -141,7 +141,7 @@ def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[
     return {"devices": {**view.devices, device: row}}
 
 
-def _notice(view: CaseView, what: Fault | Refusal | Finding) -> Notice:
+def _notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
     match what:
         case Fault(code=code, what=text, advice=advice):
             text = text.removesuffix(advice).rstrip()
@@ -152,7 +152,7 @@ def _notice(view: CaseView, what: Fault | Refusal | Finding) -> Notice:
         case Refusal(step=step, unmet=unmet):
             refused = f"{step} cannot start: {'; '.join(unmet)}"
             return Notice("refused", view.theatre_time_s, refused, step=step)
-        case Finding(text=text):
+        case Advisory(text=text):
             return Notice("finding", view.theatre_time_s, text)
 
 

@@ -28,7 +28,7 @@ def chart(view: CaseView) -> str:
         done = all(row.state == "done" for row in steps)
         words = f"{phase.capitalize()}: {len(steps)} steps done" if done else phase.capitalize()
         body = tag("summary", text(words))
-        body += tag("ol", "".join(_step(view, row, told=finished or row is latest) for row in steps))
+        body += tag("ol", "".join(_step(view, row, with_summary=finished or row is latest) for row in steps))
         phases.append(f"<details{'' if done and not finished else ' open'}>{body}</details>")
     return _state(view) + ("".join(phases) or tag("p", "Opening the theatre.", class_="dim"))
 
@@ -61,14 +61,14 @@ def _state(view: CaseView) -> str:
     return tag("div", state + reason + waits + why, class_="state", role="status")
 
 
-def _step(view: CaseView, row: StepRow, *, told: bool) -> str:
+def _step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
     is_next = row.state not in ("begun", "done") and row.step == view.upcoming and not view.running
     sign, word, kind = MARKS["next" if is_next and not row.state else row.state]
     moves = tag("span", "moves", class_="moves") if row.moves else ""
     shown = tag("span", sign, class_="mark", aria_hidden="true") + tag(
         "span", f"{text(row.title)} {_place(row)}{moves}", class_="title"
     )
-    below = row.summary if told or row.state != "done" else ""
+    below = row.summary if with_summary or row.state != "done" else ""
     if row.state == "begun":
         below = f"{view.share:.0%} {view.doing}".strip() if view.share or view.doing else ""
         shown += tag("progress", "", max="1", value=f"{view.share:.3f}", aria_label="progress")

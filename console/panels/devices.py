@@ -44,14 +44,14 @@ def _row(name: str, row: DeviceRow) -> str:
 
 def _says(row: DeviceRow) -> str:
     """What keeps a case from continuing is highlighted; the rest is listed next to it."""
-    told = [
+    remarks = [
         f"{text(fact.name)} {text(fact.found)}"
         if fact.ready
         else tag("strong", f"⚠ {text(fact.name)}: {text(fact.found)}", class_="bad")
         for fact in row.seen.says
     ]
-    told += [tag("span", f"! {text(one)}", class_="warn") for one in row.seen.notices]
-    return tag("td", "; ".join(told) or "-", class_="says" if told else "dim")
+    remarks += [tag("span", f"! {text(one)}", class_="warn") for one in row.seen.notices]
+    return tag("td", "; ".join(remarks) or "-", class_="says" if remarks else "dim")
 
 
 def _age(row: DeviceRow) -> str:

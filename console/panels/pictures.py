@@ -41,8 +41,8 @@ def pictures(figures: CaseFigures | None) -> str:
 
 def _picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
-    told = f"{text(what)}: both cameras, detected outline overlaid"
-    image = f'<img src="/picture/{text(name)}" alt="{told}" loading="lazy">'
+    alt_text = f"{text(what)}: both cameras, detected outline overlaid"
+    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
     return tag("figure", image + tag("figcaption", text(what)))
 
 
@@ -62,8 +62,8 @@ def cuts_key(view: CaseView) -> object:
 
 
 def _cut(way: str, name: str, *, is_open: bool) -> str:
-    told = f"Trajectory {text(way)} in three planes through its target"
-    image = f'<img src="/picture/{text(name)}" alt="{told}" loading="lazy">'
+    alt_text = f"Trajectory {text(way)} in three planes through its target"
+    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
     return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{image}</details>"
 
 

@@ -61,9 +61,9 @@ class ProposalPanel:
             self._words.set_content(tag("p", "Set entry and target first.", class_="dim"))
             return
         rows = [(one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}") for one in found.targets]
-        told = f"expected with markers of {found.marker_error_mm:g} mm each; the arm's error is not included"
+        note = f"expected with markers of {found.marker_error_mm:g} mm each; the arm's error is not included"
         head = ("target", "proposed mm", "random mm")
-        self._words.set_content(tag("div", table(head, rows, told), data_proposed=str(len(found.markers))))
+        self._words.set_content(tag("div", table(head, rows, note), data_proposed=str(len(found.markers))))
         with self._sites:
             for number, centre_mm in enumerate(found.centres_mm, start=1):
                 place = ", ".join(f"{value:.0f}" for value in centre_mm)

@@ -159,13 +159,13 @@ class SlicePanel:
 
 
 def _address(cut: Cut, window: str) -> str:
-    def told(values: Any) -> str:
+    def as_text(values: Any) -> str:
         return ",".join(f"{value:.5g}" for value in values)
 
     numbers = {
         "m": ",".join(f"{value:.3f}" for value in cut.middle_mm),
-        "r": told(cut.right),
-        "d": told(cut.down),
+        "r": as_text(cut.right),
+        "d": as_text(cut.down),
         "s": f"{cut.step_mm:.5f}",
         "w": window,
     }

@@ -226,8 +226,8 @@ def localization(
         from procedures.studies.localization.thesis_protocol import ThesisLocalizationStudy
 
         protocol = ThesisLocalizationStudy(asked.seed)
-        told = thesis_localization_tables
-        _run(protocol, told.tables, told.plots, asked)
+        protocol_tables = thesis_localization_tables
+        _run(protocol, protocol_tables.tables, protocol_tables.plots, asked)
         return
     study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:

@@ -29,7 +29,7 @@ class BodyView:
 
     def __init__(self, workcell: Workcell) -> None:
         self._workcell = workcell
-        self._told: Surroundings | None = None
+        self._bodies_of: Surroundings | None = None
         self._bodies: Bodies | None = None
         self._published: Bodies | None = None
         self._looks = 0
@@ -56,8 +56,8 @@ class BodyView:
         """
         if self._current() is not self._published:
             self._published = self._current()
-            told = _as_event(self._published)
-            events.publish(told.model_copy(update={"cameras": self._cameras}))
+            event = _as_event(self._published)
+            events.publish(event.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
         streamed, self._streamed = self._streamed, self._workcell.streaming
         if self._streamed:
@@ -68,12 +68,12 @@ class BodyView:
             self._publish_link(events)
 
     def _current(self) -> Bodies:
-        told = self._workcell.surroundings
-        if self._bodies is None or told is not self._told:
-            self._told = told
+        surroundings = self._workcell.surroundings
+        if self._bodies is None or surroundings is not self._bodies_of:
+            self._bodies_of = surroundings
             head = self._workcell.tool is MountedTool.STEREO_HEAD
             self._cameras = camera_views(self._workcell.calibrations.stereo_head) if head else ()
-            self._bodies = Bodies(self._workcell.arm.kinematics, told or Surroundings())
+            self._bodies = Bodies(self._workcell.arm.kinematics, surroundings or Surroundings())
         return self._bodies
 
     def _publish_link(self, events: EventStream) -> None:

@@ -89,13 +89,13 @@ class DeviceFaults:
         return {role: str(seen.fault) for role, seen in in_fault(self._workcell.devices)}
 
     @property
-    def told(self) -> dict[str, str]:
+    def described(self) -> dict[str, str]:
         """The same for a person: the present state of each device, and what to do."""
         return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 for an arm in fault, with its present state."""
-        if (fault := self.told.get(ARM)) is not None:
+        if (fault := self.described.get(ARM)) is not None:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:

@@ -14,7 +14,7 @@ from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.course import Course
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
-from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
+from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
 from procedures.engine.inputs import unusable_inputs
 from procedures.engine.machine import RECOVERY, ProcedureMachine
@@ -101,7 +101,7 @@ class Engine:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
             return ("the findings after the restart have not been accepted",)
-        if faults := self.faults.told:
+        if faults := self.faults.described:
             return tuple(faults.values())
         if unmet := self.course.why_not_now(key):
             return unmet
@@ -210,7 +210,7 @@ class Engine:
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""
         self._write(Entry.FINDING, text=text)
-        self.events.publish(Finding(text=text))
+        self.events.publish(Advisory(text=text))
         _log.warning("finding", text=self._logged(text))
 
     def void(self, key: StepKey, reason: RonnaError) -> None:

@@ -77,8 +77,8 @@ class LeftRun:
     @property
     def plan_sha256(self) -> str | None:
         """Of the plan as it was held when the run was opened last; None where no line says it."""
-        told = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
-        return str(told[-1]) if told else None
+        hashes = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
+        return str(hashes[-1]) if hashes else None
 
     @property
     def begun(self) -> StepKey | None:

@@ -95,7 +95,7 @@ class Acknowledge(_Order):
     kind: Literal["acknowledge"] = "acknowledge"
 
 
-class Answer(_Order):
+class AnswerQuestion(_Order):
     """Answer the open question."""
 
     kind: Literal["answer"] = "answer"
@@ -110,7 +110,9 @@ class Answer(_Order):
     )
 
 
-AnyOrder = Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | Answer
+AnyOrder = (
+    Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | AnswerQuestion
+)
 _ORDERS: TypeAdapter[AnyOrder] = TypeAdapter(Annotated[AnyOrder, Field(discriminator="kind")])
 
 

@@ -39,7 +39,7 @@ def publish_waiting(engine: Engine) -> None:
     if key is not None:
         unmet = engine.why_refused(key)
     else:
-        fault = engine.faults.told.get(ARM) if name == HOME else None
+        fault = engine.faults.described.get(ARM) if name == HOME else None
         unmet = () if fault is None else (fault,)
     engine.events.publish(Waiting(upcoming=name, unmet=unmet))
 

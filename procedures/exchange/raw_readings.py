@@ -69,9 +69,11 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
     steps = {
         line["sequence"]: str(line.get("step", "home")) for line in chain.lines if line["entry"] in BEGINS
     }
-    for section, device, call, told in read_in_order(run):
-        if isinstance(told.value, StereoReading | TrackerFrame | ArmReading):
-            yield RawReading(steps.get(section, ""), device, call, told.theatre_time_s, told.value)
+    for section, device, call, call_record in read_in_order(run):
+        if isinstance(call_record.value, StereoReading | TrackerFrame | ArmReading):
+            yield RawReading(
+                steps.get(section, ""), device, call, call_record.theatre_time_s, call_record.value
+            )
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:

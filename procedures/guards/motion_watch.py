@@ -117,9 +117,9 @@ class MotionWatch:
             self.find(f"the head was not watched during {what}: {seen.problem.summary}")
         if seen.late_s > 0.0:
             self.find(f"{LATE} by up to {seen.late_s:.2f} s during {what}")
-        told = self._unseen_s > LONGEST_UNSEEN_S
+        shift = self._unseen_s > LONGEST_UNSEEN_S
         self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
-        if self._unseen_s > LONGEST_UNSEEN_S and not told:
+        if self._unseen_s > LONGEST_UNSEEN_S and not shift:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _named(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
@@ -127,12 +127,12 @@ class MotionWatch:
         try:
             with self.beside():
                 room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
-        except BaseShifted as told:
-            moved = BaseShifted(f"{told.what}, during {what}", limit=told.limit, got=told.got)
-            moved.cart = told.cart
+        except BaseShifted as shift:
+            moved = BaseShifted(f"{shift.what}, during {what}", limit=shift.limit, got=shift.got)
+            moved.cart = shift.cart
             return moved
-        except PatientMoved as told:
-            return PatientMoved.by(f"{told.what}, during {what}", told.moved_mm, PATIENT_LIMIT_MM)
+        except PatientMoved as shift:
+            return PatientMoved.by(f"{shift.what}, during {what}", shift.moved_mm, PATIENT_LIMIT_MM)
         except RonnaError as problem:  # what was seen is told all the same
             self.find(f"no further reading after {what}: {problem.summary}")
         return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)

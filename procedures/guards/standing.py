@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from procedures.engine.engine import Engine
-from procedures.engine.events import Finding
+from procedures.engine.events import Advisory
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
 from procedures.guards.head_in_sight import HeadInSight
@@ -51,7 +51,7 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
         setting.memory,
         setting.settings.watch_patient,
         find=engine.find,
-        tell=lambda text: engine.events.publish(Finding(text=text)),
+        tell=lambda text: engine.events.publish(Advisory(text=text)),
         void=void,
         beside=engine.checkpoint.beside,
     )

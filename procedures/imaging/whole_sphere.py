@@ -94,14 +94,14 @@ def _doubts(
     scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
-    told = np.asarray(scanned & ~metal)
+    informative = np.asarray(scanned & ~metal)
     levels_hu = np.full(len(ways), 0.5 * (edge.inside_hu + edge.outside_hu))
     if streaked:
         levels_hu += _own_levels_hu(profiles, shares, edge)
     place, left = _first_fall(profiles, shares, levels_hu)
-    opens = told & left
-    covered = told & ~left
-    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), told)
+    opens = informative & left
+    covered = informative & ~left
+    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), informative)
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
         early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
@@ -120,7 +120,11 @@ def _doubts(
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
-    hollow = float((odd[told][:, core] @ volume).sum() / (told.sum() * volume.sum())) if told.any() else 1.0
+    hollow = (
+        float((odd[informative][:, core] @ volume).sum() / (informative.sum() * volume.sum()))
+        if informative.any()
+        else 1.0
+    )
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
         Doubt(
@@ -167,9 +171,9 @@ def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
     return np.asarray(near - far)
 
 
-def _around(values: Array, told: Rays) -> Array:
+def _around(values: Array, informative: Rays) -> Array:
     """The median over the rays around each, (rays,); infinite where half of those are uninformative."""
-    return np.asarray(np.median(np.where(told, values, np.inf)[_neighbours()], axis=1))
+    return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
 
 @cache

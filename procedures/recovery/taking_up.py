@@ -172,12 +172,12 @@ def _require_ready(engine: Engine) -> None:
     held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
     if not held_back:
         return
-    told = [f"{role}, {fact.name}: {fact.found}" for role, fact in held_back]
+    reasons = [f"{role}, {fact.name}: {fact.found}" for role, fact in held_back]
     first = [fact.advice for _, fact in held_back if fact.name != MESSAGES]
     run = shlex.quote(str(engine.case.folder))
     acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
     raise StepRefused(
-        f"nothing may move yet: {'; '.join(told)}",
+        f"nothing may move yet: {'; '.join(reasons)}",
         action=" ".join((*first, f"Nothing was moved. Run {acknowledge}, then this command again.")),
     )
 

@@ -78,8 +78,8 @@ def _after(journal: Sequence[Line]) -> str:
         (len(paused), "pause", ""),
         (len(again), "resume", ""),
     ]
-    told = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
-    return f", after {', '.join(told)}" if told else ""
+    counts = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
+    return f", after {', '.join(counts)}" if counts else ""
 
 
 def _during(step: str) -> str:

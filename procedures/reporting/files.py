@@ -75,11 +75,17 @@ class ReportFiles:
         truth = ("error_mm", "lateral_mm", "axial_mm")
         lines: list[tuple[object, ...]] = []
         for row in rows:
-            told = row.predicted
-            shares = {share.source: share.rms_mm for share in told.budget}
+            prediction = row.predicted
+            shares = {share.source: share.rms_mm for share in prediction.budget}
             lines.append(
                 (
-                    *(row.target, row.depth_mm, told.rms_mm, told.limit_mm, told.confidence),
+                    *(
+                        row.target,
+                        row.depth_mm,
+                        prediction.rms_mm,
+                        prediction.limit_mm,
+                        prediction.confidence,
+                    ),
                     *(row.error_mm, row.lateral_mm, row.axial_mm),
                     *(shares.get(source) for source in sources),
                 )

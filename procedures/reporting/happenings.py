@@ -52,18 +52,18 @@ def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
     Findings that every program opening a run makes about the previous one are reported once.
     """
     found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
-    told: dict[str, Happening] = {}
+    first: dict[str, Happening] = {}
     for number, one in enumerate(_of_kinds(journal, _SENTENCES)):
-        told.setdefault(one.text if one.text in found else str(number), one)
-    return tuple(told.values())
+        first.setdefault(one.text if one.text in found else str(number), one)
+    return tuple(first.values())
 
 
-def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
+def announced_advisories(journal: Sequence[Line]) -> tuple[Happening, ...]:
     """What the operator was told, or stated, that stopped nothing; identical texts once."""
-    told: dict[str, Happening] = {}
+    first: dict[str, Happening] = {}
     for one in _of_kinds(journal, _TOLD):
-        told.setdefault(one.text, one)
-    return tuple(told.values())
+        first.setdefault(one.text, one)
+    return tuple(first.values())
 
 
 def clock_time(line: Line) -> str:
@@ -112,8 +112,8 @@ def _doubted(line: Line) -> str:
 def _restarted(line: Line) -> str:
     """What a program that resumes the run found of the previous one."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
-    told = f"The program ended before {begun} was complete" if begun else ""
-    return f"{told}; the last line of its journal was truncated and set aside" if torn else told
+    first = f"The program ended before {begun} was complete" if begun else ""
+    return f"{first}; the last line of its journal was truncated and set aside" if torn else first
 
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {

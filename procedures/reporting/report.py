@@ -19,7 +19,7 @@ from procedures.reporting.calibration.stereo_head import HeadFigures
 from procedures.reporting.clearance_figure import clearance_figure
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
-from procedures.reporting.happenings import happenings, questions, told_findings
+from procedures.reporting.happenings import announced_advisories, happenings, questions
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.minutes import times_taken
@@ -108,7 +108,7 @@ def write_report(
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
         "happenings": happenings(reading.run.journal),
-        "told": told_findings(reading.run.journal),
+        "announced": announced_advisories(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),
         "lines": len(reading.run.journal),
         "records": reading.run.records,
@@ -158,15 +158,15 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 def _left_out(reading: RunReading) -> list[str]:
     """Spheres and trajectories left out with the operator's consent, and why."""
-    told = []
+    sentences = []
     for record in reading.run.what_stands:
         where = f" ({record.trajectory})" if record.trajectory else ""
         for value in (record.payload.get("left_out"), record.payload.get("left_out_spheres")):
             if isinstance(value, dict):  # trajectories
-                told += [f"{name} was left out: {reason}" for name, reason in value.items()]
+                sentences += [f"{name} was left out: {reason}" for name, reason in value.items()]
             for one in value if isinstance(value, list) else ():
-                told.append(f"Sphere {one['fiducial'] + 1} was left out{where}: {one['reason']}")
-    return told
+                sentences.append(f"Sphere {one['fiducial'] + 1} was left out{where}: {one['reason']}")
+    return sentences
 
 
 def _figures(

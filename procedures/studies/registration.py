@@ -205,9 +205,11 @@ def _own_table(sums: Mapping[str, Sums]) -> Table:
     rows: list[Sequence[Cell]] = []
     for cell, total in sums.items():
         kind, count = cell.split("|")
-        told = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
-        told |= {key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")}
-        for who, name in told.items():
+        methods = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
+        methods |= {
+            key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")
+        }
+        for who, name in methods.items():
             if f"{who}2" in total:
                 error = _rms_mm(total, who)
                 rows.append((kind, int(count), name, int(total["runs"]), error.value, error.text))

@@ -53,12 +53,14 @@ class CarriedTool:
         """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
-    def told(self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None) -> Transform:
+    def commanded(
+        self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
+    ) -> Transform:
         """What the controller, which knows no calibration, must be told to bring the tool to a pose.
 
         `here_rad` measures the joints, in whose branch the arm stays.
         """
         if self.arm.is_nominal:
             return pose
-        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).told
+        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
         return flange.to_transform() @ self.flange_from_tool

@@ -87,10 +87,10 @@ def facts_from(at_rad: JointVector, arm: PreviewingArm, motions: Sequence[CellMo
     """As `motion_facts`, from other joints than the arm has now."""
     facts: list[MotionFacts] = []
     for motion in motions:
-        told, end_rad = _facts(arm, motion, motion.legs, at_rad)
-        if motion.otherwise and not told.previews[0].clear:
-            told, end_rad = _facts(arm, motion, motion.otherwise, at_rad, motion.detour)
-        facts.append(told)
+        own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
+        if motion.otherwise and not own_facts.previews[0].clear:
+            own_facts, end_rad = _facts(arm, motion, motion.otherwise, at_rad, motion.detour)
+        facts.append(own_facts)
         at_rad = end_rad
     return facts
 

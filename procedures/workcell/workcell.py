@@ -252,13 +252,13 @@ class Workcell:
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> CellMotion:
         """The motion that `line_to` makes, in the branch of `near_rad` or else of where the arm is."""
-        told = self._told(pose, arriving, near_rad)
-        return self._line_motion(MotionName.LINE, pose, LineMove(told @ self.flange_from_tool.inverse()))
+        commanded = self._told(pose, arriving, near_rad)
+        return self._line_motion(MotionName.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
     def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
         """The motion that `insert` makes; `near_rad` as for `straight`."""
-        told = self._told(insertion.held, insertion.arriving, near_rad)
-        line = LineMove(told, self.flange_from_tool, AXIAL_SPEED_FRACTION)
+        commanded = self._told(insertion.held, insertion.arriving, near_rad)
+        line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
         return self._line_motion(MotionName.INSERT, insertion.held, line, insertion)
 
     def withdrawing(self, insertion: Insertion) -> CellMotion:
@@ -371,7 +371,7 @@ class Workcell:
         return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
 
     def _told(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
-        return self._carried.told(pose, lambda: near_rad or self.joints_rad(), arriving)
+        return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)

@@ -29,7 +29,7 @@ class Compensated(NamedTuple):
     """`joints_rad` bring the flange to the wanted pose, which the controller believes to be `told`."""
 
     joints_rad: JointVector
-    told: Pose
+    commanded: Pose
 
 
 class CalibratedArm:
@@ -80,15 +80,15 @@ class CalibratedArm:
         """
         branch = self.nominal.branch_of(near)
         wanted = Pose.from_transform(flange)
-        told = wanted
+        commanded = wanted
         for _ in range(MOST_ROUNDS):
-            joints = self.nominal.solve_branch(told, branch, near)
+            joints = self.nominal.solve_branch(commanded, branch, near)
             if self._deviations is None:
-                return Compensated(joints, told)
+                return Compensated(joints, commanded)
             reached = self.forward(joints, flanks)
             if reached.distance_mm(wanted) < CLOSE_MM and reached.angle_rad(wanted) < CLOSE_RAD:
-                return Compensated(joints, told)
-            told = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)
+                return Compensated(joints, commanded)
+            commanded = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)
         raise Unreachable(
             "the calibrated arm does not reach the pose exactly",
             limit=f"{CLOSE_MM} mm after {MOST_ROUNDS} rounds",

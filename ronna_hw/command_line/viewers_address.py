@@ -95,8 +95,8 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
     import psutil
 
     cards = psutil.net_if_addrs().values()
-    told = (one.address.partition("%")[0] for card in cards for one in card if one.family in FAMILIES)
-    return {ipaddress.ip_address(address) for address in told}
+    addresses = (one.address.partition("%")[0] for card in cards for one in card if one.family in FAMILIES)
+    return {ipaddress.ip_address(address) for address in addresses}
 
 
 def viewers_address(bind: str | None, certificate: Path | None, key: Path | None) -> ViewersAddress | None:

@@ -58,8 +58,8 @@ def conformance(
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
     from ronna_hw.conformance.choice import Choice, resolve
+    from ronna_hw.conformance.device_under_test import device_under_test
     from ronna_hw.conformance.report import run_suite
-    from ronna_hw.conformance.stand import stand
     from ronna_hw.records import write_whole
 
     if report_file is not None:
@@ -67,7 +67,7 @@ def conformance(
     choice = Choice(sim, config, tuple(endpoint or ()), driver, device, tuple(allow or ()))
     target = resolve(kind, choice)
     suite = target.suite.only(only or [])
-    with stand(target) as dut:
+    with device_under_test(target) as dut:
         moves = suite.moving() if "motion" in dut.offers and not sim else []
         person = _who_confirms(suite.motions, moves, dut, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:

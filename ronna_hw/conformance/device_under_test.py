@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
-from ronna_hw.clock import Clock
+from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.case import HOST_TIME, LINE_FAULTS
+from ronna_hw.conformance.choice import Target, configured
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
 
+SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
 _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
 
@@ -109,3 +114,29 @@ class DeviceUnderTest:
         except ConfigurationError:  # this driver does not support TCP
             return False
         return True
+
+
+@contextmanager
+def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
+    """The device under test; whatever was started for it is ended on leaving. Raises PRC-001."""
+    with ExitStack() as stack:
+        config = target.config
+        if config is None:
+            assert target.protocol.simulator is not None, "resolve has checked that there is a simulator"
+            arguments = target.protocol.simulator()
+            child = stack.enter_context(
+                ChildProcess(f"ronna-sim {arguments[0]}", command(SIMULATOR_MODULE, *arguments))
+            )
+            config = configured(
+                target.driver, child.ready.get("endpoints") or {None: child.ready["endpoint"]}
+            )
+        dut = DeviceUnderTest(
+            target.name,
+            config,
+            open_clock(target.clock),
+            target.allowed,
+            protocol=target.protocol,
+            clock_known=target.clock_known,
+        )
+        stack.callback(dut.release)
+        yield dut

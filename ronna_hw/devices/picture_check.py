@@ -27,14 +27,14 @@ def picture_diagnostics(
     """
     whole = 0
     last: StereoReading | None = None
-    told: tuple[Diagnostic, ...] = ()
+    found: tuple[Diagnostic, ...] = ()
     try:
         with stereo.active():
             for _ in range(pairs):
                 last = stereo.grab_pair()
                 whole += int(last.validity is Validity.OK)
             if isinstance(stereo, TellsReadiness):
-                told = tuple(fact_diagnostics(subject, stereo))  # about these images
+                found = tuple(fact_diagnostics(subject, stereo))  # about these images
     except RonnaError as error:
         yield refusal(f"{subject}pictures", error)
     failed_looks = LOOKS_OF_A_CASE * (1.0 - whole / pairs) ** tries
@@ -44,6 +44,6 @@ def picture_diagnostics(
         f"{whole} of {pairs} pairs arrived complete",
         "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
     )
-    yield from told
+    yield from found
     if last is not None:
         yield from judged(last)

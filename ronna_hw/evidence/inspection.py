@@ -57,7 +57,7 @@ class Problem:
         return f"{printable(self.file)}: {self.what}"
 
 
-class Parent(NamedTuple):
+class KnownRecord(NamedTuple):
     """What a line of the journal says about a record that others may be made from."""
 
     sha256: str
@@ -207,7 +207,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
 
 def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
     """The records that match their lines, with parents that came before them."""
-    known: dict[str, Parent] = {}
+    known: dict[str, KnownRecord] = {}
     run = lines[0].get("run") if lines else None
     for line in lines:
         if line["entry"] != Entry.RESULT:
@@ -225,10 +225,10 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
             if not wrong:
                 yield record
             series = record.series
-        known[str(line.get("record"))] = Parent(str(line.get("sha256")), series)
+        known[str(line.get("record"))] = KnownRecord(str(line.get("sha256")), series)
 
 
-def _unlike(record: Record, line: Line, run: object, known: Mapping[str, Parent]) -> Iterator[str]:
+def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
     step, _, trajectory = str(line.get("step")).partition(":")
     if record.sha256 != line.get("sha256"):
         yield "not the record named in the journal"
@@ -264,9 +264,9 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
         yield from _not_put_back(folder, lines, there)
-        told = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
+        in_journal = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
         for name in there:
-            if name.startswith(f"{RECORDS_FOLDER}/") and name not in told:
+            if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
     if seal is None:
         if (folder / SEAL_FILE).exists() or (folder / SEAL_FILE).is_symlink():

@@ -22,12 +22,12 @@ FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
 
 def truth_so_far(folder: Path) -> dict[str, JournalValue]:
     """The field of a line; empty for a run without a simulated theatre."""
-    told: dict[str, JournalValue] = {}
+    known: dict[str, JournalValue] = {}
     for name in TRUTH_FILES:
         with contextlib.suppress(OSError), open_regular(folder / name) as file:
             content = file.read(LARGEST_BYTES)
-            told[name] = [len(content), hashlib.sha256(content).hexdigest()]
-    return {FIELD: told} if told else {}
+            known[name] = [len(content), hashlib.sha256(content).hexdigest()]
+    return {FIELD: known} if known else {}
 
 
 def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
@@ -47,9 +47,9 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
 
 def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
     """How the content of such a file does not match the lines; empty if it does, or they do not name it."""
-    if name not in (told := told_truth(lines)):
+    if name not in (known := told_truth(lines)):
         return ""
-    size, sha256, number = told[name]
+    size, sha256, number = known[name]
     if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
         return "changed"
     if len(content) > size and not (name in GROWING and _begun(lines[number + 1 :])):
@@ -59,14 +59,14 @@ def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
 
 def told_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
     """Length and hash of each file according to the last line that states them, and that line's number."""
-    told: dict[str, tuple[int, str, int]] = {}
+    known: dict[str, tuple[int, str, int]] = {}
     for number, line in enumerate(lines):
         field = line.get(FIELD)
         for name, value in field.items() if isinstance(field, Mapping) else ():
             match value:
                 case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
-                    told[name] = (int(length), sha256, number)
-    return told
+                    known[name] = (int(length), sha256, number)
+    return known
 
 
 def _begun(lines: Sequence[Line]) -> bool:

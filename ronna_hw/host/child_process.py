@@ -47,7 +47,7 @@ class ChildProcess:
         *,
         timeout_s: float | None = READY_TIMEOUT_S,
         inherited: Sequence[int] = (),
-        told: Callable[[str], None] = lambda _line: None,
+        on_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """Start the process and wait until it is ready; raises PRC-001. `told` receives its messages.
 
@@ -58,7 +58,7 @@ class ChildProcess:
         self._log = logger(process=name)
         self.ready: dict[str, Any] = {}
         self._end_logged = False
-        self._told = told
+        self._on_message = on_message
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._messages: deque[str] = deque(maxlen=MESSAGE_LINES_KEPT)
         self.process = subprocess.Popen(
@@ -168,7 +168,7 @@ class ChildProcess:
         with contextlib.suppress(ValueError, OSError):
             for line in stream:
                 self._messages.append(line.rstrip())
-                self._told(line.rstrip())
+                self._on_message(line.rstrip())
 
 
 def command(module: str, *arguments: str) -> list[str]:

@@ -34,7 +34,7 @@ CLOSE_LIMIT_S = 10.0  # for what is still queued
 NO_SECTION = -1
 
 
-class Answer(NamedTuple):
+class RecordedCall(NamedTuple):
     """Answer to a device call: a value, or the error raised; and the resulting state."""
 
     section: int
@@ -67,7 +67,7 @@ class ReadingTape:
         self._section = NO_SECTION
         self._thread = 0  # the one that reads within the section
         self._beside = 0
-        self._queue: deque[Answer] = deque()
+        self._queue: deque[RecordedCall] = deque()
         self._waiting_bytes = 0
         self._full = False
         self._ending = threading.Event()
@@ -110,7 +110,7 @@ class ReadingTape:
         properties: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         """Keep an answer that was just given. Never blocks, never raises."""
-        answer = Answer(self._section, device, call, state, self._now_s(), value, error, properties)
+        answer = RecordedCall(self._section, device, call, state, self._now_s(), value, error, properties)
         self._waiting_bytes += _pixel_bytes(value)
         if self._waiting_bytes > MOST_WAITING_BYTES:
             self._full = True
@@ -160,7 +160,7 @@ class ReadingTape:
         if self._lines.tell() + self._pixels.tell() > self._most_bytes:
             self._full = True
 
-    def _write(self, answer: Answer) -> None:
+    def _write(self, answer: RecordedCall) -> None:
         line: dict[str, Any] = {
             "section": answer.section,
             "device": answer.device,

@@ -55,7 +55,7 @@ def _asked(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
     except RonnaError as error:
         tape.keep(device.name, name, device.observe().state, None, error)
         raise
-    told = PROPERTIES if name in TELLING else ()
-    properties = {each: getattr(device, each) for each in told if hasattr(device, each)}
+    kept = PROPERTIES if name in TELLING else ()
+    properties = {each: getattr(device, each) for each in kept if hasattr(device, each)}
     tape.keep(device.name, name, device.observe().state, value, properties=properties)
     return value

@@ -103,7 +103,7 @@ def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
     return (
         scan.truth
-        | planes.told()
+        | planes.active()
         | {
             "scene": scene.name,
             "seed": scene.seed,

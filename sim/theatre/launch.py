@@ -139,7 +139,7 @@ class Theatre:
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
-                told=_show_pendant,
+                on_message=_show_pendant,
             )
             for name, more in arguments.items()
         ]

@@ -12,11 +12,11 @@ from page_reading import low_contrast, low_contrast_by_scheme, not_reached_by_ta
 from scripted_engine import served_at
 
 from procedures.engine.events import (
+    Advisory,
     CaseState,
     DeviceFact,
     DeviceState,
     Fault,
-    Finding,
     JournalLine,
     LinkHealth,
     Questioned,
@@ -45,7 +45,7 @@ EVENTFUL = (
     LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0),
     Fault(code="RSI-010", what="it stopped", advice="Look."),
     Refusal(step="relocalization:T1", unmet=("the arm is in fault",)),
-    Finding(text="the wall clock jumped"),
+    Advisory(text="the wall clock jumped"),
 )
 QUESTION = Questioned(
     question=1,

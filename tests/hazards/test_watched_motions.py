@@ -15,7 +15,7 @@ from recording_cell import STEREO_HEAD
 from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
-from procedures.engine.events import Finding
+from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.tracker_link import JUDGED
@@ -121,7 +121,7 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     reader, answer = engine.events.subscribe(), cell.operator.ask
 
     def told() -> bool:
-        return any(isinstance(one.what, Finding) for one in reader.read(0.1).events)
+        return any(isinstance(one.what, Advisory) for one in reader.read(0.1).events)
 
     def move_and_answer(question: Question) -> str:
         if question.topic is Topic.AT_TARGET:
@@ -161,7 +161,7 @@ def test_a_tracker_that_fails_during_a_motion_stops_nothing_and_is_a_finding(tmp
 
     def told() -> bool:
         said = [one.what for one in reader.read(0.1).events]
-        return any(isinstance(one, Finding) and "the head is not watched" in one.text for one in said)
+        return any(isinstance(one, Advisory) and "the head is not watched" in one.text for one in said)
 
     def break_it() -> None:
         cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
@@ -180,7 +180,7 @@ def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_find
 
     def told() -> bool:
         said = [one.what for one in reader.read(0.1).events]
-        return any(isinstance(one, Finding) and "watched late" in one.text for one in said)
+        return any(isinstance(one, Advisory) and "watched late" in one.text for one in said)
 
     def delay_it() -> None:
         cell.tracker.replies_s = (0.5,) * JUDGED

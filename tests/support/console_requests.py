@@ -28,7 +28,7 @@ SOCKET = "/_nicegui_ws/socket.io/"
 
 
 @dataclass
-class Answer:
+class Response:
     status: int
     headers: dict[str, str]
     body: bytes
@@ -78,7 +78,7 @@ class Console:
     def viewer(self) -> str:
         return self.cookie(self.sessions.viewer_token)
 
-    def order(self, cookie: str, **order: Any) -> Answer:
+    def order(self, cookie: str, **order: Any) -> Response:
         """An order as the page or a script gives it."""
         headers = {"cookie": cookie, "origin": ORIGIN}
         return self.request("POST", "/orders", headers=headers, body=json.dumps(order).encode())
@@ -93,7 +93,7 @@ class Console:
         body: bytes = b"",
         host: str = HOST,
         length: bool = True,
-    ) -> Answer:
+    ) -> Response:
         """One HTTP request through the guard."""
         given = {"host": host, **(headers or {})}
         if body and length:
@@ -112,7 +112,7 @@ class Console:
 
         asyncio.run(self._run(scope, receive, send))
         start = sent[0]
-        return Answer(
+        return Response(
             start["status"],
             {name.decode().lower(): value.decode() for name, value in start["headers"]},
             b"".join(message.get("body", b"") for message in sent[1:]),

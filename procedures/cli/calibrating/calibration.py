@@ -22,12 +22,12 @@ from procedures.cli.calibrating.files import (
 from procedures.cli.calibrating.running import new_folder, run_steps
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.request import CalibrationRun, TheatreRequest
+from procedures.composition.procedure import Resumption
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.engine.run_lock import held_run
 from procedures.reporting.calibration.figures import RecordFigures
 from procedures.reporting.calibration.result_file import write_figures
-from procedures.session.procedure import Resumption
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line import terminal
 from ronna_hw.config import Calibrations, read_theatre_file
@@ -165,7 +165,7 @@ def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json:
         return
     rows = [[one.name, one.value, one.spread] for one in figures.table()]
     terminal.print_table(f"calibration {figures.calibration}", ["", "value", "standard error"], rows)
-    told = (
+    record_files = (
         f"written to {written}"
         if written
         else (
@@ -173,7 +173,7 @@ def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json:
             f"--calibration {folder}"
         )
     )
-    terminal.tell(f"records in {folder}: {told}")
+    terminal.tell(f"records in {folder}: {record_files}")
     for warning in figures.warnings():
         terminal.tell(f"warning: {warning}")
 

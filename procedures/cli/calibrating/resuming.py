@@ -15,10 +15,10 @@ from procedures.cli.case.leaving_report import leave_report, leaving_report, sea
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CalibrationRun
 from procedures.cli.runs.left_runs import close_again, close_left, make_ready, require_free_devices
+from procedures.composition.procedure import Resumption
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
-from procedures.session.procedure import Resumption
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
@@ -36,7 +36,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
         if not is_sealed(folder):  # it was killed between its last line and its seal
             make_ready(left)
             close_again(left)
-            leave_report(folder, told=False)
+            leave_report(folder, name_it=False)
             seal_run(folder)
         tell(f"{left.run.name} is finished: nothing remains to be done")
         show(finished_figures(folder), folder, written=run.write, as_json=as_json)

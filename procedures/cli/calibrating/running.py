@@ -20,8 +20,8 @@ from procedures.cli.case.request import (
     require_folder,
 )
 from procedures.cli.case.request_file import write_request
+from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.events import Event, Progress
-from procedures.session.procedure import Procedure, Resumption
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

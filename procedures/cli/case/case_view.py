@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.engine.events import (
+    Advisory,
     Answered,
     CaseState,
     DeviceAge,
     DeviceState,
     Event,
     Fault,
-    Finding,
     JournalLine,
     Progress,
     Questioned,
@@ -58,7 +58,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
             return Entry(*FAILED, f"{step:<26} {_code(summary)}")
         case StepState(step=step, state=state, summary=summary):
             return Entry(*MARKS.get(state, FAILED), f"{step:<26} {summary}")
-        case Finding(text=text):
+        case Advisory(text=text):
             return Entry("!", "yellow", text)
         case _:
             return None
@@ -71,7 +71,7 @@ def done_or_note(event: Event) -> str | None:
             return f"done {step}: {summary}"
         case StepState(state="superseded", record=record, summary=reason) if reason:
             return f"note: {record} no longer holds: {reason}"
-        case Finding(text=text):
+        case Advisory(text=text):
             return f"note: {text}"
         case _:
             return None
@@ -82,9 +82,9 @@ def in_words(case: CaseState) -> str:
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
-def lost_in_words(told: SignalsLost) -> str:
+def lost_in_words(lost: SignalsLost) -> str:
     """How much a follower did not get."""
-    return f"{told.count} poses and other signals are not in the file of events; no fact is missing"
+    return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
 
 class CaseView:
@@ -125,8 +125,8 @@ class CaseView:
                 self._errors.append((step, f"{step} refused: {'; '.join(unmet)}"))
             case Questioned(subject=subject):
                 self.state = f"{self.state.partition(' (')[0]} (asks: {subject})"
-            case SignalsLost() as told:
-                self._lost = lost_in_words(told)
+            case SignalsLost() as lost:
+                self._lost = lost_in_words(lost)
             case Answered():
                 self.state = self.state.partition(" (asks: ")[0]
             case _:

@@ -156,6 +156,6 @@ def follow(
         if as_json:
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise
-    report = leave_report(folder, told=False)  # the outcome names it
+    report = leave_report(folder, name_it=False)  # the outcome names it
     seal_run(folder)
     show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)

@@ -40,7 +40,7 @@ def error_of(problem: BaseException) -> RunError | None:
 
 
 def leave_report(
-    folder: Path, error: RunError | None = None, *, with_truth: bool = False, told: bool = True
+    folder: Path, error: RunError | None = None, *, with_truth: bool = False, name_it: bool = True
 ) -> Path | None:
     """Write the report of a run that has ended; None when there is no folder or it cannot be written.
 
@@ -55,7 +55,7 @@ def leave_report(
     except Exception as problem:  # the run's own ending is what matters
         tell(f"the report could not be written: {problem}")
         return None
-    if told and on_terminal(sys.stderr):
+    if name_it and on_terminal(sys.stderr):
         tell(f"report {path}")
     return path
 

@@ -23,7 +23,7 @@ from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
 from procedures.cli.case.who_answers import operator_of
-from procedures.session.procedure import Procedure, Resumption
+from procedures.composition.procedure import Procedure, Resumption
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.interruption import ENDING_SIGNALS, interruption_deferred
@@ -100,10 +100,14 @@ def opened_engine(
         else:
             simulated = stack.enter_context(
                 SimulatedCase(
-                    request, folder / "theatre", phantom, goes_on=goes_on, pendant=watcher.room_open
+                    request,
+                    folder / "theatre",
+                    phantom,
+                    goes_on=goes_on,
+                    on_controller_message=watcher.room_open,
                 )
             )
-            for module in ("procedures.steps.catalogue", "procedures.session.made_engine"):
+            for module in ("procedures.steps.catalogue", "procedures.composition.made_engine"):
                 importlib.import_module(module)  # a second of imports, meanwhile
             if phantom is not None:
                 watcher.status("making the phantom CT")
@@ -113,7 +117,7 @@ def opened_engine(
             file = simulated.theatre.file
             watcher.room_open(f"control port {simulated.theatre.control}")
             room = SimulatedRoom(simulated.theatre.control)
-        from procedures.session.made_engine import People, made_engine
+        from procedures.composition.made_engine import People, made_engine
 
         engine = made_engine(
             folder,

@@ -15,10 +15,10 @@ from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
+from procedures.composition.procedure import Resumption
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line
 from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
-from procedures.session.procedure import Resumption
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain

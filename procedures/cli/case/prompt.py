@@ -141,7 +141,7 @@ class Prompt:
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
         """What holds the case, and how to continue; for a device in fault, its present state."""
-        faults = engine.faults.told
+        faults = engine.faults.described
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
             if fault not in str(error):

@@ -29,7 +29,7 @@ class SimulatedCase:
         phantom: Path | None,
         *,
         goes_on: bool = False,
-        pendant: Callable[[str], None] = lambda _line: None,
+        on_controller_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
         scene = request.choice.theatre_arguments()
@@ -39,7 +39,13 @@ class SimulatedCase:
         if goes_on:
             more.append("--continue")
         self.theatre = TheatreProcess(
-            *scene, "--speed", request.speed, "--out", str(folder), *more, pendant=pendant
+            *scene,
+            "--speed",
+            request.speed,
+            "--out",
+            str(folder),
+            *more,
+            on_controller_message=on_controller_message,
         )
         self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
 

@@ -14,8 +14,8 @@ from ronna_hw.command_line.terminal import on_terminal
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.opening import Watcher
+    from procedures.composition.procedure import Resumption
     from procedures.operator.question import Operator
-    from procedures.session.procedure import Resumption
 
 NOBODY_ANSWERS = (
     "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "

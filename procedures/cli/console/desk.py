@@ -21,7 +21,7 @@ from procedures.engine.events.shown import shown_digest
 from procedures.engine.orders import (
     Abort,
     Acknowledge,
-    Answer,
+    AnswerQuestion,
     AnyOrder,
     Claim,
     Next,
@@ -164,7 +164,7 @@ class Desk:
             return ""
         if self._engine is None:
             return "the theatre is not open yet"
-        if isinstance(order, Answer):
+        if isinstance(order, AnswerQuestion):
             return self._answer(order)
         return self._steer(order, self._engine)
 
@@ -215,7 +215,7 @@ class Desk:
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
-    def _answer(self, order: Answer) -> str:
+    def _answer(self, order: AnswerQuestion) -> str:
         standing = self._standing
         if standing is None or standing.question.number != order.question or standing.answer is not None:
             return "that question is no longer open"

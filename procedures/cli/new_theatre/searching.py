@@ -39,7 +39,7 @@ def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
     return tuple(chosen)
 
 
-def told(option: str, read: Callable[[str], T], text: str, form: str, example: str) -> T:
+def read_option(option: str, read: Callable[[str], T], text: str, form: str, example: str) -> T:
     """What the text of an option means; CLI-001 names the option, its form and an example that fits."""
     try:
         return read(text)
@@ -50,7 +50,7 @@ def told(option: str, read: Callable[[str], T], text: str, form: str, example: s
 
 def stream(text: str) -> Endpoint:
     """Where telegrams arrive. Raises CLI-001."""
-    return told(
+    return read_option(
         "--stream",
         lambda given: parse_endpoint(given).require("udp"),
         text,
@@ -61,7 +61,7 @@ def stream(text: str) -> Endpoint:
 
 def clock(text: str) -> str:
     """The source of time as it was given. Raises CLI-001 for what is none."""
-    told(
+    read_option(
         "--clock",
         lambda given: parse_endpoint(given).require("host", "shm"),
         text,
@@ -81,12 +81,12 @@ def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
 
         given = sorted(str(port.device) for port in list_ports.comports())
     form = "the path of a line, or tcp://HOST:PORT"
-    return tuple(told("--serial", _line, text, form, "/dev/ttyUSB0") for text in given)
+    return tuple(read_option("--serial", _line, text, form, "/dev/ttyUSB0") for text in given)
 
 
 def controller(text: str) -> Endpoint:
     """The controller's address, with the port of our EKI server unless another is given. Raises CLI-001."""
-    return told("--controller", _controller, text, "HOST or HOST:PORT", "172.31.1.147")
+    return read_option("--controller", _controller, text, "HOST or HOST:PORT", "172.31.1.147")
 
 
 def _line(text: str) -> Endpoint:

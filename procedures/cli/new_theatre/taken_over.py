@@ -86,10 +86,10 @@ def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tu
     return tuple(_changed(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
-def with_options(found: Sequence[Found], told: Sequence[str]) -> tuple[Found, ...]:
+def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
     """With options such as `stereo.exposure_us=1500`, values as TOML has them. Raises CLI-001."""
     changed = list(found)
-    for text in told:
+    for text in given:
         place, equals, value = text.partition("=")
         table, _, key = place.strip().rpartition(".")
         number = next((n for n, one in enumerate(changed) if _named(one, table)), None)

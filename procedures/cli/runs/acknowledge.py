@@ -19,10 +19,10 @@ from procedures.cli.runs.left_runs import (
     request_of,
     require_free_devices,
 )
+from procedures.composition.procedure import Resumption
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun
 from procedures.engine.left_run import read_left_run
-from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import on_terminal, print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
@@ -159,5 +159,5 @@ def _show(
         unreached = {name: str(problem) for name, problem in problems.items()}
         print_json({**about, "acknowledged": done, "unreached": unreached})
     else:
-        told = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
-        sys.stdout.write("".join(f"{line}\n" for line in told))
+        rows = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
+        sys.stdout.write("".join(f"{line}\n" for line in rows))

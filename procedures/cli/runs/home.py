@@ -16,11 +16,11 @@ from procedures.cli.runs.left_runs import (
     request_of,
     require_free_devices,
 )
+from procedures.composition.procedure import Resumption
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
 from procedures.engine.theatre_lock import last_moved
 from procedures.journal.journal import Entry
-from procedures.session.procedure import Resumption
 from ronna_hw.command_line.terminal import print_json
 
 

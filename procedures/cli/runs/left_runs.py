@@ -11,6 +11,7 @@ from pathlib import Path
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.case.request_file import read_request
+from procedures.composition.procedure import Resumption
 from procedures.engine.closing import close_run
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
@@ -20,7 +21,6 @@ from procedures.engine.theatre_lock import require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
 from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
-from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.host.folder_walk import remove_folder, walk

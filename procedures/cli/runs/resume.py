@@ -19,11 +19,11 @@ from procedures.cli.runs.left_runs import (
     request_of,
     require_free_devices,
 )
+from procedures.composition.procedure import Resumption
 from procedures.engine.course import Course
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
-from procedures.session.procedure import Resumption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import REPORT_FILE, is_sealed
@@ -60,7 +60,7 @@ def resume(
                 left = close_again(left)
             outcome = _as_it_ended(request, left)
             if not sealed:
-                leave_report(left.run.path, told=False)
+                leave_report(left.run.path, name_it=False)
                 seal_run(left.run.path)
                 outcome = _with_report(outcome, left.run.path)
             tell(f"{left.run.name} is finished: nothing remains to be done")

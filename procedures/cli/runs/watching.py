@@ -60,8 +60,8 @@ def _line(event: Event) -> str | None:
     match event.what:
         case CaseState() as case:
             return in_words(case)
-        case SignalsLost() as told:
-            return lost_in_words(told)
+        case SignalsLost() as lost:
+            return lost_in_words(lost)
         case Questioned(subject=subject, value=value):
             return f"? {subject}: {value}"
         case Refusal(step=step, unmet=unmet):

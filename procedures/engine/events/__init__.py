@@ -2,6 +2,7 @@
 
 from procedures.engine.events.event import Event
 from procedures.engine.events.happenings import (
+    Advisory,
     Answered,
     Bodies,
     Body,
@@ -11,7 +12,6 @@ from procedures.engine.events.happenings import (
     DeviceFact,
     DeviceState,
     Fault,
-    Finding,
     Happening,
     JournalLine,
     LinkHealth,
@@ -30,6 +30,7 @@ from procedures.engine.events.happenings import (
 from procedures.engine.events.stream import Batch, EventStream, Reader
 
 __all__ = [
+    "Advisory",
     "Answered",
     "Batch",
     "Bodies",
@@ -42,7 +43,6 @@ __all__ = [
     "Event",
     "EventStream",
     "Fault",
-    "Finding",
     "Happening",
     "JournalLine",
     "LinkHealth",

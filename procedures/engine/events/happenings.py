@@ -238,7 +238,7 @@ class LinkHealth(_Happening):
     turnaround_p99_us: float
 
 
-class Finding(_Happening):
+class Advisory(_Happening):
     """Something the operator should know that stops nothing."""
 
     kind: Literal["finding"] = "finding"
@@ -291,7 +291,7 @@ Happening = Annotated[
     | Pose
     | Bodies
     | LinkHealth
-    | Finding
+    | Advisory
     | Refusal
     | Fault
     | SignalsLost

@@ -32,7 +32,7 @@ class _Replayed:
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
         self._device = device
         self._answers = answers
-        self.told: dict[str, object] = {"serials": ("", ""), "notices": ()}
+        self.last_properties: dict[str, object] = {"serials": ("", ""), "notices": ()}
         self._known: LastKnown[object] = LastKnown(Lifecycle.DISCONNECTED, None, None)
 
     @property
@@ -66,7 +66,7 @@ class _Replayed:
         fault = given.error if given.state is Lifecycle.FAULT else None
         newest = given.value if call in READINGS and given.error is None else self._known.reading
         self._known = LastKnown(given.state, fault, newest)
-        self.told.update(given.properties)
+        self.last_properties.update(given.properties)
         if given.error is not None:
             raise given.error
         return given.value
@@ -76,7 +76,7 @@ def _member(name: str) -> object:
     if name in ANSWERS:
         return _call(name)
     if name in PROPERTIES:
-        return property(lambda self: self.told[name])
+        return property(lambda self: self.last_properties[name])
     if name in KNOWN_UNOPENED:
         return property(lambda self: getattr(self._device, name))
     if name in LOOKS:

@@ -42,8 +42,8 @@ def main(arguments: list[str]) -> int:
     return 0
 
 
-def _answer(answers: BinaryIO, told: dict[str, object], pixels: bytes = b"") -> None:
-    answers.write(json.dumps(told).encode() + b"\n" + pixels)
+def _answer(answers: BinaryIO, header: dict[str, object], pixels: bytes = b"") -> None:
+    answers.write(json.dumps(header).encode() + b"\n" + pixels)
     answers.flush()
 
 

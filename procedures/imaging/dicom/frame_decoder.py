@@ -47,10 +47,10 @@ class FrameDecoder:
         try:
             process.stdin.write(json.dumps(str(path)).encode() + b"\n")
             process.stdin.flush()
-            told = json.loads(self._line(deadline_s))
-            if "problem" in told:
-                raise NotDecoded(told["problem"])
-            kind, shape = np.dtype(told["type"]), tuple(told["shape"])
+            header = json.loads(self._line(deadline_s))
+            if "problem" in header:
+                raise NotDecoded(header["problem"])
+            kind, shape = np.dtype(header["type"]), tuple(header["shape"])
             pixels = self._bytes(kind.itemsize * math.prod(shape), deadline_s)
         except (OSError, EOFError, ValueError) as problem:
             self.close()

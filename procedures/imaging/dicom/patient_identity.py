@@ -26,12 +26,12 @@ class PatientIdentity:
 
     def describe(self) -> str:
         """One line for display."""
-        told = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
+        parts = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
         if self.birth_date:
-            told.append(f"born {self.birth_date}")
+            parts.append(f"born {self.birth_date}")
         if self.sex:
-            told.append(f"sex {self.sex}")
-        return ", ".join(told)
+            parts.append(f"sex {self.sex}")
+        return ", ".join(parts)
 
 
 def patient_identifier(directory: Path) -> str:

@@ -203,9 +203,9 @@ def _solve(
         weighted, left, moved = terms * root[:, None], residuals[one] * root, derivatives[one] * root[:, None]
         count = weighted.shape[1]
         spread = np.linalg.inv(weighted.T @ weighted / noise_hu2 + np.eye(count) / size_hu2)
-        told = moved / noise_hu2 - weighted @ (spread @ (weighted.T @ moved)) / noise_hu2**2
-        normal += moved.T @ told
-        pull += told.T @ left
+        weighed = moved / noise_hu2 - weighted @ (spread @ (weighted.T @ moved)) / noise_hu2**2
+        normal += moved.T @ weighed
+        pull += weighed.T @ left
         coefficients = spread @ (weighted.T @ left) / noise_hu2
         taken = count - float(np.trace(spread)) / size_hu2
         streaks[one] = terms @ coefficients

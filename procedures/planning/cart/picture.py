@@ -44,8 +44,8 @@ def place_picture(found: PlaceProposal, case: CartCase) -> bytes:
     way = head[:2] / np.linalg.norm(head[:2])
     arrow = {"arrowstyle": "->", "color": "#1c2b33"}
     axes.annotate("", xy=tuple(way * edge), xytext=(0.0, 0.0), arrowprops=arrow)
-    told = f"arrow: to the head, {np.linalg.norm(head[:2]):.0f} mm from the assumed position"
-    axes.text(0.02, 0.02, told, transform=axes.transAxes, fontsize=8)
+    note = f"arrow: to the head, {np.linalg.norm(head[:2]):.0f} mm from the assumed position"
+    axes.text(0.02, 0.02, note, transform=axes.transAxes, fontsize=8)
     axes.set_xlabel("x mm")
     axes.set_ylabel("y mm")
     axes.set_title("Base positions: in green ones the plan is reachable", fontsize=10)

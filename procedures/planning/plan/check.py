@@ -270,17 +270,17 @@ def _driven(
 
 def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     """Warnings of bodies closer than the margin when a motion begins: they may stay or move away."""
-    told: dict[tuple[str, str], str] = {}
+    named: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
         if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
             pair = (closest.first, closest.second)
-            told.setdefault(
+            named.setdefault(
                 pair,
                 f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at "
                 f"{one.motion.start} already: change the position of the head or home",
             )
-    return list(told.values())
+    return list(named.values())
 
 
 def _unknown(plan: Plan) -> list[RonnaError]:

@@ -68,8 +68,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         lines = describe_mistakes(error, Plan)
         for mistake, line in zip(mistakes_in(error), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            told = _named(line, mistake["loc"], content) + _to_add(mistake)
-            found.append(kind(told))
+            message = _named(line, mistake["loc"], content) + _to_add(mistake)
+            found.append(kind(message))
     found += [
         DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
         for identifier, count in _ids(content).items()

@@ -61,12 +61,14 @@ def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str,
 
 def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
     """Which strategies would serve, by trajectory; None, for the usual advice, if none would."""
-    told = [
+    reaching = [
         f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
     ]
-    if not told:
+    if not reaching:
         return None
-    return f"Choose another --strategy, which would reach {', '.join(told)}; or move the cart or the head."
+    return (
+        f"Choose another --strategy, which would reach {', '.join(reaching)}; or move the cart or the head."
+    )
 
 
 def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:

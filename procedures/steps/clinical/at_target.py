@@ -22,7 +22,7 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, Stage, begun_work, told
+from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkStage, begun_work, done_in_words
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
 from procedures.steps.conditions import inserted
@@ -123,11 +123,11 @@ def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
     )
 
 
-def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
+def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
     """Have one stage done and confirmed; raises PRO-002 unless it is said to be done."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
-    before = f"; earlier: {told(known)}" if known else ""
+    before = f"; earlier: {done_in_words(known)}" if known else ""
     stages.begins(trajectory, stage.task)
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
@@ -148,7 +148,7 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
 
 
-def _look_at_guide(context: StepContext, stage: Stage, rest: GuideAtRest, begun: BegunWork) -> None:
+def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: BegunWork) -> None:
     """After a stage: the guard at the next checkpoint suspends if it is out of place."""
     rest.look(context.workcell, context.setting.clock)
     begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)

@@ -98,7 +98,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     park(workcell, "park the arm from the gauge")
     offset, tilt_deg = compared(guide.gauge, readings)
     off_mm = math.hypot(*offset)
-    told = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"
+    measured = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"
     if off_mm > TIP_LIMIT_MM or tilt_deg > TILT_LIMIT_DEG:
         workcell.rest()  # hands seat it anew: nothing of ours may move the arm meanwhile
         raise ToolBesideGauge(
@@ -118,7 +118,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
             joints_rad=reached.joints_rad,
             seen_off_mm=seen_off_mm,
         ),
-        summary=told,
+        summary=measured,
     )
 
 

@@ -79,8 +79,8 @@ def mean(values: ArrayLike) -> Bounded:
 
 def mean_length(values: ArrayLike) -> Bounded:
     """Like `mean`, for lengths, whose mean cannot be below 0."""
-    told = mean(values)
-    return told if told.low is None else replace(told, low=max(0.0, told.low))
+    bound = mean(values)
+    return bound if bound.low is None else replace(bound, low=max(0.0, bound.low))
 
 
 def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:

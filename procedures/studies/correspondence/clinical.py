@@ -121,8 +121,8 @@ class ClinicalStudy:
             for right, one in zip(
                 rights, validate_many(image, physical_mm, found, stated_variance_mm2(NOISE)), strict=True
             ):
-                told = verdict(one.status, one.pairs, right)
-                sums[outcome_key(Method.VALIDATED, tolerance_mm, told)] += 1
+                outcome = verdict(one.status, one.pairs, right)
+                sums[outcome_key(Method.VALIDATED, tolerance_mm, outcome)] += 1
         return sums
 
     def _shuffled(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:

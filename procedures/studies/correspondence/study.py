@@ -155,8 +155,8 @@ def _by_own(
             sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
             sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
         )
-        told = LOST if found is None else verdict(MatchStatus.UNIQUE, found, right)
-        sums[outcome_key(pairing.name, None, told)] += 1
+        judged = LOST if found is None else verdict(MatchStatus.UNIQUE, found, right)
+        sums[outcome_key(pairing.name, None, judged)] += 1
     return sums
 
 
@@ -180,10 +180,10 @@ def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
     """How an answer is counted."""
     if status is not MatchStatus.UNIQUE:
         return LOST
-    told = frozenset((i, j) for i, j in pairs.tolist())
-    if told == right:
+    found_pairs = frozenset((i, j) for i, j in pairs.tolist())
+    if found_pairs == right:
         return SUCCESS
-    return PART if told < right else FALSE
+    return PART if found_pairs < right else FALSE
 
 
 def _solve(

@@ -92,8 +92,8 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
         )
         e_mm = float(tolerance) if tolerance else None
         shares_of = [bounds.percent(number, runs) for number in (lost + part, false, false + part)]
-        told = [cell for one in shares_of for cell in (one.value, one.text)]
-        rows.append([noise.value, method, e_mm, runs, lost, part, false, *told])
+        percentages = [cell for one in shares_of for cell in (one.value, one.text)]
+        rows.append([noise.value, method, e_mm, runs, lost, part, false, *percentages])
     return Table(
         "Five to eight fiducials together",
         (

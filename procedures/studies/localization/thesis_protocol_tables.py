@@ -63,8 +63,8 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
                 )
                 spheres = sum(one["spheres"] for one in of_kind)
                 share = 100.0 * validated / (SCALE_DRAWS * len(of_kind))
-                told = bounds.percent(found, spheres).text
-                counted = (int(spheres), int(found), told, int(false), bounds.number(false).text)
+                detected = bounds.percent(found, spheres).text
+                counted = (int(spheres), int(found), detected, int(false), bounds.number(false).text)
                 rows.append((method.value, kind, len(of_kind), *counted, share))
     return Table(
         "Spheres, and the configuration of the frame",

@@ -49,6 +49,6 @@ def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
     count, mean = len(apart_mm), float(apart_mm.mean())
     if count < 2 or not apart_mm.any():
         return [mean, mean, mean, 0.0, None]
-    told = bounds.mean(apart_mm)
+    bound = bounds.mean(apart_mm)
     p = f"{float(wilcoxon(apart_mm).pvalue):.1e}"
-    return [mean, told.low, told.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
+    return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]

@@ -31,7 +31,7 @@ SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 
 @dataclass(frozen=True)
-class Answer:
+class Reply:
     """An acknowledge as received."""
 
     status: int
@@ -56,7 +56,7 @@ class GigeLink:
     def __exit__(self, *reason: object) -> None:
         self._socket.close()
 
-    def exchange(self, command: int, payload: bytes = b"") -> Answer:
+    def exchange(self, command: int, payload: bytes = b"") -> Reply:
         """Send a command and return its answer, whatever its status; raises Nonconformity without one."""
         self._request_id = self._request_id % 0xFFFF + 1
         datagram = struct.pack(">BBHHH", GVCP_KEY, 1, command, len(payload), self._request_id) + payload
@@ -118,11 +118,11 @@ class GigeLink:
         return str(self._socket.getsockname()[0])
 
     @staticmethod
-    def expect(answer: Answer, status: GevStatus, what: str) -> None:
+    def expect(answer: Reply, status: GevStatus, what: str) -> None:
         """Raise Nonconformity unless the answer has this status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
-    def _answer(self, request_id: int) -> Answer | None:
+    def _answer(self, request_id: int) -> Reply | None:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         while (left_s := deadline_s - time.monotonic()) > 0:
             self._socket.settimeout(left_s)
@@ -134,7 +134,7 @@ class GigeLink:
             status, code, length, came_id = struct.unpack_from(">HHHH", datagram)
             if came_id == request_id and code != GvcpCommand.PENDING_ACK:
                 check(len(datagram) == 8 + length, f"{length} bytes, as the header says", len(datagram) - 8)
-                return Answer(status, code, came_id, datagram[8:])
+                return Reply(status, code, came_id, datagram[8:])
         return None
 
 
@@ -149,7 +149,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 @contextmanager
 def controlled(link: GigeLink) -> Iterator[GigeLink]:
     """Control of a camera, released after the block."""
-    GigeLink.expect(Answer(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
+    GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link
     finally:

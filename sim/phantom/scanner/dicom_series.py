@@ -49,8 +49,8 @@ class DicomSeries:
         self._folder = folder
         self._tilt_rad = radians(faults.tilt_deg)
         self._faults = faults
-        told = json.dumps(faults.told()) if faults.told() else ""
-        content = scene.model_dump_json(by_alias=True) + told + occasion
+        active = json.dumps(faults.active()) if faults.active() else ""
+        content = scene.model_dump_json(by_alias=True) + active + occasion
         self._content = hashlib.sha256(content.encode()).digest()
         self._described = (
             "Head phantom after the operation" if occasion else "Head phantom with fiducial spheres"

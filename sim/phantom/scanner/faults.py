@@ -60,7 +60,7 @@ class ScannerFaults:
                 action=SEE_PHANTOM,
             )
 
-    def told(self) -> dict[str, Any]:
+    def active(self) -> dict[str, Any]:
         """Those that differ from the default, for the truth file."""
         usual = asdict(ScannerFaults())
         return {name: value for name, value in asdict(self).items() if value != usual[name]}

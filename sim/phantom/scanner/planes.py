@@ -58,9 +58,9 @@ class Planes:
         """Largest value that the scanner stores."""
         return WIDE_STORED if self._scan.faults.extended_range else USUAL_STORED
 
-    def told(self) -> dict[str, Any]:
+    def active(self) -> dict[str, Any]:
         """The faults for the truth file; empty if there are none."""
-        faults = self._scan.faults.told()
+        faults = self._scan.faults.active()
         if self._scan.faults.motion_mm:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}

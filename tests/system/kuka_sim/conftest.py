@@ -7,7 +7,7 @@ from contextlib import ExitStack
 
 import pytest
 from kuka_clients import Cell
-from kuka_stage import Stage
+from shared_controller import SharedController
 
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
@@ -27,12 +27,12 @@ def lock_step_world() -> Iterator[World]:
 
 
 @pytest.fixture(scope="module")
-def the_stage() -> Iterator[Stage]:
+def only_controller() -> Iterator[SharedController]:
     with ExitStack() as stack:
-        yield Stage(stack)
+        yield SharedController(stack)
 
 
 @pytest.fixture
-def stage(the_stage: Stage) -> Stage:
-    the_stage.begin()
-    return the_stage
+def shared(only_controller: SharedController) -> SharedController:
+    only_controller.begin()
+    return only_controller

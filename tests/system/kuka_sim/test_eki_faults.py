@@ -5,23 +5,25 @@ from __future__ import annotations
 import re
 
 import pytest
-from kuka_stage import Stage
+from shared_controller import SharedController
 
 
-def test_cutting_eki_ends_the_connection_but_not_the_run(stage: Stage) -> None:
-    stage.inject("eki cut")
-    stage.rsi.cycles(3)
+def test_cutting_eki_ends_the_connection_but_not_the_run(shared: SharedController) -> None:
+    shared.inject("eki cut")
+    shared.rsi.cycles(3)
     with pytest.raises(ConnectionError):
-        stage.eki.until(lambda element: False)
-    stage.rsi.cycles(20)
-    assert stage.reconnect().state(Id="8").get("RSI") == "2"
+        shared.eki.until(lambda element: False)
+    shared.rsi.cycles(20)
+    assert shared.reconnect().state(Id="8").get("RSI") == "2"
 
 
 @pytest.mark.parametrize(("fault", "outside"), [("eki garbage", b"what?"), ("eki padding", b"\0\0")])
-def test_garbage_and_padding_are_outside_the_telegrams(stage: Stage, fault: str, outside: bytes) -> None:
-    stage.inject(fault)
-    stage.rsi.cycles(3)
-    (spoilt,) = [segment for segment in stage.eki.raw(4) if outside in segment]
+def test_garbage_and_padding_are_outside_the_telegrams(
+    shared: SharedController, fault: str, outside: bytes
+) -> None:
+    shared.inject(fault)
+    shared.rsi.cycles(3)
+    (spoilt,) = [segment for segment in shared.eki.raw(4) if outside in segment]
     assert re.search(rb"<State .*</State>", spoilt)  # the telegram itself is whole
-    stage.world.set_fault_script("")
-    assert stage.reconnect().state(Id="8").get("RSI") == "2"
+    shared.world.set_fault_script("")
+    assert shared.reconnect().state(Id="8").get("RSI") == "2"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 from kuka_clients import Cell, RsiClient
-from kuka_stage import on_a1
+from shared_controller import on_a1
 
 CYCLE_S = 0.012
 CYCLES = 20

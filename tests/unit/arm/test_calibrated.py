@@ -59,8 +59,8 @@ def test_the_compensated_command_brings_the_flange_to_the_wanted_pose() -> None:
     wanted = KINEMATICS.flange_pose(KINEMATICS.home_rad)
     found = arm.compensated(wanted, KINEMATICS.home_rad)
     assert arm.forward(found.joints_rad).distance_mm(Pose.from_transform(wanted)) < 1e-5
-    assert KINEMATICS.forward(found.joints_rad).distance_mm(found.told) < 1e-6
-    assert 0.5 < found.told.distance_mm(Pose.from_transform(wanted)) < 20.0
+    assert KINEMATICS.forward(found.joints_rad).distance_mm(found.commanded) < 1e-6
+    assert 0.5 < found.commanded.distance_mm(Pose.from_transform(wanted)) < 20.0
 
 
 def test_without_a_record_joints_and_commanded_pose_are_exactly_the_nominal_ones() -> None:
@@ -68,7 +68,7 @@ def test_without_a_record_joints_and_commanded_pose_are_exactly_the_nominal_ones
     found = CalibratedArm(KINEMATICS).compensated(wanted, KINEMATICS.home_rad)
     pose = Pose.from_transform(wanted)
     branch = KINEMATICS.branch_of(KINEMATICS.home_rad)
-    assert found.told == pose
+    assert found.commanded == pose
     assert found.joints_rad == KINEMATICS.solve_branch(pose, branch, KINEMATICS.home_rad)
 
 

@@ -16,10 +16,10 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
 from procedures.cli.runs import home
+from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.left_run import read_left_run
 from procedures.engine.theatre_lock import held_theatre
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
-from procedures.session.procedure import Procedure, Resumption
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (

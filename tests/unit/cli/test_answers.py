@@ -11,11 +11,11 @@ from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.who_answers import operator_of
+from procedures.composition.procedure import Resumption
 from procedures.engine.errors import AnswersUnfit
 from procedures.engine.left_run import LeftRun
 from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
-from procedures.session.procedure import Resumption
 from procedures.steps.answer_words import ANSWER_WORDS
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")

@@ -52,16 +52,16 @@ MESSAGE = Fact("messages", "1 is not acknowledged", ready=False, advice="Remove 
 def test_a_fault_is_reported_from_the_current_device_state_with_the_actions_in_order(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def told(*says: Fact) -> str:
+    def described(*says: Fact) -> str:
         seen = LastKnown(Lifecycle.FAULT, EMERGENCY, None, says)
         monkeypatch.setattr(cell.arm, "observe", lambda: seen)
-        return cell.engine(plain_order()).faults.told["arm"]
+        return cell.engine(plain_order()).faults.described["arm"]
 
-    assert "emergency stop: pressed; messages: 1 is not acknowledged. Release it. Then ack" in told(
+    assert "emergency stop: pressed; messages: 1 is not acknowledged. Release it. Then ack" in described(
         STOP, MESSAGE
     )
     released = Fact("emergency stop", "released", advice="Release it.")
-    assert "emergency stop: released; messages: 1 is not acknowledged. To continue, ack" in told(
+    assert "emergency stop: released; messages: 1 is not acknowledged. To continue, ack" in described(
         released, MESSAGE
     )
 

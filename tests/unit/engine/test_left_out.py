@@ -6,7 +6,7 @@ from recording_cell import RecordingCell
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.events import Finding
+from procedures.engine.events import Advisory
 from procedures.engine.step import Outcome
 from procedures.results.result import StepResult
 
@@ -46,7 +46,7 @@ def test_leaving_out_a_trajectory_is_reported_as_a_finding(cell: RecordingCell) 
     engine = fitted(cell, "T2")
     reader = engine.events.subscribe()
     engine.run_to(engine.order.find("tool_on"))
-    findings = [one.what for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    findings = [one.what for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
     assert [one.text for one in findings] == ["T2 was left out: the error is too large"]
     assert cell.entries("finding") == [("finding", "")]
 

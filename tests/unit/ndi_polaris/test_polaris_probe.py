@@ -25,13 +25,13 @@ from ronna_hw.wire.polaris import crc16
 
 ANSWER = b"G.001.005%04X\r" % crc16(b"G.001.005")
 RATES = {termios.B9600: 9600, termios.B115200: 115200, termios.B230400: 230400}
-Answer = Callable[[int, bytes], bytes]  # rate of the host, what it said -> what it hears
+Hears = Callable[[int, bytes], bytes]  # rate of the host, what it said -> what it hears
 
 
 class OtherEnd:
     """The other end of a pseudo-terminal, which sees at which rate the host speaks."""
 
-    def __init__(self, answer: Answer) -> None:
+    def __init__(self, answer: Hears) -> None:
         self.answer = answer
         self.heard: list[tuple[int, bytes]] = []
         self.master, self.slave = os.openpty()
@@ -61,10 +61,10 @@ class OtherEnd:
 
 
 @pytest.fixture
-def other_end() -> Iterator[Callable[[Answer], OtherEnd]]:
+def other_end() -> Iterator[Callable[[Hears], OtherEnd]]:
     ends: list[OtherEnd] = []
 
-    def make(answer: Answer) -> OtherEnd:
+    def make(answer: Hears) -> OtherEnd:
         ends.append(OtherEnd(answer))
         return ends[-1]
 
@@ -79,11 +79,11 @@ def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line, "BAUDS", (9600, 115200, 230400))
 
 
-def unit_at(baud: int, elsewhere: bytes = b"") -> Answer:
+def unit_at(baud: int, elsewhere: bytes = b"") -> Hears:
     return lambda rate, _said: ANSWER if rate == baud else elsewhere
 
 
-def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Hears], OtherEnd]) -> None:
     state = look_at_line(other_end(unit_at(9600)).endpoint)
     diagnosis = diagnose(state)
     assert (diagnosis.well, diagnosis.advice) == (True, "")
@@ -94,7 +94,7 @@ def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Answer], Other
 
 @pytest.mark.parametrize("elsewhere", [b"", b"\x80\xff\x00"])
 def test_a_unit_left_at_another_rate_is_found_there(
-    other_end: Callable[[Answer], OtherEnd], elsewhere: bytes
+    other_end: Callable[[Hears], OtherEnd], elsewhere: bytes
 ) -> None:
     state = look_at_line(other_end(unit_at(115200, elsewhere)).endpoint)
     diagnosis = diagnose(state)
@@ -104,7 +104,7 @@ def test_a_unit_left_at_another_rate_is_found_there(
     assert [attempt.baud for attempt in state.attempts] == [9600, 115200]
 
 
-def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Hears], OtherEnd]) -> None:
     state = look_at_line(other_end(lambda rate, _: b"\x80\xf8\x00\xe6" if rate == 9600 else b"").endpoint)
     diagnosis = diagnose(state)
     assert not diagnosis.well
@@ -116,25 +116,25 @@ def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Answer], Oth
     ]  # fmt: skip
 
 
-def test_text_from_another_device_is_quoted(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_text_from_another_device_is_quoted(other_end: Callable[[Hears], OtherEnd]) -> None:
     diagnosis = diagnose(look_at_line(other_end(lambda _rate, _said: b"\r\nlogin: ").endpoint))
     assert "'login:'" in diagnosis.advice
 
 
-def test_a_loopback_is_recognised(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_loopback_is_recognised(other_end: Callable[[Hears], OtherEnd]) -> None:
     diagnosis = diagnose(look_at_line(other_end(lambda _rate, said: said).endpoint))
     assert not diagnosis.well
     assert "echoes our commands" in diagnosis.seen
 
 
-def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Hears], OtherEnd]) -> None:
     answers = iter([b"\xff\xfe", ANSWER])
     state = look_at_line(other_end(lambda _rate, _said: next(answers)).endpoint)
     assert state.answered is not None
     assert state.answered.baud == 9600
 
 
-def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Hears], OtherEnd]) -> None:
     end = other_end(lambda _rate, _said: b"")
     diagnosis = diagnose(look_at_line(end.endpoint))
     assert diagnosis.seen == "silent at 9600, 115200, 230400 baud"
@@ -144,7 +144,7 @@ def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Answer], Other
 
 
 @pytest.fixture
-def other_program(other_end: Callable[[Answer], OtherEnd]) -> Iterator[tuple[OtherEnd, int]]:
+def other_program(other_end: Callable[[Hears], OtherEnd]) -> Iterator[tuple[OtherEnd, int]]:
     """(line, pid) of a program that has the line open."""
     end = other_end(unit_at(9600))
     program = (
@@ -183,7 +183,7 @@ def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pyt
 
 
 def test_a_lock_with_an_invisible_holder_is_reported(
-    other_end: Callable[[Answer], OtherEnd], monkeypatch: pytest.MonkeyPatch
+    other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
     monkeypatch.setattr(line, "users_of_serial_port", lambda _path: ())
@@ -198,7 +198,7 @@ def test_a_lock_with_an_invisible_holder_is_reported(
 
 
 def test_a_missing_permission_is_reported_and_nothing_is_sent(
-    other_end: Callable[[Answer], OtherEnd], monkeypatch: pytest.MonkeyPatch
+    other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
     monkeypatch.setattr(line.os, "access", lambda _path, _mode: False)
@@ -286,7 +286,7 @@ def test_an_address_where_nothing_listens_is_reported() -> None:
 # --- the diagnostics --------------------------------------------------------------------------------------
 
 
-def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Hears], OtherEnd]) -> None:
     end = other_end(unit_at(115200, b"\xfe\xff"))
     diagnostic = line_diagnostic(look_at_line(end.endpoint), of_tracker=True)
     assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")

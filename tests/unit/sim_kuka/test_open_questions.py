@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import open_questions
 import pytest
-from kuka_stage import on_a1
+from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState

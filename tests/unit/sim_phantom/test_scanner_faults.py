@@ -38,8 +38,8 @@ def sharpness(images: NDArray[np.float64], axis: int) -> float:
 
 
 def test_only_requested_faults_are_recorded_by_name(coarse_scene: Scene) -> None:
-    assert planes_of(coarse_scene).told() == {}
-    assert planes_of(coarse_scene, table_scale=0.01).told() == {"scanner": {"table_scale": 0.01}}
+    assert planes_of(coarse_scene).active() == {}
+    assert planes_of(coarse_scene, table_scale=0.01).active() == {"scanner": {"table_scale": 0.01}}
 
 
 def test_a_table_that_overfeeds_shows_a_slice_from_further_along(coarse_scene: Scene) -> None:

@@ -46,11 +46,11 @@ def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_
     carried = CarriedTool(calibrated_arm(kinematics, records.arm), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)
     joints = carried.joints_at(wanted, kinematics.home_rad)
-    told = carried.told(wanted, lambda: kinematics.home_rad)
+    commanded = carried.commanded(wanted, lambda: kinematics.home_rad)
     np.testing.assert_allclose(joints, kinematics.home_rad, atol=1e-7)
     by_controller = kinematics.flange_pose(joints) @ flange_from_tool
-    np.testing.assert_allclose(told.translation_mm, by_controller.translation_mm, atol=1e-4)
-    assert np.linalg.norm(told.translation_mm - wanted.translation_mm) > 0.3
+    np.testing.assert_allclose(commanded.translation_mm, by_controller.translation_mm, atol=1e-4)
+    assert np.linalg.norm(commanded.translation_mm - wanted.translation_mm) > 0.3
 
 
 def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
@@ -58,4 +58,4 @@ def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_cont
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     carried = CarriedTool(calibrated_arm(kinematics, None), flange_from_tool)
     wanted = carried.pose(kinematics.home_rad)
-    assert carried.told(wanted, lambda: kinematics.home_rad) is wanted
+    assert carried.commanded(wanted, lambda: kinematics.home_rad) is wanted

@@ -17,7 +17,7 @@ BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 
 @dataclass(frozen=True)
-class Stage:
+class WorkStage:
     """One stage of the work through the guide: what hands do, and what is confirmed then."""
 
     task: str
@@ -27,10 +27,10 @@ class Stage:
 
 
 STAGES = (
-    Stage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
-    Stage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
-    Stage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
-    Stage(
+    WorkStage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
+    WorkStage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
+    WorkStage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
+    WorkStage(
         room_tasks.INSERT,
         Topic.AT_TARGET,
         "insert the instrument until its stop rests on the guide",
@@ -87,7 +87,7 @@ def begun_work(context: StepContext) -> BegunWork:
     return begun
 
 
-def told(known: Mapping[str, bool]) -> str:
+def done_in_words(known: Mapping[str, bool]) -> str:
     """What was done there, in words."""
     stages = [stage for stage in STAGES if stage.task in known]
     return ", ".join(
@@ -100,7 +100,7 @@ def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
-    return tuple(f"work has begun at {name}: {told(stages.at(name))}" for name in names)
+    return tuple(f"work has begun at {name}: {done_in_words(stages.at(name))}" for name in names)
 
 
 def _done_before(context: StepContext) -> tuple[str, ...]:
@@ -114,7 +114,7 @@ def _done_before(context: StepContext) -> tuple[str, ...]:
     finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
     trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
     question = WORK_BEGUN.question(
-        f"work was already begun at {trajectory}: {told(known)}",
+        f"work was already begun at {trajectory}: {done_in_words(known)}",
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
         (*((FINISHED,) if finished else ()), *offered, HOLD),

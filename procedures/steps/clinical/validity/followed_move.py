@@ -208,13 +208,13 @@ def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
 
 
 def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike) -> None:
-    told, names = move.record, " and ".join(context.served_trajectories)
-    moved = f"{told.way_mm:.2f} mm and {told.turn_deg:.2f} deg"
+    figures, names = move.record, " and ".join(context.served_trajectories)
+    moved = f"{figures.way_mm:.2f} mm and {figures.turn_deg:.2f} deg"
     adds_mm = max(math.hypot(*move.shares_mm(place).values()) for place in np.reshape(places_mm, (-1, 3)))
     question = MOVE_FOLLOWED.question(
         f"the head has moved by {moved}: let the registration for {names} follow",
-        f"{told.pairs} spheres fit one rigid motion to {told.residual_mm:.2f} mm, limit "
-        f"{told.limit_mm:.2f} mm; following adds {adds_mm:.2f} mm rms at the target",
+        f"{figures.pairs} spheres fit one rigid motion to {figures.residual_mm:.2f} mm, limit "
+        f"{figures.limit_mm:.2f} mm; following adds {adds_mm:.2f} mm rms at the target",
         context.key.trajectory,
     )
     if context.choose(question) != FOLLOW:

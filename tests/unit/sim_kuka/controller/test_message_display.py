@@ -11,7 +11,7 @@ from sim.kuka.controller.messages import rsi_timeout, too_fast
 def test_messages_texts_and_acknowledgements_are_each_shown_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    pendant = MessageDisplay(lambda: 12.5)
+    display = MessageDisplay(lambda: 12.5)
     silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
     for message, notice in (
         (None, ""),
@@ -21,7 +21,7 @@ def test_messages_texts_and_acknowledgements_are_each_shown_once(
         (None, ""),
         (speed, ""),
     ):
-        pendant.look(message, notice)
+        display.look(message, notice)
     assert capsys.readouterr().err.splitlines() == [
         "pendant at 12.500 s: KSS29002 signal flow: object ETHERNET1 returns error RSITimeout (100 packets)",
         "pendant at 12.500 s: mind the head",

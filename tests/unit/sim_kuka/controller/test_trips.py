@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from kuka_stage import on_a1
+from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_eki import AckCode, RsiState
 from sim.errors import BadFaultScript

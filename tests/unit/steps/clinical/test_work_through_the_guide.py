@@ -19,7 +19,7 @@ from waiting import eventually
 from watched_case import findings
 
 from procedures.engine.engine import Engine
-from procedures.engine.events import Finding
+from procedures.engine.events import Advisory
 from procedures.guards import GuideStill, patient_watch
 from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_still import PUSHED_MM, RUNNING_FRAMES
@@ -202,7 +202,7 @@ def test_work_finished_before_its_result_was_written_is_not_repeated(cell: Clini
     worked = len(cell.room.worked)
     reader = engine.events.subscribe()
     work(engine)
-    found = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    found = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
     assert [text for text in found if "not watched" in text]  # on the terminal and in the console
     (asked,) = cell.operator.asked
     assert asked.answers[0] == "finished"
@@ -267,7 +267,7 @@ def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_
     # the readings of the watch are not replayed: no result is computed from them
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(0.0)
     assert f"the guide was pushed or pulled by up to 1.00 mm during the hold at {FIRST}" in findings(cell)
-    told = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    told = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
     assert len([text for text in told if "from where it was held" in text]) == 1
 
 

@@ -10,12 +10,12 @@ import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingArm, RecordingOperator, RecordingRoom, mini_theatre_file
 
+from procedures.composition.made_engine import People, made_engine
+from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import read_left_run
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import Entry, Journal
-from procedures.session.made_engine import People, made_engine
-from procedures.session.procedure import Procedure, Resumption
 
 
 @pytest.fixture

@@ -7,6 +7,8 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from procedures.composition.guarding import guard
+from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, this_second
 from procedures.engine.engine import Engine
@@ -16,8 +18,6 @@ from procedures.engine.replay.sections import opening_line, section_follower
 from procedures.journal.journal import Entry, Journal, JournalValue
 from procedures.operator.question import Operator
 from procedures.operator.room import Room
-from procedures.session.guarding import guard
-from procedures.session.procedure import Procedure, Resumption
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import UNMOVED
 from ronna_hw.clock import Clock

@@ -8,6 +8,7 @@ from clinical_case import ClinicalCell
 from passing_clock import PassingClock
 from recording_cell import GUIDE
 
+from procedures.composition.guarding import guard
 from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.guards.arm_link import ArmLink
@@ -20,7 +21,6 @@ from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.topic import Topic
-from procedures.session.guarding import guard
 from procedures.steps.clinical import global_localization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.workcell import MountedTool

@@ -15,7 +15,7 @@ from sim.world.world import World
 CYCLE_S = 0.004
 
 
-class Stage:
+class SharedController:
     """One controller for all tests, brought back to rest between them."""
 
     def __init__(self, stack: ExitStack) -> None:
@@ -64,6 +64,6 @@ def largest_step(angles: Sequence[float]) -> float:
     return max(abs(b - a) for a, b in pairwise(angles))
 
 
-def rests_at(stage: Stage, correction_deg: float, base_deg: float) -> bool:
-    stage.rsi.cycles(100, on_a1(correction_deg))
-    return stage.rsi.axes_deg[0] == pytest.approx(base_deg + correction_deg, abs=1e-4)
+def rests_at(shared: SharedController, correction_deg: float, base_deg: float) -> bool:
+    shared.rsi.cycles(100, on_a1(correction_deg))
+    return shared.rsi.axes_deg[0] == pytest.approx(base_deg + correction_deg, abs=1e-4)

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.conformance.choice import Choice, resolve
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.device_under_test import DeviceUnderTest, device_under_test
 from ronna_hw.conformance.errors import DeviceNotInFile, NoSimulator
 from ronna_hw.conformance.protocol import ProtocolCases
-from ronna_hw.conformance.stand import stand
 from ronna_hw.host.child_process import ChildNotReady
 
 THEATRE = """
@@ -39,12 +38,12 @@ def theatre(tmp_path: Path) -> Path:
     return path
 
 
-def stand_for(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTest]:
-    return stand(resolve(kind, choice))
+def under_test(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTest]:
+    return device_under_test(resolve(kind, choice))
 
 
 def test_a_device_from_a_theatre_file_keeps_its_options(theatre: Path) -> None:
-    with stand_for("tracker", Choice(config=theatre)) as dut:
+    with under_test("tracker", Choice(config=theatre)) as dut:
         assert dut.name == "tracker"
         assert dut.config.endpoint == "tcp://127.0.0.1:8765"
         assert dut.make().tools == ("M",)
@@ -61,7 +60,7 @@ def test_a_device_from_a_theatre_file_keeps_its_options(theatre: Path) -> None:
 def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
     with (
         pytest.raises(DeviceNotInFile) as caught,
-        stand_for("stereo", Choice(config=theatre)),
+        under_test("stereo", Choice(config=theatre)),
     ):
         pass
     assert caught.value.code == "CNF-002"
@@ -70,13 +69,13 @@ def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
     for device in (None, "middle"):
         with (
             pytest.raises(DeviceNotInFile, match="left, right"),
-            stand_for("robot", Choice(config=theatre, device=device)),
+            under_test("robot", Choice(config=theatre, device=device)),
         ):
             pass
 
 
 def test_an_endpoint_alone_selects_the_default_driver_and_options() -> None:
-    with stand_for("tracker", Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as dut:
+    with under_test("tracker", Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as dut:
         assert dut.config.driver == "ndi_polaris"
         assert dut.make().tools == ("robot_frame",)
         assert "destructive" in dut.offers
@@ -84,19 +83,19 @@ def test_an_endpoint_alone_selects_the_default_driver_and_options() -> None:
 
 def test_named_endpoints_reach_the_driver_under_their_names() -> None:
     named = ("rsi=udp://127.0.0.1:1", "eki_project=tcp://127.0.0.1:2")
-    with stand_for("robot", Choice(endpoints=named)) as dut:
+    with under_test("robot", Choice(endpoints=named)) as dut:
         assert dut.config.endpoints == {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"}
 
 
 def test_an_equals_sign_in_an_address_does_not_make_a_name() -> None:
-    with stand_for("tracker", Choice(endpoints=("serial:///dev/a=b",))) as dut:
+    with under_test("tracker", Choice(endpoints=("serial:///dev/a=b",))) as dut:
         assert dut.config.endpoint == "serial:///dev/a=b"
 
 
 def test_a_simulator_that_does_not_start_is_reported() -> None:
     target = resolve("tracker", Choice(sim=True))
     broken = replace(target.protocol, simulator=lambda: ("no-such-device",))
-    with pytest.raises(ChildNotReady), stand(replace(target, protocol=broken)):
+    with pytest.raises(ChildNotReady), device_under_test(replace(target, protocol=broken)):
         pass
 
 
