@@ -13,7 +13,7 @@ from itertools import count
 
 import psutil
 import pytest
-from hostile_clients import camera_commands, maltreat
+from hostile_clients import camera_commands, loading, maltreat, with_right_checksum
 from waiting import eventually
 
 from ronna_hw.endpoints import parse_endpoint
@@ -21,6 +21,9 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ControlAddress, ask_control_port
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.gige_vision import GVCP_PORT
+from ronna_hw.wire.polaris_rom import MARKER_FACES_OFFSET
+from sim.polaris.tools.definition import write_definition
+from sim.world.scene.named_scenes import robot_frame
 
 SERVED_IN_S = 15.0  # those before have SILENCE_S each; TCP repeats a refused SYN late
 SILENCE_S = 0.5  # after which silent ones give way
@@ -37,7 +40,15 @@ COMMANDS = (
     b'<Cmd Id="4" Name="SET_TOOL" No="1" X="0" Y="0" Z="0" A="0" B="0" C="0"></Cmd>',
 )
 REQUEST = b'<External REQTYPE="5" CycleTime="1" ControlMode="1"></External>\n'
-TRACKER = (b"INIT \r", b"VER 4\r", b"PHRQ *********1****\r", b"GET *\r", b"PVWR 010000" + b"00" * 64 + b"\r")
+ROM = write_definition(robot_frame())
+FACELESS = with_right_checksum(ROM[:MARKER_FACES_OFFSET] + b"\0" + ROM[MARKER_FACES_OFFSET + 1 :])
+TRACKER = (
+    b"INIT \r",
+    b"VER 4\r",
+    b"GET *\r",
+    b"\r".join((b"INIT ", *loading(ROM), b"PENA 01D", b"TSTART ", b"BX 1801", b"TX 0001", b"TSTOP ", b"")),
+    b"\r".join((b"INIT ", *loading(FACELESS), b"PENA 01D", b"TSTART ", b"BX 1801", b"")),
+)
 lengths = pytest.mark.parametrize(
     "duration_s", [pytest.param(15.0, marks=pytest.mark.slow), pytest.param(600.0, marks=pytest.mark.soak)]
 )

@@ -12,6 +12,8 @@ from collections.abc import Iterator, Sequence
 from mutations import mutations
 
 from ronna_hw.wire.gige_vision import GVCP_COMMAND_HEADER, GVCP_KEY, GvcpCommand
+from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES
+from ronna_hw.wire.polaris_rom import CHECKSUM_FROM, CHECKSUM_OFFSET, ROM_BYTES
 
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # linger for 0 s
 GIVES_UP_S = 0.3  # of a send that nobody takes
@@ -74,3 +76,19 @@ def camera_commands(chosen: random.Random, count: int) -> Iterator[bytes]:
         head = (chosen.choice((GVCP_KEY, GVCP_KEY, 0)), chosen.choice((1, 0x11, 0x80, 0)), code, length)
         yield struct.pack(GVCP_COMMAND_HEADER, *head, chosen.randrange(0x10000)) + body
         yield chosen.randbytes(chosen.choice((0, 1, 7, 60_000)))
+
+
+def loading(definition: bytes) -> Iterator[bytes]:
+    """The tracker's commands, without their CR, that load a definition into its first handle."""
+    yield b"PHRQ *********1****"
+    for address in range(0, ROM_BYTES, PVWR_BLOCK_BYTES):
+        block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
+        yield b"PVWR 01%04X" % address + block.hex().encode()
+    yield b"PINIT 01"
+
+
+def with_right_checksum(definition: bytes) -> bytes:
+    """The same, padded or cut: the checksum is no secret, who means ill sends the right one."""
+    block = bytearray(definition.ljust(ROM_BYTES, b"\0")[:ROM_BYTES])
+    struct.pack_into("<H", block, CHECKSUM_OFFSET, sum(block[CHECKSUM_FROM:]) & 0xFFFF)
+    return bytes(block)

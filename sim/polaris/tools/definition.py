@@ -97,8 +97,9 @@ def parse_definition(content: bytes) -> ToolDefinition:
     maximum_error_mm = _f32.unpack_from(content, rom.MAXIMUM_ERROR_OFFSET)[0]
     if not 0.0 < maximum_error_mm < np.inf:
         raise BadDefinition("the maximum 3D error is not positive")
-    if max(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]) > rom.ROM_FACES:
-        raise BadDefinition("a face number is above 8", limits=True)
+    faces = tuple(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count])
+    if not all(FIRST_FACE <= face <= rom.ROM_FACES for face in faces):
+        raise BadDefinition(f"a face number is not {FIRST_FACE} to {rom.ROM_FACES}", limits=True)
     if max(content[rom.MARKER_GROUPS_OFFSET : rom.MARKER_GROUPS_OFFSET + count]) > MOST_GROUPS:
         raise BadDefinition("a group number is above 20", limits=True)
     leds = [index < count for index in content[rom.LEDS_OFFSET : rom.LEDS_OFFSET + 4]]
@@ -118,7 +119,7 @@ def parse_definition(content: bytes) -> ToolDefinition:
         part_number=_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
         marker_type=content[rom.MARKER_TYPE_OFFSET],
         flags=content[rom.FLAGS_OFFSET],
-        faces=tuple(content[rom.MARKER_FACES_OFFSET : rom.MARKER_FACES_OFFSET + count]),
+        faces=faces,
         minimum_spread_mm=_spreads.unpack_from(content, rom.MINIMUM_SPREAD_OFFSET),
         lit=(leds[1], leds[2], leds[3]),
         switches=(entries[1], entries[2], entries[3]),

@@ -53,6 +53,8 @@ def test_the_serial_number_is_read_from_four_little_endian_bytes() -> None:
         (changed(polaris_rom.MARKER_COUNT_OFFSET, b"\x15"), "21 markers"),
         (changed(polaris_rom.MINIMUM_MARKER_COUNT_OFFSET, b"\5"), "minimum of 5 of 4"),
         (changed(polaris_rom.MAXIMUM_ERROR_OFFSET, struct.pack("<f", float("nan"))), "maximum 3D error"),
+        (changed(polaris_rom.MARKER_FACES_OFFSET, b"\0"), "face number is not 1 to 8"),
+        (changed(polaris_rom.MARKER_FACES_OFFSET + 3, b"\x09"), "face number is not 1 to 8"),
         (changed(polaris_rom.MARKER_POSITIONS_OFFSET, struct.pack("<f", float("inf"))), "positions"),
         (changed(polaris_rom.MARKER_NORMALS_OFFSET, bytes(12)), "normal has length zero"),
     ],
