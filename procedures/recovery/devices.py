@@ -95,8 +95,10 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Tools, flange, cell and settings, from which depths, clearances and predictions were computed."""
+    """Devices, and what depths, clearances and predictions were computed from: tools, flange, cell, settings."""
     setting, tools = engine.setting, engine.setting.workcell.tools
+    for role in recorded.identities.keys() - setting.workcell.devices.keys():
+        comparison.differs(role, _named(recorded.identities[role]), "none")
     for name in sorted({*recorded.tools, *tools.records}):
         comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
     if tools.flange != recorded.flange:

@@ -105,8 +105,9 @@ class Workcell:
 
     @property
     def devices(self) -> dict[str, Device]:
-        """All devices by role, in the order in which they are connected."""
-        return {"tracker": self.tracker, "arm": self._arm, "stereo": self.stereo}
+        """All devices by role, in the order in which they are connected; of other kinds by their tables."""
+        others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
+        return {"tracker": self.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""

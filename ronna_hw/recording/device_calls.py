@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, Protocol, runtime_checkable
 
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices.lifecycle import Identity
@@ -27,3 +28,16 @@ LOOKS: dict[str, Any] = {"to_confirm": str | None}
 # What a device knows about itself once one of these calls is done; recorded with its answer.
 PROPERTIES: dict[str, Any] = {"serials": tuple[str, str], "notices": tuple[str, ...]}
 TELLING = ("connect", "configure")
+
+
+@runtime_checkable
+class RecordsCalls(Protocol):
+    """A device of another kind: calls of its own that a replay repeats, with what each of them returns."""
+
+    @property
+    def recorded_calls(self) -> Mapping[str, Any]: ...
+
+
+def answers_of(device: object) -> Mapping[str, Any]:
+    """The recorded calls of a device, with what each of them returns."""
+    return {**device.recorded_calls, **ANSWERS} if isinstance(device, RecordsCalls) else ANSWERS

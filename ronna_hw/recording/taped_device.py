@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import AbstractContextManager
 from typing import Any, cast
 
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
-from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, TELLING
+from ronna_hw.recording.device_calls import LOOKS, PROPERTIES, TELLING, answers_of
 from ronna_hw.recording.reading_tape import ReadingTape
 
 
 def taped(device: Device, tape: ReadingTape) -> Device:
     """The same device for its callers: it has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
-    members = {name: _member(name) for name in names}
+    calls = answers_of(device)
+    members = {name: _member(name, calls) for name in names}
     return cast("Device", type("Taped", (_Taped,), members)(device, tape))
 
 
@@ -31,8 +32,8 @@ class _Taped:
         return activated(cast("Device", self), timeout_s)
 
 
-def _member(name: str) -> Any:
-    if name in ANSWERS:
+def _member(name: str, calls: Collection[str]) -> Any:
+    if name in calls:
         return _taped_call(name)
     if name in LOOKS:
         return property(lambda self: _asked(self, name, lambda: getattr(self._device, name)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib.metadata import EntryPoint
-from typing import Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import pytest
 from ideal_device import IdealDevice
@@ -17,6 +17,7 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError
 
 DECLARED = '[device.force]\ndriver = "force"\nendpoint = "tcp://127.0.0.1:1"\noptions = { scale = 2.0 }\n'
+UNSCALED_N = 1.5
 
 
 @runtime_checkable
@@ -29,20 +30,22 @@ class ForceSensor(Device, Protocol):
 
 
 class ScaledForceSensor(IdealDevice):
-    """Always 1.5 N, times option `scale`."""
+    """Always the same, times option `scale`."""
 
     plugged_in = True
+    serial = "7"
+    recorded_calls: ClassVar[Mapping[str, Any]] = {"read_force_N": float}
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         super().__init__(name, config, clock, known={"scale"})
-        self._force_N = 1.5 * float(config.options.get("scale", 1.0))
+        self._force_N = UNSCALED_N * float(config.options.get("scale", 1.0))
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
         if not self.plugged_in:
             raise ConnectError("no reply", action="Switch it on.")
         self.guard.enter(Lifecycle.CONNECTED)
-        return Identity("Lab", "F1", "7", "1.0")
+        return Identity("Lab", "F1", self.serial, "1.0")
 
     def read_force_N(self, timeout_s: float = 1.0) -> float:
         self.guard.require("read_force_N", {Lifecycle.ACTIVE})

@@ -45,7 +45,8 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.theatre import Theatre
+from ronna_hw.registry import make_device
+from ronna_hw.theatre import DriverOfTable, Theatre
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
@@ -270,14 +271,16 @@ class RecordingRoom:
 
 
 class RecordingTheatre(Theatre):
-    """A theatre whose devices are given; those of other kinds by name."""
+    """A theatre whose devices are given; those of other kinds are made as in any theatre."""
 
-    def __init__(self, file: TheatreFile, arm: Any, stereo: Any, tracker: Any) -> None:
-        super().__init__(file, HostClock())
+    def __init__(
+        self, file: TheatreFile, arm: Any, stereo: Any, tracker: Any, make: DriverOfTable = make_device
+    ) -> None:
+        super().__init__(file, HostClock(), make)
         self._devices.update({"robot.master": arm, "stereo": stereo, "tracker": tracker})
 
     def _device(self, name: str, interface: Callable[..., Any]) -> Any:
-        return self._devices[name]
+        return self._devices[name] if name in self._devices else super()._device(name, interface)
 
     def replace_tracker(self, tracker: Any) -> Any:
         """Put another tracker in its place, and return it."""

@@ -134,8 +134,8 @@ class RecordedAnswers:
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
         return line.answer
 
-    def next(self, device: str, call: str) -> RecordedAnswer:
-        """The next answer to that call. Raises PRO-024."""
+    def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
+        """The next answer to that call, which returns that kind. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
@@ -143,7 +143,7 @@ class RecordedAnswers:
         self.moment_s = max(self.moment_s, line.theatre_time_s)
         if line.error is not None:
             return RecordedAnswer(line.state, error=line.error.again())
-        value = self.value_of(device, call, line.answer)
+        value = self.value_of(device, call, line.answer, kind)
         try:
             properties = {
                 name: _value(PROPERTIES[name], part, self._get_pixels)
@@ -153,10 +153,10 @@ class RecordedAnswers:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
         return RecordedAnswer(line.state, value, properties)
 
-    def value_of(self, device: str, call: str, plain: object) -> object:
+    def value_of(self, device: str, call: str, plain: object, kind: object) -> object:
         """A recorded answer as the call gave it, with its pixels. Raises PRO-024 for what is damaged."""
         try:
-            return _value(ANSWERS[call], plain, self._get_pixels)
+            return _value(kind, plain, self._get_pixels)
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
 
@@ -199,7 +199,7 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ToldAt]]:
     for line in _lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
             continue
-        value = answers.value_of(line.device, line.call, line.answer)
+        value = answers.value_of(line.device, line.call, line.answer, ANSWERS[line.call])
         yield line.section, line.device, line.call, ToldAt(line.theatre_time_s, value)
 
 

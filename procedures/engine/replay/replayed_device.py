@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import AbstractContextManager
 from typing import cast
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
+from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
-from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES
+from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, answers_of
 
 KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
 KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
@@ -22,7 +24,8 @@ def replayed(device: Device, answers: RecordedAnswers) -> Device:
     """Stands for a device that was made and is not opened: has its public names, and its recorded answers."""
     own = vars(_Replayed)
     names = [name for name in dir(device) if not name.startswith("_") and name not in own]
-    members = {name: _member(name) for name in names if name in KEPT or not _is_property(device, name)}
+    calls = answers_of(device)
+    members = {name: _member(name, calls) for name in names if name in KEPT or not _is_property(device, name)}
     return cast("Device", type("Replayed", (_Replayed,), members)(device, answers))
 
 
@@ -46,6 +49,9 @@ class _Replayed:
     def observe(self) -> LastKnown[object]:
         return self._known
 
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Device]:
+        return activated(cast("Device", self), timeout_s)
+
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         self._known = LastKnown(Lifecycle.CONFIGURED, None, self._known.reading)
 
@@ -60,7 +66,7 @@ class _Replayed:
 
     def answer(self, call: str) -> object:
         """The next recorded answer to that call; raises what the run met."""
-        given = self._answers.next(self._device.name, call)
+        given = self._answers.next(self._device.name, call, answers_of(self._device)[call])
         if self._answers.peeks and given.error is None:
             return given.value
         fault = given.error if given.state is Lifecycle.FAULT else None
@@ -72,8 +78,8 @@ class _Replayed:
         return given.value
 
 
-def _member(name: str) -> object:
-    if name in ANSWERS:
+def _member(name: str, calls: Collection[str]) -> object:
+    if name in calls:
         return _call(name)
     if name in PROPERTIES:
         return property(lambda self: self.last_properties[name])

@@ -40,7 +40,9 @@ class DeviceIdentity(Values):
 class CheckedSetUp(StepResult, kind="set_up", version=2):
     """What the case works with: devices, and what the theatre file says of calibrations, tools and cell."""
 
-    identities: dict[str, DeviceIdentity] = Field(description="By role: tracker, arm, stereo.")
+    identities: dict[str, DeviceIdentity] = Field(
+        description="By role: tracker, arm, stereo, and device.NAME as in the theatre file."
+    )
     notices: tuple[str, ...] = Field(description="Notices of the drivers for the operator.")
     calibrations: Calibrations = Field(description="The calibration records in use.")
     tools: dict[str, ToolRecord] = Field(description="The records of the tools, by name.")

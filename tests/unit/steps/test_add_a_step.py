@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import ModuleType
 
 import pytest
+from add_a_step import PAGE
 from clinical_case import ClinicalCell, given
+from force_sensor import UNSCALED_N, ScaledForceSensor
 from prepared_results import mounted_guide
 
 from procedures.engine.machine import mermaid
 from procedures.engine.order import CaseOrder, order_of
 from procedures.results.errors import GateFailed
 from procedures.steps.catalogue import CLINICAL_STEPS
-
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "add-a-step.md"
-
-
-@pytest.fixture(scope="module")
-def force_check() -> ModuleType:
-    code = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
-    module = ModuleType("force_check")
-    exec(compile(code, str(PAGE), "exec"), module.__dict__)
-    return module
+from ronna_hw.config import DeviceConfig
 
 
 def order(force_check: ModuleType) -> CaseOrder:
@@ -31,7 +23,9 @@ def order(force_check: ModuleType) -> CaseOrder:
 
 
 def with_force(cell: ClinicalCell, force_N: float) -> None:
-    cell.opened._devices["device.force"] = SimpleNamespace(read_force_N=lambda: force_N)  # type: ignore[assignment]
+    options = {"scale": force_N / UNSCALED_N}
+    config = DeviceConfig(driver="force", endpoint="tcp://127.0.0.1:1", options=options)
+    cell.opened._devices["device.force"] = ScaledForceSensor("device.force", config, cell.clock)
 
 
 def test_the_new_step_reads_another_kind_of_device_and_stores_its_result(
@@ -40,7 +34,7 @@ def test_the_new_step_reads_another_kind_of_device_and_stores_its_result(
     with_force(cell, 0.2)
     engine = cell.engine(order(force_check))
     engine.run_to()
-    assert cell.case.get(force_check.UnloadedGuide).result.force_N == 0.2
+    assert cell.case.get(force_check.UnloadedGuide).result.force_N == pytest.approx(0.2)
     record = cell.case.get(force_check.UnloadedGuide).record
     assert (record.identifier, list(record.parents)) == ("02-force_check", ["01-tool_change"])
     assert engine.machine.state == "finished"
