@@ -13,12 +13,13 @@ from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Device, Lifecycle, require_person
+from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
+    from procedures.workcell.device_views import DeviceView
 
 ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
@@ -26,7 +27,7 @@ EARLIER = "a message from before this session"  # drivers do not say which
 _log = logger(part="engine")
 
 
-def in_fault(devices: Mapping[str, Device]) -> Iterator[tuple[str, LastKnown[object]]]:
+def in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
     """Role of each device in fault, and how it was last seen."""
     seen = ((role, device.observe()) for role, device in devices.items())
     return ((role, known) for role, known in seen if known.state is Lifecycle.FAULT)
@@ -46,7 +47,9 @@ def as_it_stands(role: str, seen: LastKnown[object]) -> str:
     return f"the {role} is in fault ({seen.fault.code}), {now}. {way_on}"
 
 
-def acknowledged(devices: Mapping[str, Device], recover: Callable[[str], None]) -> Iterator[tuple[str, str]]:
+def acknowledged(
+    devices: Mapping[str, DeviceView], recover: Callable[[str], None]
+) -> Iterator[tuple[str, str]]:
     """Recover each device that is in fault or, only connected yet, holds a message of an earlier session.
 
     Yields its role, and what was acknowledged. Raises what `recover` raises, which is called with the role.

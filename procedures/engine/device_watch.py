@@ -17,7 +17,7 @@ from procedures.engine.events import (
     MeasuringVolume,
     Pose,
 )
-from ronna_hw.devices.lifecycle import Device
+from procedures.workcell.device_views import DeviceView
 from ronna_hw.devices.readings import ArmReading, Stamp
 from ronna_hw.devices.tracker import BoundedTracker
 from ronna_hw.errors import RonnaError
@@ -34,7 +34,7 @@ class DeviceWatch:
 
     def __init__(
         self,
-        devices: Mapping[str, Device],
+        devices: Mapping[str, DeviceView],
         events: EventStream,
         now_s: Callable[[], float],
         period_s: float = PERIOD_S,
@@ -83,7 +83,7 @@ class DeviceWatch:
         if self._bodies is not None:
             self._bodies.publish(self._events, last=last)
 
-    def _publish_volume(self, role: str, device: Device) -> None:
+    def _publish_volume(self, role: str, device: DeviceView) -> None:
         """Where a tracker measures, once it is known."""
         if role in self._bounded or not isinstance(device, BoundedTracker):
             return

@@ -95,7 +95,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Devices, and what depths, clearances and predictions were computed from: tools, flange, cell, settings."""
+    """Devices, and what depths, clearances and predictions come from: tools, flange, cell and settings."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in recorded.identities.keys() - setting.workcell.devices.keys():
         comparison.differs(role, _named(recorded.identities[role]), "none")

@@ -1,4 +1,4 @@
-"""The arm as a procedure may see it."""
+"""The arm as a procedure may see it: an object of its own, so that nobody finds the arm itself in it."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.last_known import LastKnown
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import ArmReading
 
 
 class ArmView:
-    """What a procedure may know of the arm; what moves it are the calls of the workcell."""
+    """A `DeviceView` with its kinematics; what moves the arm are the calls of the workcell."""
 
     def __init__(self, arm: RobotArm) -> None:
         self._arm = arm
@@ -20,6 +21,24 @@ class ArmView:
     def kinematics(self) -> Kinematics:
         """As `RobotArm.kinematics`."""
         return self._arm.kinematics
+
+    @property
+    def state(self) -> Lifecycle:
+        """As `Device.state`."""
+        return self._arm.state
+
+    @property
+    def notices(self) -> tuple[str, ...]:
+        """As `Device.notices`."""
+        return self._arm.notices
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """As `Device.connect`."""
+        return self._arm.connect(timeout_s)
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """As `Device.configure`."""
+        self._arm.configure(timeout_s)
 
     def observe(self) -> LastKnown[ArmReading]:
         """As `RobotArm.observe`."""

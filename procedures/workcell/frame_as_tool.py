@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ronna_hw.devices import OpticalTracker
+from procedures.workcell.device_views import TrackerView
 from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
@@ -28,7 +28,7 @@ def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | 
     return None
 
 
-def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
+def with_its_spheres(tracker: TrackerView, frame: TrackerFrame) -> TrackerFrame:
     """The reading with the spheres of the frame on the head among its strays, where it is seen as a tool."""
     name = name_of_frame(tracker.markers_mm)
     if name is None or (reading := frame.tool(name)).validity is not Validity.OK:

@@ -7,11 +7,11 @@ from collections.abc import Callable
 import numpy as np
 
 from procedures.results.errors import GateFailed
+from procedures.workcell.device_views import TrackerView
 from procedures.workcell.frame_as_tool import with_its_spheres
 from procedures.workcell.mounted_tool import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
-from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector, TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError
@@ -32,7 +32,7 @@ def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
 
 
 def frames_at_rest(
-    tracker: OpticalTracker,
+    tracker: TrackerView,
     clock: Clock,
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
@@ -47,7 +47,7 @@ def frames_at_rest(
 
 
 def fresh_frames(
-    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
+    tracker: TrackerView, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
     """So many measurements, each another one, and how many readings were lost on the way.
 

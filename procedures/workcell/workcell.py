@@ -19,6 +19,7 @@ from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.cell_motion import CellMotion, MotionName
+from procedures.workcell.device_views import DeviceView, StereoView, TrackerView
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.instrument import Instrument
@@ -31,7 +32,8 @@ from procedures.workcell.tool_records import ToolRecords
 from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.config import MASTER, Calibrations
-from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices import JointMove, LineMove, RobotArm, StereoPair
+from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Transform
@@ -82,7 +84,7 @@ class Workcell:
         self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as the arm was last told
         self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
-        self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
+        self.sensors = Sensors(lambda: self._stereo, self.calibrations.stereo_head)
 
     @property
     def arm(self) -> ArmView:
@@ -94,24 +96,38 @@ class Workcell:
         return self._theatre.arms[MASTER]
 
     @property
-    def stereo(self) -> StereoPair:
-        """The stereo head."""
+    def _stereo(self) -> StereoPair:
         return self._theatre.stereo
 
     @property
-    def tracker(self) -> OpticalTracker:
+    def stereo(self) -> StereoView:
+        """The stereo head."""
+        return self._stereo
+
+    @property
+    def tracker(self) -> TrackerView:
         """The tracker."""
         return self._theatre.tracker
 
     @property
-    def devices(self) -> dict[str, Device]:
+    def devices(self) -> dict[str, DeviceView]:
         """All devices by role, in the order in which they are connected; of other kinds by their tables."""
+        return {**self._devices, "arm": self.arm}
+
+    @property
+    def _devices(self) -> dict[str, Device]:
         others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
-        return {"tracker": self.tracker, "arm": self._arm, "stereo": self.stereo, **others}
+        return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self._stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
-        return self._theatre.device(name, interface)
+        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008, also for an arm."""
+        device = self._theatre.device(name, interface)
+        if isinstance(device, RobotArm):
+            raise WrongKind(
+                f"device.{name} is an arm, which only the workcell moves",
+                action="Declare it as [robot.NAME].",
+            )
+        return device
 
     # What hangs on the arm
 
@@ -228,7 +244,7 @@ class Workcell:
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
-        start((self._arm, self.stereo) if cameras else (self._arm,), self.supervised)
+        start((self._arm, self._stereo) if cameras else (self._arm,), self.supervised)
 
     def going(self, joints_rad: JointVector) -> CellMotion:
         """The motion that `go` makes."""
@@ -318,7 +334,7 @@ class Workcell:
 
     def recover(self, role: str, by: str) -> None:
         """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
-        device = self.devices[role]
+        device = self._devices[role]
         device.recover(by)
         if device is self._arm:
             self.supervised.begin_anew()
@@ -327,7 +343,7 @@ class Workcell:
 
     def look(self) -> Look:
         """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
-        seen = look(self.stereo, self.calibrations.stereo_head)
+        seen = look(self._stereo, self.calibrations.stereo_head)
         self.on_look(seen)
         return seen
 
@@ -337,7 +353,7 @@ class Workcell:
 
     def rest(self) -> None:
         """End the arm's correction stream and the cameras, as a tool change and a parked arm want it."""
-        for device in (self._arm, self.stereo):
+        for device in (self._arm, self._stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self.supervised.begin_anew()

@@ -65,9 +65,13 @@ def write_plan(path: Path, content: Plan) -> None:
 
 
 @pytest.fixture
-def engine(tmp_path: Path) -> Engine:
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
+
+
+@pytest.fixture
+def engine(cell: ClinicalCell) -> Engine:
     """A case that stands before the first approach, computed from a CT and a plan on disk."""
-    cell = ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
     write_series(cell.series, VOXELS_HU)
     write_plan(cell.plan, plan())
     engine = cell.begin(
@@ -109,34 +113,36 @@ def plan_of(engine: Engine) -> Path:
     return engine.setting.clinical.plan
 
 
-def motions(engine: Engine) -> list[object]:
-    return engine.setting.workcell.devices["arm"].motions  # type: ignore[attr-defined, no-any-return]
+def motions(cell: ClinicalCell) -> list[str]:
+    return [kind for kind, _ in cell.arm.motions]
 
 
 @pytest.mark.hazard(1)
 @pytest.mark.parametrize("change", [another_series, one_slice_less, another_target])
 def test_results_computed_from_another_ct_or_plan_move_nothing(
-    engine: Engine, change: Callable[[Engine], None]
+    cell: ClinicalCell, engine: Engine, change: Callable[[Engine], None]
 ) -> None:
     change(engine)
     with pytest.raises(InputChanged, match="PRO-021"):
         engine.run_step(engine.order.find(POSITIONING))
     with pytest.raises(StepRefused):
         engine.run_step(engine.order.find(POSITIONING))
-    assert motions(engine) == []
+    assert motions(cell) == []
     assert engine.status(engine.order.find(RegisteredRobot.kind)) == "superseded"
 
 
 @pytest.mark.hazard(1)
-def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_motion(engine: Engine) -> None:
+def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_motion(
+    cell: ClinicalCell, engine: Engine
+) -> None:
     def change_on_the_way(_start: object, _target: object) -> bool:
         another_target(engine)
         return False  # the way is clear
 
-    engine.setting.workcell.devices["arm"].blocked = change_on_the_way  # type: ignore[attr-defined]
+    cell.arm.blocked = change_on_the_way
     with pytest.raises(InputChanged):
         engine.run_step(engine.order.find(POSITIONING))
-    assert [kind for kind, _ in motions(engine)] == ["joints"]  # type: ignore[misc]
+    assert motions(cell) == ["joints"]
     engine.retreat_home()
     assert engine.setting.workcell.at_home
 

@@ -28,7 +28,7 @@ from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from ronna_hw.devices.lifecycle import Device
+    from procedures.workcell.device_views import DeviceView
 
 
 def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
@@ -111,7 +111,7 @@ def _person(by: str | None) -> str:
 
 
 def _recover_all(
-    devices: Mapping[str, Device],
+    devices: Mapping[str, DeviceView],
     acknowledge: Callable[[], dict[str, str]],
     by: str,
     *,

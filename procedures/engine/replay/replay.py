@@ -80,7 +80,7 @@ class _Replay:
         self._room = RecordedRoom()
         self._uncomputed = Verdict.DIFFERENT  # what was said of the last step that could not be computed
         clock = RecordedClock(answers)
-        theatre = Theatre(given.theatre, clock, make)
+        self._theatre = theatre = Theatre(given.theatre, clock, make)
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
         setting = CaseSetting(
@@ -153,11 +153,10 @@ class _Replay:
 
     def _rest(self) -> None:
         """Every device that was opened as it is when just configured; the next motion is a first one."""
-        workcell = self._engine.setting.workcell
-        for device in workcell.devices.values():
+        for device in self._theatre.devices.values():
             if device.state is not Lifecycle.DISCONNECTED:
                 device.recover("")
-        workcell.stop()
+        self._engine.setting.workcell.stop()
 
     def _take_up(self, line: int) -> None:
         """As a new program takes up the arm that the lines before this one left."""

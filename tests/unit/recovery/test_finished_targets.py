@@ -185,15 +185,14 @@ class Rolls:
     """A cart that moves when the work at a target is done, before the motion after `at` others."""
 
     engine: Engine
+    arm: RecordingArm
     target: str
     at: int
     name = "cart"
 
     def unmet(self) -> str | None:
-        arm = self.engine.setting.workcell.devices["arm"]
-        assert isinstance(arm, RecordingArm)
         finished = self.engine.case.stands(StepKey(ReachedTarget.kind, self.target))
-        if finished and len(arm.motions) == self.at:
+        if finished and len(self.arm.motions) == self.at:
             self.at = -1
             self.engine.void(StepKey(LockedCart.kind), MOVED)
             raise MOVED
@@ -210,7 +209,7 @@ def rolling(cell: ClinicalCell, target: str, at: int) -> Engine:
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
     engine.goes_on = MovedCart(engine).agreed_to_go_on
-    engine.checkpoint.guards.append(Rolls(engine, target, at))
+    engine.checkpoint.guards.append(Rolls(engine, cell.arm, target, at))
     return engine
 
 

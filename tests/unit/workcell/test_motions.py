@@ -202,7 +202,9 @@ def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCe
 
 @pytest.mark.hazard(24)
 def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
-    assert {name for name in dir(cell.workcell.arm) if name[0] != "_"} == {"kinematics", "observe"}
+    seen = {"kinematics", "observe", "state", "notices", "connect", "configure"}
+    for arm in (cell.workcell.arm, cell.workcell.devices["arm"]):
+        assert {name for name in dir(arm) if name[0] != "_"} == seen
 
 
 @pytest.mark.hazard(24)
