@@ -11,7 +11,7 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from procedures.engine.case import Case
+from procedures.engine.case import Case, Stored
 from procedures.engine.case_memory import CaseMemory
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
@@ -124,11 +124,14 @@ class StepContext:
         Raises PRO-001 when there is none, PRO-016 when this step does not declare that it reads it, REC-001
         when its file was changed.
         """
+        return self._asked_for(model).result
+
+    def _asked_for(self, model: type[R]) -> Stored[R]:
         if model not in self.spec.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         stored = self._case.get(model, self.key.trajectory)
         self._read[stored.record.identifier] = stored.record
-        return stored.result
+        return stored
 
     def is_last_trajectory(self) -> bool:
         """Whether this step has been done for every other trajectory that remains; those results are read."""
@@ -151,12 +154,12 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """The fault after which the operator must decide whether to keep that result, or None."""
-        return self._case.doubt_of(self._case.get(model, self.key.trajectory).record)
+        """The fault after which the operator must say whether a result is kept, or None; as `result`."""
+        return self._case.doubt_of(self._asked_for(model).record)
 
     def keep(self, model: type[R]) -> None:
-        """Somebody said that the result is kept."""
-        self._case.trust(self._case.get(model, self.key.trajectory).record)
+        """Somebody said that the result is kept; as `result`."""
+        self._case.trust(self._asked_for(model).record)
 
     @property
     def trajectory(self) -> str:
@@ -221,18 +224,24 @@ class StepContext:
         self._support.find(text)
 
     def identifier(self, model: type[R]) -> str:
-        """Identifier of the record of a valid result."""
-        return self._case.get(model, self.key.trajectory).record.identifier
+        """Identifier of the record of a valid result; as `result`."""
+        return self._asked_for(model).record.identifier
 
     def standing(self, model: type[R]) -> tuple[R, ...]:
         """Every standing result of a step, of any trajectory, the last one last.
 
-        For what watches: it makes none of them a parent, so no result may depend on them. Those of finished
-        trajectories are left aside that were made before something moved.
+        None is a parent by this alone: see `take`. Those of finished trajectories are left aside that were
+        made before something moved.
         """
         past = self._case.past
         stands = [one for one in self._case.standing if one.record.identifier not in past]
         return tuple(one.result for one in stands if isinstance(one.result, model))
+
+    def take(self, result: StepResult) -> None:
+        """A `standing` result, of whatever trajectory, is used in this step: it becomes a parent."""
+        for one in self._case.standing:
+            if one.result is result:
+                self._read[one.record.identifier] = one.record
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:
         """As `void`, for every trajectory that has a standing result of a step."""

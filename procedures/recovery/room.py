@@ -16,7 +16,7 @@ from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.followed_move import spheres_followed, watch_over
+from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
 from procedures.workcell import MountedTool
 
 
@@ -31,7 +31,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     pairs = None if matched is None else matched.result.pairs
     watch = watch_over(workcell, stored.record.identifier, stored.result, pairs)
     registrations = engine.context(engine.order.sequence[0]).standing(RegisteredRobot)
-    watch.follow(spheres_followed(registrations, None))
+    watch.follow(spheres_followed(that_followed(registrations, None)))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker)
     head, base_mm = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift_mm(reading)
     if head is None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
+from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell, done_later
 from numpy.typing import ArrayLike, NDArray
 from prepared_results import (
     checked_paths,
@@ -20,13 +21,17 @@ from prepared_results import (
 from scipy.spatial.transform import Rotation
 from watched_case import findings
 
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
+from procedures.engine.step import Outcome
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.workcell import MountedTool
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("MOVE_FOLLOWED")]
@@ -198,3 +203,28 @@ def test_a_head_that_moved_back_needs_no_consent(tmp_path: Path) -> None:
     run(engine, NAME)
     assert cell.case.get(RegisteredRobot, FIRST).result.followed is None
     assert Topic.MOVE_FOLLOWED not in [question.topic for question in cell.operator.asked]
+
+
+def test_a_step_that_watches_the_head_where_a_registration_followed_it_descends_from_that(
+    tmp_path: Path,
+) -> None:
+    def looks(context: StepContext) -> Outcome[CheckedTool]:
+        check_room(context, "here")
+        return Outcome(checked_tool())
+
+    cell = ClinicalCell(tmp_path)
+    cell.carrying(MountedTool.STEREO_HEAD)
+    before = (*coarse(), checked_plan(), localized_fiducials(), relocalization(), checked_paths(cell))
+    looking = replace(done_later(checked_tool(), *ROOM_READS), run=looks)
+    engine = cell.begin(*before, registration.STEP, mounted_guide(), looking, positioning.STEP)
+    engine.run_to(engine.order.find("tool_check"))
+    cell.carrying(MountedTool.GUIDE)
+    room = {cell.case.get(model).record.identifier for model in ROOM_READS}
+    assert set(cell.case.get(CheckedTool).record.parents) == room  # nothing of the registrations was used
+    cell.tracker.spheres_mm = SMALL_MM
+    with pytest.raises(PatientMoved):
+        run(engine, "tool_check")
+    for name in (NAME, f"registration:{LAST}", "tool_check"):
+        run(engine, name)
+    followed = cell.case.get(RegisteredRobot, LAST).record.identifier
+    assert set(cell.case.get(CheckedTool).record.parents) == {*room, followed}

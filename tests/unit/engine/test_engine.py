@@ -1,5 +1,6 @@
 import json
 import os
+from collections.abc import Callable
 
 import pytest
 from plain_steps import Fit, Image, Localization, leaves, plain_order
@@ -50,6 +51,33 @@ def test_the_parents_of_a_result_are_the_records_its_step_read(cell: RecordingCe
     second = engine.run_step(engine.order.find("localization:T1"))
     assert second.parents == {first.identifier: first.sha256}
     assert (second.identifier, second.trajectory) == ("02-localization-T1", "T1")
+
+
+@pytest.mark.parametrize("ask", [StepContext.identifier, StepContext.doubt, StepContext.keep])
+def test_whatever_is_asked_of_a_result_makes_it_a_parent(
+    cell: RecordingCell, ask: Callable[[StepContext, type[Image]], object]
+) -> None:
+    def asks(context: StepContext) -> Outcome[StepResult]:
+        ask(context, Image)
+        return Outcome(Localization())
+
+    engine = cell.engine(plain_order(localization=asks))
+    image = engine.run_step(engine.order.find("image"))
+    assert engine.run_step(engine.order.find("localization:T1")).parents == {image.identifier: image.sha256}
+
+
+def test_a_standing_result_of_another_trajectory_is_a_parent_where_it_is_used(cell: RecordingCell) -> None:
+    def uses_first(context: StepContext) -> Outcome[StepResult]:
+        first, *_others = context.standing(Localization) or (None,)
+        if first is not None:
+            context.take(first)
+        return Outcome(Localization())
+
+    engine = cell.engine(plain_order(localization=uses_first))
+    run(engine, "image")
+    first = engine.run_step(engine.order.find("localization:T1"))
+    assert first.parents == {}
+    assert engine.run_step(engine.order.find("localization:T2")).parents == {first.identifier: first.sha256}
 
 
 def test_a_record_that_was_not_read_is_not_a_parent(cell: RecordingCell) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -99,13 +99,18 @@ class Following(Protocol):
     def trajectories(self) -> frozenset[str]: ...
 
 
-def spheres_followed(registrations: Sequence[Following], trajectory: str | None) -> Array | None:
-    """Where the spheres are (n, 3), tracker frame, since the registration of a trajectory followed them.
+F = TypeVar("F", bound=Following)
 
-    Of the last registration where it is for none of these. None where they are as they were localized.
-    """
+
+def that_followed(registrations: Sequence[F], trajectory: str | None) -> F | None:
+    """The registration of a trajectory, or the last one where none is for that, if it has followed a move."""
     own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
-    move = own[-1].followed if own else None
+    return own[-1] if own and own[-1].followed is not None else None
+
+
+def spheres_followed(registration: Following | None) -> Array | None:
+    """Where the spheres are (n, 3), tracker frame, since a registration followed them; None if none did."""
+    move = None if registration is None else registration.followed
     return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
 
 

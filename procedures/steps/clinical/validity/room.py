@@ -15,7 +15,7 @@ from procedures.planning.sight.tracker import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.validity.followed_move import spheres_followed, watch_over
+from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
 
@@ -107,5 +107,8 @@ def _watch(context: StepContext) -> RoomWatch:
     if watch is None or watch.localization != name:
         watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
         context.setting.memory.keep(watch)
-    watch.follow(spheres_followed(context.standing(RegisteredRobot), context.key.trajectory))
+    registered = that_followed(context.standing(RegisteredRobot), context.key.trajectory)
+    if registered is not None:
+        context.take(registered)
+    watch.follow(spheres_followed(registered))
     return watch
