@@ -45,7 +45,7 @@ class RonnaError(Exception):
 
     code: ClassVar[str] = ""
     action: ClassVar[str] = ""
-    exit_code: ClassVar[int] = EXIT_FAILED
+    exit_code: int = EXIT_FAILED  # of an error that quotes a program: that program's
 
     def __init__(
         self,

@@ -18,7 +18,7 @@ from procedures.engine.events import (
     Pose,
 )
 from procedures.workcell.device_views import DeviceView
-from ronna_hw.devices.readings import ArmReading, Stamp
+from ronna_hw.devices.readings import ArmReading, StampedReading
 from ronna_hw.devices.tracker import BoundedTracker
 from ronna_hw.errors import RonnaError
 
@@ -70,12 +70,10 @@ class DeviceWatch:
                 self._states[role] = state
                 self._events.publish(state)
                 self._publish_volume(role, device)
-            stamp = getattr(seen.reading, "stamp", None)
-            if not isinstance(stamp, Stamp):
+            if not isinstance(seen.reading, StampedReading):
                 continue
-            age_s = max(0.0, self._now_s() - stamp.theatre_time_s)
-            validity = str(getattr(seen.reading, "validity", ""))
-            self._events.publish(DeviceAge(device=role, age_s=age_s, validity=validity))
+            age_s = max(0.0, self._now_s() - seen.reading.stamp.theatre_time_s)
+            self._events.publish(DeviceAge(device=role, age_s=age_s, validity=seen.reading.validity))
             if isinstance(seen.reading, ArmReading):
                 joints_rad = seen.reading.joints_rad
                 pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)

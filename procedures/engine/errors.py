@@ -35,7 +35,7 @@ class CommandRefused(RonnaError):
 
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
         super().__init__(f"{name} failed: {' '.join(messages.split()).rstrip('.')}")
-        self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED  # type: ignore[misc]
+        self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED
 
 
 class WrongResult(RonnaError):

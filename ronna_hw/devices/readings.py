@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 from ronna_hw.devices.errors import NoPose, UnknownTool
 
@@ -44,6 +44,17 @@ class Stamp:
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
     theatre_time_s: float  # on arrival
     measured_s: float | None = None  # theatre time of the measurement, if the driver knows it
+
+
+@runtime_checkable
+class StampedReading(Protocol):
+    """Any reading that tells when it was made and whether it can be used."""
+
+    @property
+    def stamp(self) -> Stamp: ...
+
+    @property
+    def validity(self) -> Validity: ...
 
 
 _TO_SEE = {

@@ -11,6 +11,7 @@ from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readiness import Fact
+from ronna_hw.devices.readings import Stamp, Validity
 from ronna_hw.errors import LinkTimeout
 
 
@@ -102,3 +103,14 @@ def test_a_failing_final_observation_raises_nothing() -> None:
     unseen = SimpleNamespace(observe=cannot, notices=())
     with DeviceWatch({"arm": unseen}, EventStream(), lambda: 5.0, period_s=1000.0):
         pass
+
+
+def test_the_age_of_a_reading_of_another_kind_is_published_and_a_bare_number_has_none() -> None:
+    pressed = SimpleNamespace(stamp=Stamp(1, 0, 4.0), validity=Validity.STALE)
+    ages = []
+    for reading in (pressed, 0.3, None):
+        seen = LastKnown[object](Lifecycle.ACTIVE, None, reading)
+        watch, reader = watched(SimpleNamespace(observe=lambda seen=seen: seen, notices=()))
+        watch.look()
+        ages.append([event.what for event in reader.read(0).events if event.what.kind == "age"])
+    assert ages == [[DeviceAge(device="arm", age_s=1.0, validity="stale")], [], []]
