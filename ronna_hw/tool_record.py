@@ -49,6 +49,9 @@ class ToolPurpose(StrEnum):
 
 GUIDES = (ToolPurpose.NEEDLE_GUIDE, ToolPurpose.DRILL_GUIDE)
 WITH_TIP = (*GUIDES, ToolPurpose.DRILL, ToolPurpose.POINTER)
+# A record compares each later mounting with the mean of so many approaches to the gauge, the tool seated anew
+# for each mounting: read once, its own seat and arrival would have every sixth good guide refused.
+GAUGE_MOUNTINGS, GAUGE_APPROACHES = 3, 12
 
 
 class GuideBore(Strict):
@@ -73,10 +76,17 @@ class Gauge(Strict):
 
     joints_deg: Angles6 = Field(description="Joint angles of the arm with the mandrel in the gauge.")
     reading_mm: tuple[DialReading, DialReading, DialReading] = Field(
-        default=(0.0, 0.0, 0.0), description="Readings of the dials at the end, along x, y and z of the tool."
+        default=(0.0, 0.0, 0.0),
+        description="Mean readings of the dials at the end, along x, y and z of the tool.",
     )
     upper_reading_mm: tuple[DialReading, DialReading] = Field(
-        default=(0.0, 0.0), description="Readings of the dials higher up on the mandrel, along x and y."
+        default=(0.0, 0.0), description="Mean readings of the dials higher up on the mandrel, along x and y."
+    )
+    approaches: Annotated[int, Field(ge=1)] = Field(
+        default=1, description="Number of approaches that they are the mean of."
+    )
+    spread_mm: Annotated[float, Field(ge=0)] = Field(
+        default=0.0, description="Standard deviation of one of their readings."
     )
     base_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
         default=60.0, description="Distance between both dial heights."

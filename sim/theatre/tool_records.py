@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ronna_hw.calibration import PoseRecord
-from ronna_hw.tool_record import TipInHead
+from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
+from sim.world.noise import noise
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.model import Scene
 
@@ -57,8 +60,28 @@ def tool_records(
                 "play_mm": guide.play_mm,
             },
             **_frame(guide.tip_from_frame),
-            "gauge": {"joints_deg": [A1 + GAUGE_TURN_DEG, *others], "base_mm": GAUGE_BASE_MM},
+            "gauge": {
+                "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
+                "base_mm": GAUGE_BASE_MM,
+                **gauge_read(scene),
+            },
         },
+    }
+
+
+def gauge_read(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]:
+    """The dials as read for the record: with other seats, arrivals and readings than those of a case."""
+    draws, each = noise(scene.seed, "gauge of the record", 0), GAUGE_APPROACHES // mountings
+    seated = draws.normal(0.0, scene.mount.guide.seat_mm, (mountings, 1, 3))
+    end = (seated + draws.normal(0.0, scene.arm.repeatability_mm, (mountings, each, 3))).reshape(-1, 3)
+    read = np.hstack([end, end[:, :2]])  # the mandrel is displaced as a whole
+    read += draws.normal(0.0, scene.hands.gauge_mm, read.shape)
+    x, y, z, upper_x, upper_y = read.mean(axis=0).round(6).tolist()
+    return {
+        "reading_mm": [x, y, z],
+        "upper_reading_mm": [upper_x, upper_y],
+        "approaches": len(read),
+        "spread_mm": round(float(np.sqrt(read.var(axis=0, ddof=1).mean())), 6),
     }
 
 

@@ -77,7 +77,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
             terminal.tell(
                 f"record {tool['identifier']} refers to the former tip, so no case can start with it: "
                 f"read the gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
-                "--write FILE --by NAME --gauge-mm X Y Z UPPER_X UPPER_Y"
+                "--write FILE --by NAME --gauge-mm FILE"
             )
 
 

@@ -16,6 +16,7 @@ from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
+from ronna_hw.tool_record import GAUGE_APPROACHES
 
 SOON = timedelta(days=3)  # before it expires a record is worth a word
 
@@ -77,7 +78,9 @@ def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic
     except RonnaError as error:
         yield refusal("tool records", error)
     else:
-        advice = " ".join(filter(None, (_implausible(theatre), _unwatched(theatre))))
+        advice = " ".join(
+            filter(None, (_implausible(theatre), _unwatched(theatre), _read_too_seldom(theatre)))
+        )
         yield Diagnostic("tool records", True, ", ".join(theatre.tools), advice)
 
 
@@ -87,6 +90,18 @@ def _unwatched(theatre: TheatreFile) -> str:
     if guide is None or guide.tip_in_head is not None:
         return ""
     return f"[tools.{GUIDE}] has no tip_in_head, so a tip edited since is not noticed. {RENEW}"
+
+
+def _read_too_seldom(theatre: TheatreFile) -> str:
+    """What to do about a guide whose gauge was not read often enough to compare each mounting with."""
+    guide = theatre.tools.get(GUIDE)
+    read = GAUGE_APPROACHES if guide is None or guide.gauge is None else guide.gauge.approaches
+    if read >= GAUGE_APPROACHES:
+        return ""
+    return (
+        f"[tools.{GUIDE}.gauge] is the mean of {read} approaches, not of {GAUGE_APPROACHES}: "
+        f"good guides may be refused. {RENEW}"
+    )
 
 
 def _implausible(theatre: TheatreFile) -> str:

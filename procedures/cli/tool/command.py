@@ -23,7 +23,10 @@ app = typer.Typer(
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
 SixDegrees = tuple[float, float, float, float, float, float]
-FiveReadings = tuple[float, float, float, float, float]
+GaugeFile = typer.Option(
+    metavar="FILE",
+    help="The gauge's dials as read with this tool: X Y Z UPPER_X UPPER_Y, one line for each approach.",
+)
 
 
 @app.callback()
@@ -68,6 +71,7 @@ def define(
     gauge_base_mm: Annotated[
         float, typer.Option(help="Distance between the two heights of the gauge's dials.")
     ] = 60.0,
+    gauge_mm: Annotated[Path | None, GaugeFile] = None,
     days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
@@ -94,6 +98,7 @@ def define(
             "gauge": {} if gauge_deg is None else {"joints_deg": list(gauge_deg), "base_mm": gauge_base_mm},
         },
         name,
+        gauge_mm,
     )
     _write(config, write, name, record, as_json=as_json)
 
@@ -108,10 +113,7 @@ def renew(
             metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
         ),
     ],
-    gauge_mm: Annotated[
-        FiveReadings,
-        typer.Option(metavar="X Y Z UPPER_X UPPER_Y", help="The gauge's dials as read with this tool now."),
-    ],
+    gauge_mm: Annotated[Path, GaugeFile],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
     days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
     as_json: terminal.JsonOption = False,

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from procedures.cli.tool.gauge_readings import read_gauge
 from procedures.workcell.errors import NoToolRecord
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.clock import HostClock
@@ -26,10 +26,10 @@ from ronna_hw.registry import make_device
 from ronna_hw.tool_record import WITH_TIP, Gauge, ToolRecord
 
 
-def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
-    """The record as the file holds it, with flange and tip of the file.
+def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
+    """The record as the file holds it, with flange and tip of the file; `readings` are those of its gauge.
 
-    Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach.
+    Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread.
     """
     theatre = read_theatre_file(config)
     record = {key: value for key, value in given.items() if value not in (None, {})}
@@ -41,6 +41,8 @@ def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
     gauge = parse_theatre(content, f"{config.name} with tool {name}").tools[name].gauge
     if gauge is not None:
         _require_within_axes(gauge, theatre)
+        if readings is not None:
+            record["gauge"] |= read_gauge(readings, gauge)
     return record
 
 
@@ -70,10 +72,10 @@ def _require_within_axes(gauge: Gauge, theatre: TheatreFile) -> None:
             )
 
 
-def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[float]) -> dict[str, Any]:
+def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> dict[str, Any]:
     """The record of a tool for the tip calibration of now; `signed` are its new identity, dates and maker.
 
-    `gauge_mm` are the five dials as read with it. Raises TOOL-002, CFG-001, CLI-001 for what no dial shows.
+    `readings` is the file of the dials as read with it. Raises TOOL-002, CFG-001, CLI-001.
     """
     theatre = read_theatre_file(config)
     with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
@@ -87,19 +89,10 @@ def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[
         )
     if theatre.calibration is None:
         raise NoToolRecord(f"{config.name} has no calibration to renew {name} for")
-    lowest_mm, highest_mm = gauge.plausible_mm
-    for dial, reading_mm in zip(("X", "Y", "Z", "UPPER_X", "UPPER_Y"), gauge_mm, strict=True):
-        if not lowest_mm <= reading_mm <= highest_mm:
-            raise UsageMistake(
-                f"--gauge-mm: {dial} is {reading_mm:g}",
-                expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
-                action="Read the dials again; if their travel differs, set `travel_mm` of the tool's gauge.",
-            )
     content = read_toml(config, BadTheatreFile)
     kept = content["tools"][name]
-    x, y, z, upper_x, upper_y = gauge_mm
-    read = {"reading_mm": [x, y, z], "upper_reading_mm": [upper_x, upper_y]}
-    new = {**kept, **signed, **_tip_of(theatre.calibration), "gauge": {**kept["gauge"], **read}}
+    new = {**kept, **signed, **_tip_of(theatre.calibration)}
+    new["gauge"] = {**kept["gauge"], **read_gauge(readings, gauge)}
     content["tools"][name] = new
     parse_theatre(content, f"{config.name} with tool {name}")
     return new

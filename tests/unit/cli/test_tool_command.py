@@ -34,6 +34,7 @@ PLAIN = (
 GAUGE = ("--gauge-deg", "-40", "-75", "99", "0", "66", "180")
 DEFINE = (*PLAIN, "--reach-mm", "80", "--bore-mm", "90", "--play-mm", "0.05", *GAUGE)
 
+ONE_READ = "0.01 -0.02 0.03 0.04 -0.05"
 TILT = Rotation.from_euler("x", 5.0, degrees=True)
 
 
@@ -41,6 +42,17 @@ TILT = Rotation.from_euler("x", 5.0, degrees=True)
 def theatre(tmp_path: Path) -> Path:
     path = tmp_path / "theatre.toml"
     path.write_text(tomli_w.dumps(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)))
+    return path
+
+
+@pytest.fixture
+def dials(tmp_path: Path) -> Path:
+    """As someone wrote them down: twelve approaches, all alike."""
+    return written(tmp_path / "dials.txt", *[ONE_READ] * 12)
+
+
+def written(path: Path, *lines: str) -> Path:
+    path.write_text("\n".join(lines))
     return path
 
 
@@ -139,18 +151,20 @@ def test_calibrating_the_tip_leaves_the_tool_record_outdated_and_names_the_renew
     assert "ronna-tool renew" in refused.stderr
 
 
-def test_a_renewed_record_has_the_new_tip_and_the_gauge_readings(theatre: Path) -> None:
+def test_a_renewed_record_has_the_new_tip_and_the_mean_gauge_readings(theatre: Path, dials: Path) -> None:
     new, _ = _with_another_tip(theatre)
     last = theatre.with_name("last.toml")
-    dials = ("--gauge-mm", "0.01", "-0.02", "0.03", "0.04", "-0.05")
-    done = in_this_process(
-        app, "renew", "guide", "--config", new, "--write", last, "--by", "A. Nurse", *dials
-    )
+    low, high = "0 -0.03 0.02 0.03 -0.06", "0.02 -0.01 0.04 0.05 -0.04"
+    written(dials, *[low, "", high] * 6)
+    options = ("--config", new, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
+    done = in_this_process(app, "renew", "guide", *options)
     assert done.returncode == 0, done.stderr
     record = read_theatre_file(last).tools["guide"]
     assert (record.tip, record.made_by) == ("tip-of-today", "A. Nurse")
     assert record.gauge is not None
     assert (record.gauge.reading_mm, record.gauge.upper_reading_mm) == ((0.01, -0.02, 0.03), (0.04, -0.05))
+    assert record.gauge.approaches == 12
+    assert record.gauge.spread_mm == pytest.approx(0.01 * (12 / 11) ** 0.5, abs=1e-6)
     assert in_this_process(app, "check", "--config", last).returncode == 0
 
 
@@ -168,7 +182,7 @@ def turned(pose: dict[str, list[float]]) -> None:
     ("edit", "off"), [(shifted, "30.000 mm{} 0.000 deg"), (turned, "0.000 mm{} 5.000 deg")]
 )
 def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_how_far_it_is(
-    theatre: Path, edit: Callable[[dict[str, list[float]]], None], off: str
+    theatre: Path, dials: Path, edit: Callable[[dict[str, list[float]]], None], off: str
 ) -> None:
     content = tomllib.loads(theatre.read_text())
     edit(content["calibration"]["tool_tip"]["flange_from_tool"])
@@ -178,7 +192,7 @@ def test_a_tip_edited_after_the_record_was_signed_is_refused_and_renewing_says_h
     assert refused.returncode == 3
     assert "TOOL-003" in refused.stderr
     assert f"limit 0.001 mm, 0.001 deg, got {off.format(',')}" in refused.stderr
-    options = ("--config", edited, "--write", last, "--by", "A. Nurse", "--gauge-mm", *"00000")
+    options = ("--config", edited, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
     done = in_this_process(app, "renew", "guide", *options)
     assert f"the tip is {off.format(' and')} from where the former record of guide has it" in done.stderr
 
@@ -214,9 +228,8 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
 @pytest.mark.parametrize(
     ("command", "told"),
     [
-        ("renew guide --by '' --gauge-mm 0 0 0 0 0", "name of a person; expected letters, got nothing"),
-        ("renew guide --by Nurse --gauge-mm 9 0 400 0 0", "--gauge-mm: Z is 400; expected -10 to 10 mm"),
-        ("renew gide --by Nurse --gauge-mm 0 0 0 0 0", "no tool 'gide' with a gauge; expected guide"),
+        ("renew guide --by '' --gauge-mm DIALS", "name of a person; expected letters, got nothing"),
+        ("renew gide --by Nurse --gauge-mm DIALS", "no tool 'gide' with a gauge; expected guide"),
         ("define drill --purpose gripper --number 2", "drill has number 2, already used by guide"),
         (
             "define d --purpose gripper --gauge-deg -400 -75 99 0 66 180",
@@ -229,9 +242,9 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
     ],
 )
 def test_an_impossible_value_is_refused_with_its_name_value_and_range(
-    theatre: Path, command: str, told: str
+    theatre: Path, dials: Path, command: str, told: str
 ) -> None:
-    name, *arguments = shlex.split(command)
+    name, *arguments = shlex.split(command.replace("DIALS", str(dials)))
     last = theatre.with_name("last.toml")
     given = (*PLAIN, *arguments) if name == "define" else arguments
     said = in_this_process(app, name, *given, "--config", theatre, "--write", last)
@@ -240,9 +253,51 @@ def test_an_impossible_value_is_refused_with_its_name_value_and_range(
     assert not last.exists()
 
 
-def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path) -> None:
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize(
+    ("lines", "told"),
+    [
+        ([ONE_READ] * 11, "dials.txt has 11 approaches; expected at least 12, in 3 mountings"),
+        ([*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"], "dials.txt:12: Z is 400; expected -10"),
+        ([*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"], "dials.txt:12: Z is nan; expected -10"),
+        ([*[ONE_READ] * 11, "0.01 -0.02 0.3 0.04 -0.05"], "Z is 0.3; expected within 0.1 mm of the others"),
+        (["0.01 -0.02", *[ONE_READ] * 11], "dials.txt:1: '0.01 -0.02'; expected five numbers, X Y Z UPPER"),
+    ],
+    ids=["too few", "beyond the dial", "no number", "misread", "incomplete"],
+)
+def test_gauge_readings_that_make_no_record_are_refused(
+    theatre: Path, dials: Path, lines: list[str], told: str
+) -> None:
     last = theatre.with_name("last.toml")
-    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", *"00000")
+    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", written(dials, *lines))
+    done = in_this_process(app, "renew", "guide", *options)
+    assert done.returncode == 2
+    assert told in " ".join(one_error(done.stderr))
+    assert not last.exists()
+
+
+def test_a_guide_is_defined_with_the_readings_of_its_gauge(theatre: Path, dials: Path) -> None:
+    new = theatre.with_name("new.toml")
+    options = ("--config", theatre, "--write", new, "--purpose", "drill_guide", *DEFINE, "--gauge-mm", dials)
+    assert in_this_process(app, "define", "drill-guide", *options).returncode == 0
+    gauge = read_theatre_file(new).tools["drill-guide"].gauge
+    assert gauge is not None
+    assert (gauge.reading_mm, gauge.approaches) == ((0.01, -0.02, 0.03), 12)
+
+
+@pytest.mark.hazard(47)
+def test_the_doctor_warns_of_a_guide_whose_gauge_was_read_once(theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    content["tools"]["guide"]["gauge"]["approaches"] = 1
+    (warned,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
+    assert warned.well
+    assert warned.advice.startswith("[tools.guide.gauge] is the mean of 1 approaches, not of 12: good guides")
+    assert "ronna-tool renew" in warned.advice
+
+
+def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path, dials: Path) -> None:
+    last = theatre.with_name("last.toml")
+    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", dials)
     done = in_this_process(app, "renew", "stereo_head", *options)
     assert done.returncode == 2
     assert "TOOL-002" in done.stderr

@@ -11,6 +11,7 @@ import pytest
 from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, TIP_LIMIT_MM, compared
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
+from sim.theatre.tool_records import gauge_read
 from sim.world.arm.true_arm import TrueArm
 from sim.world.hands import Hands
 from sim.world.scene.model import Scene
@@ -30,7 +31,7 @@ def base() -> Scene:
 
 
 def refused(seed: int, **of_the_guide: object) -> bool:
-    """Whether a freshly mounted guide is refused: another seat, arrival and reading for each seed."""
+    """Whether a freshly mounted guide is refused: another record, seat, arrival and reading for each seed."""
     scene = base().model_copy(update={"seed": seed})
     guide = scene.mount.guide.model_copy(update=of_the_guide)
     scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
@@ -40,7 +41,8 @@ def refused(seed: int, **of_the_guide: object) -> bool:
         flange = arm.at_rest(JOINTS_RAD, ALL_FROM_BELOW, motion)
         world.publish_arm(ArmState(JOINTS_RAD, flange, motion, True, ALL_FROM_BELOW))
         read.append(hands.work(GAUGE, "", (*GAUGE_AT.joints_deg, GAUGE_AT.base_mm)))
-    offset_mm, tilt_deg = compared(GAUGE_AT, read)
+    recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_read(scene), strict=False)
+    offset_mm, tilt_deg = compared(recorded, read)
     return bool(np.linalg.norm(offset_mm) > TIP_LIMIT_MM or tilt_deg > TILT_LIMIT_DEG)
 
 

@@ -29,9 +29,12 @@ from ronna_hw.wire.room_tasks import GAUGE, OUT
 NOW = datetime(2031, 1, 1, tzinfo=UTC)
 
 
-def check(cell: ClinicalCell, *dials_mm: float) -> CheckedTool:
+def check(cell: ClinicalCell, *beside_mm: float) -> CheckedTool:
+    """With dials that read so far beside the record."""
     cell.carrying(MountedTool.GUIDE)
-    cell.room.dials_mm = dials_mm
+    gauge = cell.workcell.tools.guide.gauge
+    recorded_mm = (*gauge.reading_mm, *gauge.upper_reading_mm)
+    cell.room.dials_mm = tuple(there + off for there, off in zip(recorded_mm, beside_mm, strict=False))
     cell.run(mounted_guide(), *coarse(), checked_plan(), localized_fiducials(), STEP)
     return cell.case.get(CheckedTool).result
 
@@ -85,8 +88,8 @@ def test_the_arm_is_stopped_while_hands_push_the_mandrel_into_the_gauge(
 
     monkeypatch.setattr(cell.room, "work", seen)
     check(cell, *(0.0,) * 5)
-    assert [task.name for task in cell.room.worked] == [GAUGE, OUT, GAUGE, OUT]
-    assert stops == [1, 1, 2, 2]  # one for each approach, before anybody works there
+    assert [task.name for task in cell.room.worked] == [GAUGE, OUT] * 3
+    assert stops == [1, 1, 2, 2, 3, 3]  # one for each approach, before anybody works there
 
 
 @pytest.mark.hazard(44)
