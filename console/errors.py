@@ -19,3 +19,10 @@ class NothingToShow(RonnaError):
     code = "CON-002"
     action = "Give the folder of a run made by this version; ronna-procedure list shows them."
     exit_code = EXIT_USAGE
+
+
+class UnreliableRun(RonnaError):
+    """A run folder is truncated, was changed, or comes from another version."""
+
+    code = "CON-003"
+    action = "ronna-procedure verify lists everything."

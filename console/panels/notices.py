@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from console.errors import UnreliableRun
 from console.feed.view import CaseView, Notice
 from console.panels.html import tag, text
 from procedures.reporting.case_figures import CaseFigures
@@ -35,8 +36,8 @@ def problems(figures: CaseFigures | None) -> str:
         return ""
     first, *more = figures.problems
     others = f" and {len(more)} more" if more else ""
-    words = f"Parts of this run cannot be relied on: {first}{others}. ronna-procedure verify lists them."
-    return tag("div", text(words), class_="said", role="alert")
+    error = UnreliableRun(f"parts of this run cannot be relied on: {first}{others}")
+    return tag("div", text(error), class_="said", role="alert")
 
 
 def log(lines: tuple[str, ...]) -> str:

@@ -55,7 +55,7 @@ def test_facts_reported_by_a_controller_are_shown_and_those_that_forbid_motion_a
 def test_a_changed_run_is_reported_with_what_to_do() -> None:
     assert problems(CaseFigures()) == ""
     shown = problems(CaseFigures(problems=("records/03.json is changed", "plan.toml is missing")))
-    for words in ("records/03.json is changed and 1 more", "ronna-procedure verify"):
+    for words in ("CON-003", "records/03.json is changed and 1 more", "ronna-procedure verify"):
         assert words in shown
 
 
