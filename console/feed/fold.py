@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from console.feed.view import CaseView, DeviceRow, Notice, StepRow, StoodPose
+from console.feed.view import CaseView, DeviceRow, Notice, Rate, StepRow, StoodPose
 from procedures.engine.events import (
     Advisory,
     Answered,
@@ -78,7 +78,12 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
         case MeasuringVolume():
             return {"volume": what}
         case LinkHealth():
-            return {"link": what, "link_said_s": view.theatre_time_s}
+            now_s = view.theatre_time_s
+            return {
+                "link": what,
+                "link_said_s": now_s,
+                "link_rate": _rate(view.link_rate, what.cycles, now_s),
+            }
         case Pose():
             return {"pose": StoodPose(what, view.theatre_time_s)}
         case DeviceState(device=device) | DeviceAge(device=device):
@@ -133,12 +138,18 @@ def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
 def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
     known = view.devices.get(device)
     if isinstance(what, DeviceState):
-        row = DeviceRow(what, known.age_s, known.validity) if known else DeviceRow(what)
+        row = replace(known, seen=what) if known else DeviceRow(what)
     elif known is None:
         return {}
     else:
-        row = DeviceRow(known.seen, what.age_s, what.validity)
+        count, now_s = what.readings, view.theatre_time_s
+        rate = None if count is None else _rate(known.rate, count, now_s)
+        row = DeviceRow(known.seen, what.age_s, what.validity, rate)
     return {"devices": {**view.devices, device: row}}
+
+
+def _rate(before: Rate | None, count: int, now_s: float) -> Rate:
+    return before.at(count, now_s) if before else Rate(count, now_s)
 
 
 def _notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:

@@ -15,6 +15,8 @@ from procedures.engine.events import (
     Waiting,
 )
 
+RATE_OVER_S = 1.0  # theatre time
+
 
 @dataclass(frozen=True)
 class StepRow:
@@ -30,12 +32,29 @@ class StepRow:
 
 
 @dataclass(frozen=True)
+class Rate:
+    """How often something was counted per second of theatre time, over the last second or more."""
+
+    count: int
+    since_s: float  # when it was that many
+    hz: float | None = None
+
+    def at(self, count: int, now_s: float) -> Rate:
+        """The rate now; fewer than before means that counting began again."""
+        if count < self.count:
+            return Rate(count, now_s)
+        span_s = now_s - self.since_s
+        return self if span_s < RATE_OVER_S else Rate(count, now_s, (count - self.count) / span_s)
+
+
+@dataclass(frozen=True)
 class DeviceRow:
     """A device as it was last seen."""
 
     seen: DeviceState
     age_s: float | None = None  # of its latest reading, theatre time
     validity: str = ""  # of that reading
+    rate: Rate | None = None  # of its readings
 
 
 @dataclass(frozen=True)
@@ -84,6 +103,7 @@ class CaseView:
     devices: dict[str, DeviceRow] = field(default_factory=dict)
     link: LinkHealth | None = None
     link_said_s: float = 0.0  # when that was reported, theatre time
+    link_rate: Rate | None = None  # of its cycles
     bodies: Bodies | None = None
     volume: MeasuringVolume | None = None
     pose: StoodPose | None = None

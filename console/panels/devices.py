@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from console.feed.view import CaseView, DeviceRow
+from console.feed.view import CaseView, DeviceRow, Rate
 from console.panels.html import table_of, tag, text
 
 OLD_S = 2.0  # theatre time after which a reading is shown as old
 SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
-HEAD = ("device", "state", "reading", "says", "fault")
+HEAD = ("device", "state", "reading", "rate", "says", "fault")
 WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
@@ -22,7 +22,7 @@ def devices(view: CaseView) -> str:
 
 def devices_key(view: CaseView) -> object:
     """Changes when the table does."""
-    return tuple((name, row.seen, _age(row)) for name, row in view.devices.items()), view.link
+    return tuple((name, row.seen, _age(row), row.rate) for name, row in view.devices.items()), view.link
 
 
 def mode(view: CaseView) -> str:
@@ -38,8 +38,11 @@ def _row(name: str, row: DeviceRow) -> str:
     old = row.age_s is not None and row.age_s > OLD_S
     doubt = "" if row.validity in WHOLE else f" {text(row.validity)}"
     age = tag("td", _age(row) + (" old" if old else "") + doubt, class_="num warn" if old or doubt else "num")
+    rate = tag("td", _rate(row.rate) or "-", class_="num")
     fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
-    return tag("tr", tag("th", text(name), scope="row") + state + age + _says(row) + fault, data_device=name)
+    return tag(
+        "tr", tag("th", text(name), scope="row") + state + age + rate + _says(row) + fault, data_device=name
+    )
 
 
 def _says(row: DeviceRow) -> str:
@@ -58,15 +61,20 @@ def _age(row: DeviceRow) -> str:
     return "-" if row.age_s is None else f"{row.age_s:.1f} s"
 
 
+def _rate(rate: Rate | None) -> str:
+    return "" if rate is None or rate.hz is None else f"{rate.hz:.0f} Hz"
+
+
 def _link(view: CaseView) -> str:
     link = view.link
     if link is None:
         return tag("p", "No robot link data yet.", class_="dim")
+    rate = f" at {hz}" if (hz := _rate(view.link_rate)) else ""
     late = "bad" if link.late or link.lost or link.rejected else ""
     counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
     return tag(
         "p",
-        f"Robot link {view.theatre_time_s - view.link_said_s:.0f} s ago: {link.cycles} cycles, "
+        f"Robot link {view.theatre_time_s - view.link_said_s:.0f} s ago: {link.cycles} cycles{rate}, "
         + tag("span", counts, class_=late)
         + f"; turnaround {link.turnaround_median_us:.0f} µs median, {link.turnaround_p99_us:.0f} µs p99",
     )

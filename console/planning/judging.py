@@ -78,17 +78,11 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
     markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
     covariances_mm2 = np.array([one.covariance_mm2 for one in draft.markers]).reshape(-1, 3, 3)
     check, paths = _checked(plan, volume, markers_mm, theatre, thorough)
-    findings = (*missing, *check.findings)
-    if not thorough and theatre is not None and not check.findings and paths is not None and not paths.passed:
-        return replace(
-            judged,
-            findings=missing,
-            warnings=tuple(f"{one.pose}: {one.reason}" for one in paths.unmet) + check.warnings,
-        )
+    unmet = () if thorough or paths is None else paths.unmet  # of a thorough check they are findings
     return replace(
         judged,
-        findings=findings,
-        warnings=check.warnings,
+        findings=(*missing, *check.findings),
+        warnings=(*(f"{one.pose}: {one.reason}" for one in unmet), *check.warnings),
         expected=_expected(plan, markers_mm, covariances_mm2, theatre, paths),
         reached=_in_words(check),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.engine.events import Bodies, Pose
@@ -41,6 +42,17 @@ def upright(start: Point, end: Point) -> Rows:
     x = _unit(_cross(helper, z))
     y = _cross(z, x)
     return [[x[row], y[row], z[row]] for row in range(3)]
+
+
+def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point) -> Point | None:
+    """The place on the axis of a trajectory where the tool that is on it ends; None without a tool."""
+    depth_mm = math.dist(entry, target)
+    shares = [
+        sum((p - t) * (e - t) for p, t, e in zip(point, target, entry, strict=True)) / depth_mm**2
+        for axis in tool_mm
+        for point in ends(axis)
+    ]
+    return _along(target, entry, min(shares)) if shares else None
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:

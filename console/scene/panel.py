@@ -7,7 +7,17 @@ from nicegui import ui
 from console.feed.view import CaseView
 from console.panels.html import tag, text
 from console.scene.sights import HIDDEN, VOLUME
-from console.scene.theatre_scene import ARM, CT, OLD_S, PATH, STEREO, TRACKER, TheatreScene
+from console.scene.theatre_scene import (
+    ARM,
+    CAPTION,
+    CT,
+    INSTRUMENT,
+    OLD_S,
+    PATH,
+    STEREO,
+    TRACKER,
+    TheatreScene,
+)
 from procedures.reporting.case_figures import CaseFigures
 
 MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
@@ -17,6 +27,7 @@ KEY = (
     ("tracker", TRACKER),
     ("stereo head", STEREO),
     ("plan", PATH),
+    (CAPTION, INSTRUMENT),
     ("hidden from the tracker", HIDDEN),
     ("measuring volume", VOLUME),
 )

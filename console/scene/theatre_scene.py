@@ -8,7 +8,7 @@ from nicegui import ui
 
 from console.feed.view import CaseView
 from console.scene.actors import Call, Capsule, Rod, placed
-from console.scene.bodies import METRES, Closest, Point, closest_pair, ends
+from console.scene.bodies import METRES, Closest, Point, closest_pair, ends, guide_end
 from console.scene.sights import Sights
 from procedures.engine.events import Bodies, Pose
 from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
@@ -19,8 +19,10 @@ BACKGROUND = "#26333e"  # dark in both themes, so that bodies of every colour st
 ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
 SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
+INSTRUMENT, CAPTION = "#e7f04c", "instrument, as planned"  # nothing measures it
 LINKS = 4  # the first of the moving bodies are the arm's own: drawn in its colour
 OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
+AT_TARGET = "at_target"  # topic of the question that stands while the instrument is at depth
 OLD_S = 0.5  # theatre time after which a pose is greyed out
 BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
@@ -50,6 +52,8 @@ class TheatreScene:
         self._grey: bool | None = None
         self._figures: object = None
         self._marks: list[Any] = []
+        self._inserted: tuple[Point, Point] | None = None
+        self._instrument: list[Any] = []
         self._head: Any = None
         self._head_count = 0
         with self.scene:
@@ -66,6 +70,7 @@ class TheatreScene:
             if key != self._figures:
                 self._figures = key
                 self._build_marks(figures, heads)
+            self._show_instrument(_inserted(view, figures))
             self._sights.show(view, figures)
             if view.pose is None:
                 self._pose = None
@@ -180,11 +185,24 @@ class TheatreScene:
 
     def _path(self, name: str, entry: Point, target: Point) -> None:
         out = tuple(e + OUTSIDE * (e - t) for e, t in zip(entry, target, strict=True))
-        rod = Rod(self.scene, 1.2, PATH)
-        self.scene.run_method("run_methods", rod.place((out[0], out[1], out[2]), target))
-        self._marks.append(rod.group)
+        self._marks.append(self._rod(1.2, PATH, (out[0], out[1], out[2]), target))
         self._ball(target, PATH, share=0.4)
         self._label(name, (out[0], out[1], out[2]))
+
+    def _rod(self, radius_mm: float, colour: str, start: Point, end: Point) -> Any:
+        rod = Rod(self.scene, radius_mm, colour)
+        self.scene.run_method("run_methods", rod.place(start, end))
+        return rod.group
+
+    def _show_instrument(self, inserted: tuple[Point, Point] | None) -> None:
+        if inserted == self._inserted:
+            return
+        for one in self._instrument:
+            one.delete()
+        self._inserted, self._instrument = inserted, []
+        if inserted is not None:
+            caption = self.scene.text(CAPTION, LABEL).move(*(value * METRES for value in inserted[0]))
+            self._instrument = [self._rod(2.0, INSTRUMENT, *inserted), caption]
 
     # Views
 
@@ -212,3 +230,13 @@ class TheatreScene:
         x, y, z = (value * METRES for value in place)
         a, b, c = (value * METRES for value in looks_at)
         self.scene.move_camera(x, y, z, a, b, c, duration=0.0)
+
+
+def _inserted(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
+    """Both ends of the instrument that is at its target, as planned; none while there is no such."""
+    topic, _, name = (view.question.topic if view.question else "").partition(":")
+    path = next((one for one in figures.trajectories if one.name == name), None) if figures else None
+    if topic != AT_TARGET or path is None or view.pose is None:
+        return None
+    end = guide_end(view.pose.pose.bodies_mm[LINKS:], path.entry_mm, path.target_mm)
+    return None if end is None else (end, path.target_mm)

@@ -322,8 +322,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     def _grab(self, deadline_s: float) -> StereoReading:
         reading = self._streams.grab(self._sequence + 1, deadline_s)
         self._sequence += 1
-        self._last_pair = reading
-        return reading
+        return self._keep(reading)
 
     def _release_all(self) -> None:
         if self._cameras is not None:

@@ -10,7 +10,8 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readings import AreaOfInterest, StereoReading
+from ronna_hw.devices.readiness import counted_fact
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
 
@@ -37,6 +38,7 @@ class PairDevice(Generic[C]):
         self._exposure: tuple[float, int | None] = (options.exposure_us, options.gain_raw)
         self._sequence = 0
         self._last_pair: StereoReading | None = None
+        self._unusable = 0
 
     @property
     def name(self) -> str:
@@ -64,7 +66,13 @@ class PairDevice(Generic[C]):
         return left.area, right.area
 
     def observe(self) -> LastKnown[StereoReading]:
-        return self._guard.last_known(self._last_pair)
+        return self._guard.last_known(self._last_pair, counted_fact("unusable pairs", self._unusable))
+
+    def _keep(self, pair: StereoReading) -> StereoReading:
+        """Note a new pair for `observe`."""
+        self._last_pair = pair
+        self._unusable += pair.validity is not Validity.OK
+        return pair
 
     @property
     def _pair(self) -> tuple[C, C]:

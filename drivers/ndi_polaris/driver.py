@@ -38,6 +38,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.readiness import counted_fact
 from ronna_hw.devices.readings import TrackerFrame, Vector3
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -156,7 +157,8 @@ class PolarisTracker:
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
     def observe(self) -> LastKnown[TrackerFrame]:
-        return self._guard.last_known(self._last_frame)
+        says = counted_fact("disturbed replies", self.statistics.disturbed)
+        return self._guard.last_known(self._last_frame, says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)

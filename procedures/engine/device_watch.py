@@ -72,8 +72,12 @@ class DeviceWatch:
                 self._publish_volume(role, device)
             if not isinstance(seen.reading, StampedReading):
                 continue
-            age_s = max(0.0, self._now_s() - seen.reading.stamp.theatre_time_s)
-            self._events.publish(DeviceAge(device=role, age_s=age_s, validity=seen.reading.validity))
+            reading = seen.reading
+            age_s = max(0.0, self._now_s() - reading.stamp.theatre_time_s)
+            count = None if isinstance(reading, ArmReading) else reading.stamp.sequence  # its link has cycles
+            self._events.publish(
+                DeviceAge(device=role, age_s=age_s, validity=reading.validity, readings=count)
+            )
             if isinstance(seen.reading, ArmReading):
                 joints_rad = seen.reading.joints_rad
                 pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)

@@ -21,6 +21,11 @@ class Fact:
     advice: str = ""
 
 
+def counted_fact(name: str, count: int) -> tuple[Fact, ...]:
+    """What a driver counted, as it tells it unsolicited; nothing while there was none."""
+    return (Fact(name, str(count)),) if count else ()
+
+
 @runtime_checkable
 class TellsReadiness(Protocol):
     """A device that can report more about its readiness than that it answers."""

@@ -19,6 +19,7 @@ from drivers.basler_stereo.errors import (
     TriggerMissed,
 )
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.host.network_interfaces import interface_of
 
@@ -81,6 +82,7 @@ def test_a_frame_lost_for_good_leaves_its_partner_intact(cameras):
     assert reading.right.validity is Validity.OK
     cameras.heal()
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    assert pair.observe().says == (Fact("unusable pairs", "1"),)
 
 
 @pytest.mark.hazard(25)

@@ -128,8 +128,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         one, and, with FAULT latched, GEV-014. After an incomplete pair the streams restart.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
-        self._last_pair = self._watched(lambda: self._grab(time.monotonic() + timeout_s))
-        return self._last_pair
+        return self._keep(self._watched(lambda: self._grab(time.monotonic() + timeout_s)))
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED: reconnects to the same cameras and restores areas and exposure."""

@@ -40,6 +40,7 @@ class TrackingStatistics:
 
     frames: int = 0
     repeated: int = 0
+    disturbed: int = 0  # replies that had to be requested again
     missed: int = 0  # measurements made between two of our requests
 
 
@@ -90,7 +91,9 @@ class Tracking:
     def read(self, deadline_s: float) -> TrackerFrame:
         """The next frame; raises like `PolarisTracker.read_frame`."""
         asked_s = self._clock.now_s()
+        retries = self._link.statistics.retries
         reply, count = self._newest(deadline_s)
+        self.statistics.disturbed += self._link.statistics.retries - retries
         arrived_s = self._clock.now_s()
         self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], min(self._link.waited_s, arrived_s - asked_s))
         if reply.system_status & ALARMING_STATUS:

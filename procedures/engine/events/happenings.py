@@ -163,6 +163,7 @@ class DeviceAge(_Happening):
     kind: Literal["age"] = "age"
     device: str
     age_s: float = Field(description="Theatre time.")
+    readings: int | None = Field(default=None, description="How many there were since it was activated.")
     validity: str = Field(default="", description="Of the reading, such as `ok` or `partial`.")
 
     @property

@@ -147,7 +147,26 @@ def test_the_health_of_the_robot_link_is_shown_with_its_age() -> None:
     said = Event(number=1, host_time=MOMENT, theatre_time_s=3.0, what=health)
     seen = DeviceState(device="arm", state="fault")
     later = Event(number=2, host_time=MOMENT, theatre_time_s=45.0, what=seen)
-    assert "Robot link 42 s ago: 100 cycles" in devices(fold(fold(CaseView(), said), later))
+    view = fold(CaseView(), said)
+    assert "Robot link 42 s ago: 100 cycles, " in devices(fold(view, later))
+    again = health.model_copy(update={"cycles": 1100})
+    moved = Event(number=3, host_time=MOMENT, theatre_time_s=53.0, what=again)
+    assert "1100 cycles at 20 Hz, " in devices(fold(fold(view, later), moved))
+
+
+def test_the_rate_of_a_device_is_that_of_its_last_second_and_starts_again_with_it() -> None:
+    def shown(*counts: tuple[float, int]) -> str:
+        seen = DeviceState(device="tracker", state="active")
+        view = fold(CaseView(), Event(number=1, host_time=MOMENT, theatre_time_s=0.0, what=seen))
+        for number, (at_s, count) in enumerate(counts, start=2):
+            age = DeviceAge(device="tracker", age_s=0.0, readings=count)
+            view = fold(view, Event(number=number, host_time=MOMENT, theatre_time_s=at_s, what=age))
+        return devices(view)
+
+    assert "60 Hz" in shown((0.0, 1), (0.5, 20), (1.0, 61))
+    assert "60 Hz" in shown((0.0, 1), (1.0, 61), (1.2, 61))
+    assert "0 Hz" in shown((0.0, 1), (1.0, 61), (2.0, 61))
+    assert "Hz" not in shown((0.0, 1), (1.0, 61), (2.0, 3))
 
 
 def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:

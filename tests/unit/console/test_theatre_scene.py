@@ -6,12 +6,13 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import replace
 
+import pytest
 from nicegui import Client, ui
 
 from console.feed.view import CaseView, StoodPose
 from console.scene.theatre_scene import TheatreScene
-from procedures.engine.events import Bodies, Body, Pose
-from procedures.reporting.case_figures import CaseFigures
+from procedures.engine.events import Bodies, Body, Pose, Questioned
+from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
 from ronna_hw.frames import Frame, Transform
 
 PLACED = CaseFigures(
@@ -66,5 +67,32 @@ def test_the_clearance_disappears_when_nothing_is_near_and_when_it_is_not_known(
             scene.show(other, None, 0)
             assert scene.closest is None
             assert not scene._near.group.visible_
+
+    in_a_scene(do)
+
+
+def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target_while_it_is_there() -> None:
+    tool = ((0, 0, 400, 0, 0, 190), (-8, 2, 180, 8, 2, 180))  # of a guide that ends 30 mm before the entry
+    links = ((500, 0, 0, 500, 0, 900),) * 4
+    pose = NEAR.model_copy(update={"bodies_mm": (*links, *tool)})
+    path = TrajectoryFigure("T2", entry_mm=(0.0, 0.0, 150.0), target_mm=(0.0, 0.0, 100.0))
+    there = CaseFigures(trajectories=(path,))
+    asked = Questioned(
+        question=1, topic="at_target:T2", subject="s", value="v", answers=("done", "hold"), timeout_s=None
+    )
+
+    def do(scene: TheatreScene) -> None:
+        view = CaseView(pose=StoodPose(pose, 0.0), question=asked)
+        scene.show(view, there, 0)
+        assert scene._inserted == ((0.0, 0.0, 180.0), path.target_mm)
+        rod, caption = scene._instrument
+        assert (rod.z, rod.sz) == (pytest.approx(0.18), pytest.approx(0.08))
+        assert caption.args[0] == "instrument, as planned"
+        for other in (None, asked.model_copy(update={"topic": "retreat:T2"})):
+            scene.show(view, there, 0)
+            scene.show(replace(view, question=other), there, 0)
+            assert scene._instrument == []
+        scene.show(view, None, 0)
+        assert scene._instrument == []
 
     in_a_scene(do)

@@ -106,11 +106,11 @@ def test_a_failing_final_observation_raises_nothing() -> None:
 
 
 def test_the_age_of_a_reading_of_another_kind_is_published_and_a_bare_number_has_none() -> None:
-    pressed = SimpleNamespace(stamp=Stamp(1, 0, 4.0), validity=Validity.STALE)
+    pressed = SimpleNamespace(stamp=Stamp(7, 0, 4.0), validity=Validity.STALE)
     ages = []
     for reading in (pressed, 0.3, None):
         seen = LastKnown[object](Lifecycle.ACTIVE, None, reading)
         watch, reader = watched(SimpleNamespace(observe=lambda seen=seen: seen, notices=()))
         watch.look()
         ages.append([event.what for event in reader.read(0).events if event.what.kind == "age"])
-    assert ages == [[DeviceAge(device="arm", age_s=1.0, validity="stale")], [], []]
+    assert ages == [[DeviceAge(device="arm", age_s=1.0, validity="stale", readings=7)], [], []]

@@ -12,6 +12,7 @@ from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost, NoReply
 from ronna_hw.devices import LastKnown, Lifecycle, OpticalTracker
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.readiness import Fact
 
 Make = Callable[..., PolarisTracker]
 
@@ -44,6 +45,22 @@ def test_the_tracker_can_be_observed_in_every_state(make_tracker: Make) -> None:
         assert device.observe() == LastKnown(Lifecycle.ACTIVE, None, frame)
     device.close()
     assert device.observe() == LastKnown(Lifecycle.CLOSED, None, frame)
+
+
+def test_a_reply_that_had_to_be_requested_again_is_counted_where_the_tracker_is_observed(
+    tracker: PolarisTracker, unit: Any
+) -> None:
+    usual = unit.deliver
+
+    def spoilt_once(command: str, reply: bytes) -> Any:
+        if command == "BX":
+            unit.deliver = usual
+            reply = reply[:-1] + bytes([reply[-1] ^ 1])
+        return usual(command, reply)
+
+    unit.deliver = spoilt_once
+    tracker.read_frame()
+    assert tracker.observe().says == (Fact("disturbed replies", "1"),)
 
 
 def test_tracking_stops_and_restarts_at_frame_0(tracker: PolarisTracker) -> None:

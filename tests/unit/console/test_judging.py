@@ -1,0 +1,57 @@
+"""A draft judged with the arm of the mini theatre, first without clearance and then like the check."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan_desks import ENTRY, TARGET, scan
+from recording_cell import mini_theatre_file
+
+from console.planning.draft import Draft, Way
+from console.planning.judging import judge
+from procedures.imaging.markers import Marker
+from procedures.planning.theatre.arm import SixNumbers, TheatreArm, theatre_arm
+from procedures.strategies.catalogue import strategy_named
+
+NEAR: SixNumbers = (700.0, 0.0, 100.0, -90.0, 0.0, -90.0)
+FAR: SixNumbers = (1500.0, 0.0, 250.0, -90.0, 0.0, -90.0)
+CENTRES_MM = ((40.0, -40.0, 77.0), (-40.0, -45.0, 73.0), (0.0, -80.0, 47.0))
+DRAFT = Draft(
+    "HFS",
+    implanted=3,
+    instrument_length_mm=250.0,
+    ways=(Way("T1", ENTRY, TARGET),),
+    markers=tuple(Marker(np.array(centre), 0.01 * np.eye(3), 5.75, 1.0, 0.0) for centre in CENTRES_MM),
+)
+
+
+def arm_at(place: Path, robot_from_ct: SixNumbers) -> TheatreArm:
+    file = mini_theatre_file(place, simulated=True)
+    return theatre_arm(file, robot_from_ct, None, strategy_named("ocs"))
+
+
+def test_a_plan_within_reach_is_judged_with_the_arms_own_errors(tmp_path: Path) -> None:
+    theatre = arm_at(tmp_path, NEAR)
+    quick = judge(DRAFT, scan(), theatre, thorough=False)
+    assert (quick.findings, quick.thorough) == ((), False)
+    assert quick.expected["T1"].with_arm
+    alone = judge(DRAFT, scan(), None, thorough=True).expected["T1"]
+    assert quick.expected["T1"].rms_mm > alone.rms_mm
+
+
+@pytest.mark.slow
+def test_the_thorough_look_refuses_what_is_within_reach_and_too_near_the_head(tmp_path: Path) -> None:
+    judged = judge(DRAFT, scan(), arm_at(tmp_path, NEAR), thorough=True)
+    assert judged.thorough
+    assert "PLAN-007: T1/target" in " ".join(map(str, judged.findings))
+    assert not judged.expected["T1"].with_arm
+
+
+def test_a_target_out_of_reach_still_has_the_error_that_the_markers_alone_predict(tmp_path: Path) -> None:
+    judged = judge(DRAFT, scan(), arm_at(tmp_path, FAR), thorough=False)
+    assert [one for one in judged.warnings if one.startswith("T1/")]
+    alone = judge(DRAFT, scan(), None, thorough=True)
+    assert judged.expected == alone.expected
+    assert not judged.expected["T1"].with_arm
