@@ -99,6 +99,7 @@ def made_engine(
         calibrating=wanted.calibrations is not None,
         history=history,  # at once: a run may be closed before it is compared with anything
     )
+    _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
     journal.write(
         Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
         theatre.clock.now_s(),

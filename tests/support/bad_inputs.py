@@ -15,8 +15,10 @@ from typing import Any
 import tomli_w
 import typer
 from plan_toml import PLAN, VESSEL
+from recording_cell import ENDPOINTS
 
 from ronna_hw.errors import EXIT_USAGE
+from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import named_scene
 
 
@@ -86,6 +88,10 @@ focal_px = [0.0113, 0.0113]
 principal_point_px = [1023.5, 543.5]
 camera_from_tool = { translation_mm = [0.0, 0.0, 250.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0] }
 """
+ROM = "robot_frame.rom"
+LAB = tomli_w.dumps(  # with everything that a case needs
+    theatre_content(named_scene("mini"), ENDPOINTS, "host:", {"robot_frame": ROM}, 1.0)
+).replace("127.", "172.")
 TOOL = 'part_number = "8700000"\nmarkers_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0]]\n'
 
 
@@ -137,6 +143,12 @@ def _files() -> dict[str, str | bytes]:
         "silence.toml": THEATRE + ROBOT + "[robot.master.options]\nsilence_limits = 0.25\n",
         "speed.toml": THEATRE + ROBOT + "[robot.master.options]\nspeed_fraction = 2.0\n",
         "robot.toml": THEATRE + ROBOT,
+        "lab_driver.toml": LAB.replace('"basler_stereo"', '"basler"'),
+        "lab_stereo.toml": LAB.replace("left_serial = ", "left_seriall = "),
+        "lab_rom.toml": LAB.replace(f'rom = "{ROM}"', f'rom = "{ROM}", sha256 = "{64 * "0"}"'),
+        "lab_arm.toml": LAB.replace('variant = "kr6_r900_sixx"', 'variant = "kr6_r900_2"'),
+        "patient/ct/readme.txt": "hello\n",
+        "patient/plan.toml": PLAN,
         "semicolon.csv": "x;y;z\n1;2;3\n",
         "two.csv": "1,2\n",
         "words.csv": "left,back,top\n",

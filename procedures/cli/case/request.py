@@ -15,9 +15,9 @@ from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from ronna_hw.calibration import CalibrationExpired
+from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.host.folder_walk import walk
 from ronna_hw.log_output import LOG_FILE
 
@@ -148,11 +148,12 @@ def run_folder(request: CaseRequest) -> Iterator[Path]:
 
 
 def forget_if_refused(folder: Path, problem: BaseException) -> None:
-    """Remove a run folder whose theatre, patient or records were refused: what they began is of no use."""
-    refused = isinstance(problem, CalibrationExpired | TheatreNotNoted) or (
+    """Remove a run folder that was refused before its journal had a line: what it began is of no use."""
+    refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (
         isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
     )
-    if refused and not (folder / JOURNAL_FILE).exists():
+    journal = folder / JOURNAL_FILE
+    if refused and not (journal.exists() and journal.stat().st_size):
         shutil.rmtree(folder, ignore_errors=True)
 
 
