@@ -84,6 +84,8 @@ def test_the_lab_engineer_gets_from_a_cell_full_of_faults_to_a_finished_case(lab
     code, text = lab.to("ronna-procedure run")
     assert code == EXIT_REFUSED, text
     assert "CAL-001" in text
+    assert "held>" not in text
+    assert not (lab.folder / "runs").exists()
     lab.to("ronna-procedure calibrate tracker-frame")
     lab.to("ronna-procedure calibrate tool-tip")
     assert lab.to("ronna-procedure doctor")[0] == 0
