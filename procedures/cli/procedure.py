@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -100,6 +101,7 @@ def doctor_command(
             "tcp://host:port or gev://host.",
         ),
     ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),
     as_json: JsonOption = False,
 ) -> None:
     """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
@@ -108,15 +110,15 @@ def doctor_command(
     which program holds the port. A camera's address: which cameras are on its network, which application
     controls it, which packet size arrives. Ends with a verdict for each device and one for a case, which
     names whatever `run` would refuse. Tracker and cameras are switched on for this; nothing moves. Exit
-    codes: 0 every device and record is ready, 3 an endpoint of a theatre that is in use, 4 a device, line,
-    camera or the theatre's clock does not answer or is not ready, or a calibration record has expired. With 0
-    the case may still be NOT READY, for the theatre file or this computer.
+    codes: 0 everything is ready, 4 a device, line, camera or the theatre's clock does not answer or is not
+    ready, or a calibration record has expired, 3 the case is not ready for another reason, or an endpoint is
+    of a theatre that is in use.
     """
     from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.terminal import progress_bar
 
     with progress_bar("probing the devices") as progress:
-        report = examine(config, endpoint or (), progress)
+        report = examine(config, endpoint or (), progress, out=out)
     show(report, as_json=as_json)
 
 

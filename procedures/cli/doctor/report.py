@@ -12,9 +12,9 @@ from typing import Any
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
-from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
+from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
 from procedures.cli.doctor.theatre_use import RUN, use_diagnostics
-from procedures.cli.doctor.verdicts import Verdict, verdicts
+from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
 from procedures.engine.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
@@ -22,7 +22,7 @@ from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
 from ronna_hw.devices.probing import Diagnostic, Inspection, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
-from ronna_hw.errors import EXIT_NOT_FOUND
+from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
 from ronna_hw.registry import endpoint_probes, load_probe
 
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
@@ -51,9 +51,13 @@ class Report:
 
 
 def examine(
-    config: Path | None, endpoints: Sequence[str] = (), progress: Progress = lambda share: None
+    config: Path | None,
+    endpoints: Sequence[str] = (),
+    progress: Progress = lambda share: None,
+    *,
+    out: Path = RUNS,
 ) -> Report:
-    """Look at the computer, at each endpoint, and at every device of a theatre file.
+    """Look at the computer, at each endpoint, and at every device of a theatre file, for runs in `out`.
 
     Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at, PRO-043 for one
     of a theatre that a run uses.
@@ -71,7 +75,7 @@ def examine(
             *tool_diagnostics(file, now),
             *setting_diagnostics(file),
         )
-        case = (*use_diagnostics(config), *case_diagnostics(file))
+        case = (*use_diagnostics(config), *case_diagnostics(file, out))
         if any(one in endpoints_of(device) for device in file.devices.values() for one in parsed):
             require_free_theatre(config)
         if all(one.subject != RUN for one in case):
@@ -89,11 +93,15 @@ def examine(
 
 
 def show(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics; ends with exit code 4 where a device, endpoint or calibration has a problem."""
+    """Print the diagnostics. Ends with exit code 4 where a device, endpoint or calibration has a problem, and
+    with 3 where only something else keeps a case from beginning.
+    """
     show_findings(report, as_json=as_json)
     in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
     if not all(diagnostic.well for diagnostic in in_use + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
+    if not all(verdict.ready for verdict in report.verdicts if verdict.of == CASE):
+        raise SystemExit(EXIT_REFUSED)
 
 
 def show_findings(report: Report, *, as_json: bool) -> None:

@@ -15,11 +15,12 @@ from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
 CLOCK = "clock of the theatre"
+RUNS = Path("runs")  # where a case is written by default
 NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
 
 
-def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Everything that keeps a case from beginning with any devices and records."""
+def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
+    """Everything that keeps a case in a folder of `out` from beginning with any devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
     yield from _judged("theatre file", kind, lambda: require_one_kind(theatre))
     yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
@@ -33,7 +34,8 @@ def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     yield from _judged(
         "open files", f"at least {CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
     )
-    folder = Path.cwd()  # where runs are written by default
+    whole = out.resolve()
+    folder = next(path for path in (whole, *whole.parents) if path.exists())  # a run makes the others
     full = DiskSpace(folder).unmet()
     found = f"{folder}: {full or 'enough for a case'}"
     yield Diagnostic("disk", full is None, found, "" if full is None else "Free some space.")

@@ -14,11 +14,12 @@ import pytest
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.report import Report, examine, show
+from procedures.cli.doctor.verdicts import Verdict
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
-from ronna_hw.errors import EXIT_NOT_FOUND, ConnectError
+from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, ConnectError
 
 WELL = Diagnostic("line tcp://127.0.0.1:1", True, "answered", section="lines", document={"baud": 9600})
 UNWELL = Diagnostic("device tracker", False, "silent", "Switch it on.")
@@ -112,8 +113,11 @@ def test_the_disk_check_names_the_folder_that_it_looked_at(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
-    (disk,) = (one for one in examine(Path("theatre.toml")).case if one.subject == "disk")
-    assert disk.seen.startswith(f"{tmp_path}: ")
+    (elsewhere := tmp_path / "elsewhere").mkdir()
+    for out, judged in ((Path("runs"), tmp_path), (elsewhere / "runs", elsewhere)):
+        found = examine(Path("theatre.toml"), out=out).case
+        (disk,) = (one for one in found if one.subject == "disk")
+        assert disk.seen.startswith(f"{judged}: ")
 
 
 @pytest.mark.parametrize(
@@ -201,6 +205,13 @@ def test_an_unhealthy_device_gives_exit_code_4(capsys: pytest.CaptureFixture[str
 def test_an_unhealthy_computer_does_not_affect_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     show(Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
     assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out
+
+
+def test_a_case_that_is_not_ready_gives_exit_code_3() -> None:
+    missing = Verdict("case", False, ("devices of a case: without stereo",))
+    with pytest.raises(SystemExit) as ended:
+        show(Report((), (WELL,), verdicts=(missing,)), as_json=True)
+    assert ended.value.code == EXIT_REFUSED
 
 
 def test_an_expired_calibration_is_a_problem_in_the_json_output_too() -> None:
