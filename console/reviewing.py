@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import threading
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from console.feed.recorded import RecordedCase
 from console.hub import Hub
 from procedures.engine.events import Event
 from procedures.engine.events.followed_run import FollowedRun
-from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.errors import RonnaError
 
@@ -53,4 +52,4 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
         threading.Thread(target=follow, name="follow the run", daemon=True).start()
         await asyncio.Event().wait()
 
-    serve_hub(hub, port, work, lambda ready: tell(f"CONSOLE {json.dumps(ready)}"), viewers)
+    serve_hub(hub, port, work, tell_address, viewers)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from typing import Annotated
 
 import typer
 
 from ronna_hw.command_line import terminal
+from ronna_hw.command_line.messages import tell_address
 
 FORM_BYTES = 10_000  # in addition to an imported file
 
@@ -41,7 +41,7 @@ def open_planner(
             lambda application: add_planner(application, desk),
             asked.port,
             desk.work,
-            lambda ready: terminal.tell(f"CONSOLE {json.dumps(ready)}"),
+            tell_address,
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
         )
     finally:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import sys
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, TextIO
 
 from ronna_hw.errors import RonnaError
@@ -26,6 +28,13 @@ def tell(line: str) -> None:
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
+
+
+def tell_address(addresses: Mapping[str, str], tell: Callable[[str], None] = tell) -> None:
+    """Print where a page is served: one line for scripts; on a terminal also its address, to click."""
+    tell(f"CONSOLE {json.dumps(addresses)}")
+    if on_terminal(sys.stderr):
+        tell(f"open {addresses['url']}")
 
 
 def say(line: str = "") -> None:

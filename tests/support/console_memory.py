@@ -14,7 +14,7 @@ MEGABYTE = 1e6
 
 @dataclass(frozen=True)
 class Minute:
-    """Resident memory at the end of a minute, and how many tabs had been opened and closed by then."""
+    """Memory of its own at the end of a minute, and how many tabs had been opened and closed by then."""
 
     megabytes: float
     tabs: int
@@ -37,5 +37,5 @@ def memory_by_minute(folder: Path, minutes: int) -> list[Minute]:
                 page.wait_for_selector("#clock[data-beat]")
                 page.close()
                 tabs += 1
-            found.append(Minute(process.memory_info().rss / MEGABYTE, tabs))
+            found.append(Minute(process.memory_full_info().uss / MEGABYTE, tabs))
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import socket
 import struct
 import threading
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.console.desk import Desk
 from procedures.engine.events import EventStream
 from procedures.engine.orders import LONGEST_BYTES, Reply, read_order
-from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.messages import tell, tell_address
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildProcess, command
 
@@ -115,7 +114,7 @@ class ConsoleLink:
             self._gone()
             self._answered.set()
             return
-        self._say(f"CONSOLE {json.dumps(ready)}")
+        tell_address(ready, self._say)
         self._answered.set()
         self._hear()
 

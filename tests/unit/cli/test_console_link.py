@@ -19,6 +19,7 @@ from procedures.cli.console.desk import Desk
 from procedures.cli.console.options import ConsoleOptions
 from procedures.cli.console.seat import LEASE_S
 from procedures.engine.orders import Claim
+from ronna_hw.command_line import messages
 from ronna_hw.command_line.errors import UsageMistake
 
 
@@ -31,7 +32,7 @@ class Listening:
         self.process = self
 
     def await_ready(self, _limit_s: float) -> dict[str, str]:
-        return {}
+        return {"url": "http://127.0.0.1:1/?token=t"}
 
     def wait(self, timeout: float) -> None:
         pass
@@ -108,3 +109,14 @@ def test_a_port_in_use_is_reported_before_a_theatre_is_opened() -> None:
         port = taken.getsockname()[1]
         with pytest.raises(UsageMistake, match=rf"CLI-001: --console-port {port} cannot be used: .*in use"):
             ConsoleOptions(console=True, console_port=port).request()
+
+
+@pytest.mark.parametrize(("terminal", "lines"), [(False, ["CONSOLE"]), (True, ["CONSOLE", "open"])])
+def test_the_address_of_a_page_is_one_line_for_scripts_and_on_a_terminal_another_to_click(
+    monkeypatch: pytest.MonkeyPatch, terminal: bool, lines: list[str]
+) -> None:
+    monkeypatch.setattr(messages, "on_terminal", lambda _stream: terminal)
+    told: list[str] = []
+    messages.tell_address({"url": "http://127.0.0.1:1/?token=t"}, told.append)
+    assert [line.split()[0] for line in told] == lines
+    assert told[-1].endswith(("http://127.0.0.1:1/?token=t", '"}'))

@@ -157,12 +157,18 @@ def hammered(folder: Path, count: int) -> int:
         with waiting_in(folder / str(left)) as console:
             console.hub._now_s = itertools.count(1.0).__next__  # slowly enough for a person
             headers = {"cookie": console.cookie_of_ana, "origin": ORIGIN}
+            sessions = console.sessions
+            secrets = [console.cookie_of_ana.partition("=")[2].encode(), str(folder).encode()]
+            secrets += [one.encode() for one in (sessions.operator_token, sessions.viewer_token)]
+            secrets += [one.identifier.encode() for one in sessions._sessions.values()]
             accepted = False
             while left and not accepted:
                 left -= 1
                 order = draw.choice(ORDERS)
                 body = mutated(json.dumps(order).encode(), draw) if left % 2 else altered(order, draw)
-                status = console.request("POST", "/orders", headers=headers, body=body).status
+                answer = console.request("POST", "/orders", headers=headers, body=body)
+                status = answer.status
+                assert not any(one in answer.body for one in secrets), body
                 accepted, reached = status == 200, reached + (status != 400)
                 if accepted:
                     assert as_ordered(body) in ORDERS, body
