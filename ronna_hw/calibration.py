@@ -21,6 +21,7 @@ from pydantic import (
     model_validator,
 )
 
+from ronna_hw.arm.catalogue import known_arm
 from ronna_hw.errors import EXIT_REFUSED, DataError
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
@@ -48,6 +49,7 @@ UNIT_NORM_TOLERANCE = 1e-6
 Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
+ArmName = Annotated[str, AfterValidator(known_arm)]
 
 STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
@@ -269,7 +271,7 @@ Rows = Annotated[
 class ArmCalibration(DatedRecord):
     """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
 
-    arm: Words = Field(description="Name of the kinematic model to correct.")
+    arm: ArmName = Field(description="Name of the kinematic model to correct.")
     serial: Words | None = Field(
         default=None, description="Serial number of the arm; absent where its controller reports none."
     )

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from procedures.workcell.errors import AnotherArm
 from ronna_hw.arm.calibrated import CalibratedArm
+from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import ArmCalibration
@@ -18,7 +19,11 @@ Sides = Sequence[int] | None
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
-    """The arm with its deviations; the nominal one without a record. Raises CAL-013 for another arm's."""
+    """The arm with its deviations; the nominal one without a record.
+
+    Raises CAL-013 for another arm's record, ARM-009 for an arm that calibrations could not find by its name.
+    """
+    kinematics_named(kinematics.name)
     if record is None:
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):

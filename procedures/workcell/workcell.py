@@ -61,7 +61,8 @@ class Workcell:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file; while
         `calibrating`, the record of a tool may be of a former tip. A resumed run has a `history` already.
 
-        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004, CAL-013.
+        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, ARM-009, CFG-004 and
+        CAL-013.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")

@@ -7,11 +7,12 @@ ARM-005 TooFast            a joint would exceed its working speed or acceleratio
 ARM-006 MotionInvalid      the motion generator rejected its input
 ARM-007 NotClear           on the path a body of the arm or its tool comes too close to another
 ARM-008 SurroundingsTooLarge  the cell has more bodies than the real-time process can hold
+ARM-009 UnknownArm         no arm of that name is known
 """
 
 from __future__ import annotations
 
-from ronna_hw.errors import DataError, LimitError
+from ronna_hw.errors import ConfigurationError, DataError, LimitError
 
 
 class Unreachable(LimitError):
@@ -64,3 +65,10 @@ class SurroundingsTooLarge(DataError):
 
     code = "ARM-008"
     action = "Use fewer bodies and shorter names in [cell] of the theatre file."
+
+
+class UnknownArm(ConfigurationError):
+    """A calibration record, or a driver, names an arm that is not in the catalogue."""
+
+    code = "ARM-009"
+    action = "Correct the name, or install the package that brings the arm."

@@ -51,10 +51,14 @@ class StampedReading(Protocol):
     """Any reading that tells when it was made and whether it can be used."""
 
     @property
-    def stamp(self) -> Stamp: ...
+    def stamp(self) -> Stamp:
+        """When it was made."""
+        ...
 
     @property
-    def validity(self) -> Validity: ...
+    def validity(self) -> Validity:
+        """Whether it can be used."""
+        ...
 
 
 _TO_SEE = {

@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from procedures.calibration.observations import Joints
 from procedures.calibration.same_theatre import Measurements
-from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.calibration import (
     ArmCalibration,
+    ArmName,
     Dated,
     Numbers3,
     StereoHeadCalibration,
@@ -44,7 +44,7 @@ class ArmLooks(Measurements):
     """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    arm: str = Field(description="Name of the arm's kinematic model.")
+    arm: ArmName = Field(description="Name of the arm's kinematic model.")
     arm_serial: str = Field(default="", description="Its serial number, if its controller reports one.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
@@ -56,15 +56,6 @@ class ArmLooks(Measurements):
     def records(self) -> Mapping[str, Dated | None]:
         """As `Measurements.records`."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.tool_tip}
-
-    @field_validator("arm")
-    @classmethod
-    def _is_known(cls, name: str) -> str:
-        try:
-            kinematics_named(name)
-        except ValueError as error:
-            raise ValueError(f"there is no arm named {name!r}") from error
-        return name
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def test_without_a_record_of_the_arm_no_setting_makes_its_errors_smaller_than_un
 def test_with_a_record_of_the_arm_its_errors_are_those_of_the_record_whatever_is_set() -> None:
     dated = {"created": NOW, "expires": NOW, "identifier": "arm", "made_by": "test"}
     nothing = ArmDeviations.none(6).as_plain()
-    stated = ArmCalibration(arm="kr6_r900", scatter_mm=0.02, stated_error_mm=0.03, **dated, **nothing)
+    stated = ArmCalibration(arm="kr6_r900_sixx", scatter_mm=0.02, stated_error_mm=0.03, **dated, **nothing)
     for typed in (settings(0.016, 0.1), settings(0.15, 2.0)):
         found = ErrorSizes.stated(typed, stated)
         assert found.tool_mm == pytest.approx(0.0173, abs=1e-4)
