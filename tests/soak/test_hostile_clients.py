@@ -13,6 +13,7 @@ from itertools import count
 
 import psutil
 import pytest
+from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
 from hostile_clients import camera_commands, loading, maltreat, with_right_checksum
 from waiting import eventually
 
@@ -32,14 +33,6 @@ GROWTH_LIMIT_BYTES = 24 << 20
 HELD = 2  # connections of former malices that stay open
 COMMANDS_AT_ONCE = 100
 DISCOVERY = bytes.fromhex("4201000200000001")
-STATUS = b'<Cmd Id="1" Name="STATUS"></Cmd>'
-COMMANDS = (
-    STATUS,
-    b'<Cmd Id="2" Name="SET_OV" Val="50"></Cmd>',
-    b'<Cmd Id="3" Name="PTP_AXIS" A1="1" A2="-90" A3="90" A4="0" A5="60" A6="0" Vel="10" Acc="10"></Cmd>',
-    b'<Cmd Id="4" Name="SET_TOOL" No="1" X="0" Y="0" Z="0" A="0" B="0" C="0"></Cmd>',
-)
-REQUEST = b'<External REQTYPE="5" CycleTime="1" ControlMode="1"></External>\n'
 ROM = write_definition(robot_frame())
 FACELESS = with_right_checksum(ROM[:MARKER_FACES_OFFSET] + b"\0" + ROM[MARKER_FACES_OFFSET + 1 :])
 TRACKER = (
@@ -152,7 +145,10 @@ def controller() -> Iterator[ChildProcess]:
 @lengths
 @pytest.mark.parametrize(
     ("channel", "good", "answer"),
-    [("eki_project", COMMANDS, b'<State Id="1"'), ("eki", (REQUEST,), b"<Robot>")],
+    [
+        ("eki_project", CONTROLLER_COMMANDS, b'<State Id="0"'),
+        ("eki", CONTROLLER_REQUESTS, b"<Robot>"),
+    ],
 )
 def test_the_command_channels_of_the_arm_keep_serving_despite_hostile_clients(
     controller: ChildProcess, duration_s: float, channel: str, good: tuple[bytes, ...], answer: bytes
@@ -174,7 +170,7 @@ def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
 ) -> None:
     chosen = random.Random(3)
     where = parse_endpoint(controller.ready["endpoints"]["rsi"])
-    clients = StreamClients(controller.ready["endpoints"]["eki_project"], COMMANDS, seed=4)
+    clients = StreamClients(controller.ready["endpoints"]["eki_project"], CONTROLLER_COMMANDS, seed=4)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         link.bind((where.host, where.port))
         link.settimeout(SERVED_IN_S)
@@ -193,7 +189,7 @@ def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
         _last(
             controller,
             turn,
-            lambda: clients.asked_until(STATUS, lambda heard: b'<State Id="1"' in heard),
+            lambda: clients.asked_until(CONTROLLER_COMMANDS[0], lambda heard: b'<State Id="0"' in heard),
             duration_s,
         )
 

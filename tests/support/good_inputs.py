@@ -41,7 +41,6 @@ PARSER_NAMES = (
     "Polaris text",
     "Polaris .rom",
     "EKI",
-    "EKI request",
     "RSI",
     "RSI reply",
     "Ethernet file",
@@ -57,7 +56,6 @@ PARSER_NAMES = (
     "calibration figures",
     "room",
     "raw image",
-    "Polaris host line",
     "conformance BX",
     "DICOM JPEG",
     "DICOM JPEG-LS",
@@ -68,6 +66,11 @@ PARSER_NAMES = (
     "raw extent",
     "ledger",
     "recorded readings",
+    "simulated camera",
+    "simulated tracker",
+    "simulated tracker .rom",
+    "EKI request",
+    "EKI SDK request",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">
@@ -118,10 +121,30 @@ REPLIES = (
     b"<Sen Type='RONNA'>\n <IPOC>44</IPOC><AK A6='1e-3' A1='.5'></AK><EStr>a &lt; b</EStr>"
     b"<Stop> 0 </Stop></Sen>\n",
 )
-REQUESTS = (
-    b'<Cmd Id="1" Name="STATUS"></Cmd>',
-    b'<Cmd Id="2" Name="PTP_AXIS" A1="1" A2="-90" A3="90" A4="0" A5="0" A6="0" Vel="10"/>',
-    b'<External REQTYPE="0" CycleTime="1" ControlMode="1"></External>\n' + bytes(40),
+CONTROLLER_COMMANDS = tuple(
+    b'<Cmd Id="%d" Name=%b></Cmd>' % (number, command)
+    for number, command in enumerate(
+        (
+            b'"STATUS"',
+            b'"DRIVES" On="1"',
+            b'"SET_TOOL" No="1" X="0" Y="0" Z="0" A="0" B="0" C="0"',
+            b'"SET_BASE" No="1" X="0" Y="0" Z="0" A="0" B="0" C="0"',
+            b'"PTP_POS" X="540.6" Y="-5" Z="620.6" A="0" B="0" C="-180" S="2" T="2" Vel="10" Acc="10"',
+            b'"STOP" Kind="FAST"',
+            b'"LIN" X="541" Y="0" Z="620" A="0" B="0" C="-180" Tool="1" Base="1" Vel="0.1"',
+            b'"STOP"',
+            b'"PTP_AXIS" A1="1" A2="-90" A3="90" A4="0" A5="60" A6="0" Vel="10" Acc="10"',
+            b'"ACK_ERRORS"',
+            b'"SELECT"',
+            b'"SET_OV" Val="50"',
+            b'"RSI_START" Cycle="4" Ref="ABS" Corr="AXIS"',
+            b'"RSI_STOP"',
+        )
+    )
+)
+CONTROLLER_REQUESTS = tuple(
+    b'<External REQTYPE="%d" CycleTime="1" ControlMode="1"></External>\n\0\0' % number
+    for number in (0, 4, 6, 8, 1, 2, 3, 7, 5)
 )
 STRUCTURES = b"""[[structures]]
 name = "a vessel"

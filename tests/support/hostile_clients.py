@@ -9,7 +9,7 @@ import struct
 import time
 from collections.abc import Iterator, Sequence
 
-from mutations import mutations
+from hostile_mutants import mutants
 
 from ronna_hw.wire.gige_vision import GVCP_COMMAND_HEADER, GVCP_KEY, GvcpCommand
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES
@@ -41,7 +41,7 @@ def maltreat(line: socket.socket, good: Sequence[bytes], chosen: random.Random) 
                     chosen.choice((b"", chosen.choice(good)[:-1])) + what * (ENDLESS_BYTES // len(what))
                 )
             case "mutants":
-                for mutant in mutations(good, MUTANTS, chosen.randrange(2**32)):
+                for mutant in mutants(tuple(good), MUTANTS, chosen.randrange(2**32)):
                     line.sendall(mutant)
             case "unread":
                 line.sendall(chosen.choice(good) * ASKED_UNREAD)

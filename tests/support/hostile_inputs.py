@@ -31,7 +31,6 @@ from good_inputs import (
     PACKET_BYTES,
     PARSER_NAMES,
     REPLIES,
-    REQUESTS,
     STATE,
     STRUCTURES,
     TELEGRAM,
@@ -47,6 +46,7 @@ from painted_ct import write_series
 from plan_toml import PLAN, SECOND
 from pydicom.dataset import Dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
+from simulator_inputs import simulator_parsers
 
 from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.control.identity import decode_identity
@@ -73,7 +73,7 @@ from procedures.engine.theatre_note import TheatreNote, read_note
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
-from ronna_hw.bounded_input import InputRefused, parse_json, parse_xml
+from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import RonnaError
@@ -84,7 +84,6 @@ from ronna_hw.recording.pixel_coding import pack_pixels, unpack_pixels
 from ronna_hw.records import Record, read_record, write_record
 from ronna_hw.wire import kuka_context, polaris
 from ronna_hw.wire.kuka_context import load_context
-from sim.kuka.eki.server import cut_requests
 from sim.kuka.rsi.ethernet_file import read_ethernet_file
 from sim.kuka.rsi.reply_reader import ReplyReader
 from sim.theatre.theatre_file import theatre_content
@@ -328,7 +327,6 @@ def parsers(folder: Path) -> dict[str, Parser]:
         ),
         "Polaris .rom": Parser(((SHIPPED_TOOLS / "robot_frame.rom").read_bytes(),), _rom),
         "EKI": Parser((STATE, STATE + b"\0\r\n" + STATE), _eki),
-        "EKI request": Parser(REQUESTS, _request),
         "RSI": Parser((TELEGRAM,), _rsi(TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")))),
         "RSI reply": Parser(
             tuple(reply.replace(b"RONNA", sentype) for reply in REPLIES),
@@ -341,7 +339,8 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "DICOM deflated": Parser(((deflated / "0000.dcm").read_bytes(),), slices(deflated)),
         "DICOM RLE": Parser(((packed / "0000.dcm").read_bytes(),), slices(packed)),
     }
-    found |= {name: Parser(*one) for name, one in further_parsers(folder / "further").items()}
+    for more in (further_parsers(folder / "further"), simulator_parsers()):
+        found |= {name: Parser(*one) for name, one in more.items()}
     assert tuple(found) == PARSER_NAMES
     return found
 
@@ -356,14 +355,6 @@ def _formula(data: bytes) -> None:
     for whole in (True, False):
         with contextlib.suppress(RonnaError):
             evaluate(text, {"A": 3, "B": 2.5, "TO": 7}, whole=whole)
-
-
-def _request(data: bytes) -> None:
-    requests, rest = cut_requests(data)
-    assert sum(map(len, requests)) + len(rest) <= len(data)
-    for request in requests:
-        with contextlib.suppress(RonnaError):
-            parse_xml(request, 16384)
 
 
 def _rsi(reader: TelegramReader) -> Callable[[bytes], object]:

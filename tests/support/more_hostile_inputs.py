@@ -45,8 +45,6 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
 from ronna_hw.recording.reading_coding import as_plain
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.polaris.line.framing import LineBuffer, parse_request
-from sim.polaris.unit.refusal import Refusal
 from sim.world.control import Room
 from sim.world.left_world import read_left_world
 from sim.world.scene.named_scenes import named_scene
@@ -69,7 +67,6 @@ LIBRARY_SYNTAXES = {
     "DICOM JPEG-LS": gdcm.TransferSyntax.JPEGLSLossless,
     "DICOM JPEG 2000": gdcm.TransferSyntax.JPEG2000Lossless,
 }
-LONGEST_HOST_LINE = 1024
 OUTLINE = {
     "centre_px": [1024.5, 544.5],
     "axes_px": [260.1, 259.9],
@@ -146,7 +143,6 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", figures_if_readable)),
         "room": ((b'{"do":"mount","number":1}', b'{"do":"fault","line":"now: tracker bump"}'), _asked(room)),
         "raw image": ((mono,), _raw_image),
-        "Polaris host line": ((b"TSTART:5423\rAPIREV \rTX 0001\r",), _host_line),
         "conformance BX": ((body[:46],), _conformance),
         **{name: _compressed(folder / name, syntax) for name, syntax in LIBRARY_SYNTAXES.items()},
         "proposed place": (
@@ -232,14 +228,6 @@ def _raw_image(data: bytes) -> None:
     for kind in PixelFormat:
         with contextlib.suppress(ValueError):
             pixels_of(memoryview(data), AreaOfInterest(0, 0, 40, 30), kind)
-
-
-def _host_line(data: bytes) -> None:
-    lines = LineBuffer(LONGEST_HOST_LINE)
-    for begin in range(0, len(data), 50):
-        for line in lines.feed(data[begin : begin + 50], 0.0):
-            with contextlib.suppress(Refusal):
-                parse_request(line)
 
 
 def _conformance(data: bytes) -> None:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import isfinite
 
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES
 
+LARGEST = 1e6  # mm or degrees: a pose far out of reach, whose squares are still numbers
+LEAST_PERCENT = 0.001  # of a speed: a motion that never ends has no duration to calculate with
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 _ESCAPED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": " ", "\r": " "})
 
@@ -29,23 +30,23 @@ def flag(given: Mapping[str, str], name: str) -> bool:
 
 
 def number(given: Mapping[str, str], name: str, otherwise: float | None = None) -> float:
-    """A finite number; ValueError as for `whole`."""
+    """A number of at most `LARGEST` in magnitude; ValueError for others, and as for `whole`."""
     if otherwise is not None and name not in given:
         return otherwise
     try:
         value = float(given[name])
     except (KeyError, ValueError):
         value = float("nan")
-    if not isfinite(value):
-        raise ValueError(f"{name} is missing or not a number")
+    if not abs(value) <= LARGEST:
+        raise ValueError(f"{name} is missing or not a number up to {LARGEST:g}")
     return value
 
 
 def share(given: Mapping[str, str], name: str) -> float:
-    """A percentage above 0 and at most 100 as a fraction; 1 if missing."""
+    """A percentage of at most 100 as a fraction; 1 if missing."""
     value = number(given, name, 100.0)
-    if not 0.0 < value <= 100.0:
-        raise ValueError(f"{name} must be a percentage above 0 and at most 100")
+    if not LEAST_PERCENT <= value <= 100.0:
+        raise ValueError(f"{name} must be a percentage from {LEAST_PERCENT} to 100")
     return value / 100.0
 
 

@@ -15,6 +15,7 @@ from sim.world.arm.orientation import pose_of_frame
 
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
+SLOWEST_LINE_M_S = 1e-6
 T1_MARGIN = 0.95  # of the tool speed allowed in T1: the path is checked in steps
 SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
 STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
@@ -50,8 +51,8 @@ class EkiMoves:
         """X..C (mm, deg) in BASE, Tool, Base, Vel (m/s); S and T have no meaning on a line."""
         pose = pose_of_frame(frame(given))
         speed_m_s = number(given, "Vel")
-        if not 0.0 < speed_m_s <= FASTEST_LINE_M_S:
-            raise ValueError(f"Vel must be above 0 and at most {FASTEST_LINE_M_S} m/s")
+        if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:
+            raise ValueError(f"Vel must be {SLOWEST_LINE_M_S} to {FASTEST_LINE_M_S} m/s")
         refusal = self._prepared(given)
         if refusal is not None:
             return refusal

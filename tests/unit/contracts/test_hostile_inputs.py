@@ -13,8 +13,8 @@ from memory_folder import memory_folder
 FEW = 40
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
 ON_THE_WIRE = {  # parsers that take some microseconds
-    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "EKI request", "conformance BX"), 4000),
-    **dict.fromkeys(("Polaris text", "Polaris host line"), 1000),
+    **dict.fromkeys((*REFUSING, "GVCP", "GVSP", "conformance BX"), 4000),
+    "Polaris text": 1000,
 }
 
 

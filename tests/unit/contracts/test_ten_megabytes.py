@@ -13,13 +13,17 @@ from memory_folder import memory_folder
 
 from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.errors import RonnaError
+from sim.kuka.eki.server import READ_BYTES
+from sim.polaris.line.channel import RECEIVE_BYTES
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 SIZE_BYTES = 10_000_000
 DATAGRAM_BYTES = 65_507  # the largest of UDP
 AT_MOST = {  # what the link itself hands over at a time
-    **dict.fromkeys(("GVCP", "GVSP", "RSI", "RSI reply"), DATAGRAM_BYTES),
+    **dict.fromkeys(("GVCP", "GVSP", "RSI", "RSI reply", "simulated camera"), DATAGRAM_BYTES),
+    **dict.fromkeys(("EKI request", "EKI SDK request"), READ_BYTES),
+    "simulated tracker": RECEIVE_BYTES,
     **dict.fromkeys(("Polaris text", "Polaris BX", "conformance BX"), LONGEST_REPLY_BYTES),
 }
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
+from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode, ProState
 from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.motion import shares
 from sim.kuka.eki.move_commands import EkiMoves
@@ -249,6 +249,21 @@ def test_impossible_or_incomplete_motions_are_refused_before_anything_moves(
     assert not program.controller.moving
     running = Program(bench)
     assert running.ptp().code is AckCode.BUSY  # RSI is running
+
+
+@pytest.mark.parametrize("value", ["-1e308", "1e300", "1000001", "inf", "nan", "1e400"])
+def test_a_number_that_nothing_can_be_calculated_with_is_refused(program: Program, value: str) -> None:
+    given = {**dict.fromkeys(FRAME, "0"), "X": value, "S": "2", "T": "2", "Vel": "0.1"}
+    for command in (program.moves.ptp_pos, program.moves.lin):
+        with pytest.raises(ValueError, match="X is missing or not a number up to 1e\\+06"):
+            command(given)
+
+
+@pytest.mark.parametrize(("command", "name"), [("ptp_axis", "Vel"), ("ptp_axis", "Acc"), ("lin", "Vel")])
+def test_a_motion_without_an_end_is_refused(program: Program, command: str, name: str) -> None:
+    given = {**dict.fromkeys((*FRAME, *AXIS_ATTRIBUTES), "0"), name: "1e-310"}
+    with pytest.raises(ValueError, match=f"{name} must be"):
+        getattr(program.moves, command)(given)
 
 
 def test_in_t1_a_motion_needs_the_start_key_and_is_slow(program: Program) -> None:
