@@ -1,36 +1,4 @@
-"""Errors of the robot link.
-
-RSI-001 LinkNotStarted      the real-time process did not start, or its port is taken
-RSI-002 NoTelegram          the controller sends nothing
-RSI-003 LinkSilent          telegrams ceased while the stream was running
-RSI-004 LinkStopped         replies were stopped on request
-RSI-005 MotionTripped       the monitor stopped the arm
-RSI-006 HeartbeatLate       this program was late, and the real-time process stopped the arm
-RSI-007 LinkProcessDied     the real-time process ended
-RSI-008 ControllerRestarted another run of the controller's program took over
-RSI-009 ProtectiveStop      a protective stop was requested
-RSI-010 MotionStopped       a motion was stopped before its end
-RSI-011 MotionNotFinished   a motion did not end, or the arm did not settle, in time
-RSI-012 MotionRefused       the real-time process refused a motion
-RSI-013 BadOptions          the driver's options in the theatre file are wrong
-RSI-014 BadTelegram         bytes from the controller are not a valid telegram
-RSI-015 PoseDisagrees       RSI and EKI report different axes
-RSI-016 PathFailed          a path had no solution on the way
-RSI-017 ContextUnusable     the RSI context is unsafe, or blind, for this driver
-RSI-018 HandshakeFailed     an unverified controller failed the micro-move
-RSI-019 LinkUnusable        too many replies were lost for too long
-RSI-020 LinkProcessStalled  the real-time process no longer runs
-EKI-001 ControllerNotFound  nothing answers at the address
-EKI-002 ControllerLost      the connection broke
-EKI-003 NoAnswer            a command was not answered in time
-EKI-004 BadEkiTelegram      bytes from the controller are not a valid telegram
-EKI-005 WrongController     cycle, mode, HOLDON, context or arm are not what the driver was made for
-EKI-006 Unverified          the controller cannot say what it runs
-EKI-007 ControllerNotReady  mode, drives, emergency stop, guard or a message forbid motion
-EKI-008 CommandRefused      the controller refused a command
-EKI-009 DrivesOff           the drives were switched off on request
-EKI-010 ControllerStopped   the controller forbids motion, or stopped it, while the arm was active
-"""
+"""Errors of the robot link: RSI for the stream, EKI for the controller's other channel."""
 
 from __future__ import annotations
 

@@ -17,12 +17,15 @@ from procedures.cli.planning_inputs import (
     DEFAULT_STRATEGY,
     HeadOption,
     HomeOption,
+    SceneOption,
+    SpacingOption,
     StrategyOption,
     read_ct,
+    read_volume,
+    require_one_head,
     theatre_of,
 )
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.new_files import require_new
 
 if TYPE_CHECKING:
@@ -119,10 +122,7 @@ def template(
         Path | None,
         typer.Option("--ct", metavar="SERIES_DIR", help="Folder of a CT series that shows the head's skin."),
     ] = None,
-    scene: Annotated[
-        Path | None,
-        typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
-    ] = None,
+    scene: SceneOption = None,
     markers: Annotated[int, typer.Option("--markers", min=3, max=4, help="Number of markers.")] = 4,
     margin_mm: Annotated[
         float,
@@ -130,7 +130,7 @@ def template(
             "--margin", metavar="MM", min=1.0, max=60.0, help="Minimum difference between all distances."
         ),
     ] = 10.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
+    seed: SpacingOption = 0,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Propose positions for three or four markers on a head, for a template that guides their implantation.
@@ -139,21 +139,19 @@ def template(
     the smallest expected error in the middle of the head is chosen. A plan names the template as
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
+    from procedures.cli.plan_markers import print_markers
     from procedures.planning.markers.template import propose_template
     from procedures.planning.markers.template_file import head_of_scene, write_template
 
-    if (series_dir is None) == (scene is None):
-        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+    require_one_head(series_dir, scene)
     require_new(out)
     if scene is not None:
         found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
     else:
-        from procedures.imaging import read_series
         from procedures.planning.head.shape import head_shape
 
         assert series_dir is not None
-        with terminal.progress_bar("reading the series") as advance:
-            volume = read_series(series_dir, progress=advance)
+        volume = read_volume(series_dir)
         found = propose_template(head_shape(volume), markers, margin_mm, volume=volume, seed=seed)
     write_template(out, found)
     if as_json:
@@ -162,18 +160,10 @@ def template(
         )
         return
     distances = ", ".join(f"{value:.1f}" for value in found.distances_mm)
-    terminal.print_table(
+    print_markers(
         f"{out}: {markers} markers; their distances, {distances} mm, differ by at least "
         f"{found.least_difference_mm:.1f} mm",
-        ["marker", "centre LPS mm", "post"],
-        [
-            [
-                str(number),
-                " ".join(f"{value:.1f}" for value in one.centre_mm),
-                " ".join(f"{value:.3f}" for value in one.post),
-            ]
-            for number, one in enumerate(found.markers, start=1)
-        ],
+        found.markers,
     )
 
 
@@ -186,10 +176,7 @@ def marker_places(
     series_dir: Annotated[
         Path | None, typer.Option("--ct", metavar="SERIES_DIR", help="CT series that shows the head's skin.")
     ] = None,
-    scene: Annotated[
-        Path | None,
-        typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
-    ] = None,
+    scene: SceneOption = None,
     markers: Annotated[int, typer.Option("--markers", min=3, max=8, help="Number of markers.")] = 5,
     error_mm: Annotated[
         float,
@@ -197,7 +184,7 @@ def marker_places(
             "--error", metavar="MM", min=0.001, max=5.0, help="Localization error of each marker, 3-D rms."
         ),
     ] = 0.1,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
+    seed: SpacingOption = 0,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Propose marker positions on the head that minimize the error at the planned targets.

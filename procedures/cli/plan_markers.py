@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.planning_inputs import read_volume, require_one_head
 from procedures.planning.errors import WrongSeries
 from procedures.planning.head.shape import head_shape
-from procedures.planning.markers.sites import ProposedMarkers, propose_markers
+from procedures.planning.markers.sites import propose_markers
 from procedures.planning.markers.template_file import head_of_scene
 from procedures.planning.plan.file import read_plan
 from procedures.reporting.marker_picture import marker_picture
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.new_files import require_new
+from ronna_hw.marker_template import TemplateMarker
 from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:
@@ -33,8 +35,7 @@ def propose(
 ) -> None:
     """Raises PLAN-001, PLAN-002, PLAN-014, PLAN-016, PLAN-021 and what reading a series raises."""
     picture = out.with_suffix(".png")
-    if (series_dir is None) == (scene is None):
-        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+    require_one_head(series_dir, scene)
     require_new(out, picture)
     plan = read_plan(plan_file)
     trajectories = [one.trajectory for one in plan.trajectories]
@@ -42,11 +43,8 @@ def propose(
     if scene is not None:
         head = head_of_scene(scene)
     else:
-        from procedures.imaging import read_series
-
         assert series_dir is not None
-        with terminal.progress_bar("reading the series") as advance:
-            volume = read_series(series_dir, progress=advance)
+        volume = read_volume(series_dir)
         if plan.series_instance_uid != volume.series_instance_uid:
             raise WrongSeries(
                 "the plan belongs to another CT series",
@@ -62,12 +60,18 @@ def propose(
     if as_json:
         terminal.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
         return
-    _show(out, found)
-
-
-def _show(out: Path, found: ProposedMarkers) -> None:
+    print_markers(f"{out}: {len(found.markers)} markers", found.markers)
     terminal.print_table(
-        f"{out}: {len(found.markers)} markers",
+        f"expected from marker errors of {found.marker_error_mm:g} mm each",
+        ["target", "rms mm", "random mm"],
+        [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
+    )
+
+
+def print_markers(title: str, markers: Sequence[TemplateMarker]) -> None:
+    """Where each marker goes, and the direction of its post."""
+    terminal.print_table(
+        title,
         ["marker", "centre LPS mm", "post"],
         [
             [
@@ -75,11 +79,6 @@ def _show(out: Path, found: ProposedMarkers) -> None:
                 " ".join(f"{value:.1f}" for value in one.centre_mm),
                 " ".join(f"{value:.3f}" for value in one.post),
             ]
-            for number, one in enumerate(found.markers, start=1)
+            for number, one in enumerate(markers, start=1)
         ],
-    )
-    terminal.print_table(
-        f"expected from marker errors of {found.marker_error_mm:g} mm each",
-        ["target", "rms mm", "random mm"],
-        [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
     )

@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
+from procedures.cli.planning_inputs import read_ct
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.new_files import require_new
-
-READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the spheres
 
 
 def new(
@@ -23,17 +22,12 @@ def new(
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """
-    from procedures.imaging import localize, read_series
     from procedures.planning.plan.new import new_plan
     from ronna_hw.records import write_whole
 
     require_new(out)
-    with terminal.progress_bar("reading the series") as advance:
-        volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
-        found = localize(
-            volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
-        )
-    centres_mm = [marker.centre_mm.tolist() for marker in found.markers]
+    volume, centres_mm, _ = read_ct(series_dir, needs_markers=True)
+    assert centres_mm is not None, "it has raised"
     text = new_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
     write_whole(out, text.encode(), exclusive=True)
     terminal.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")

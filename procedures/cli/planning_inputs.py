@@ -39,6 +39,12 @@ HomeOption = Annotated[
     ),
 ]
 
+SceneOption = Annotated[
+    Path | None,
+    typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
+]
+SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")]
+
 
 def theatre_of(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
@@ -73,6 +79,20 @@ def require_theatre_options(
             raise UsageMistake(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
+
+
+def require_one_head(series_dir: Path | None, scene: Path | None) -> None:
+    """Raises CLI-001 unless the head comes from exactly one of both."""
+    if (series_dir is None) == (scene is None):
+        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+
+
+def read_volume(series_dir: Path) -> Volume:
+    """The series, with a progress bar."""
+    from procedures.imaging import read_series
+
+    with terminal.progress_bar("reading the series") as advance:
+        return read_series(series_dir, progress=advance)
 
 
 def read_ct(

@@ -1,14 +1,4 @@
-"""Errors of kinematics, planning and motion of the arm.
-
-ARM-001 Unreachable        the wrist centre is too far, too near, or the line leaves the reach
-ARM-002 Singular           a joint angle is not defined at the pose
-ARM-003 OutOfJointRange    a solution or a path leaves the range of a joint
-ARM-005 TooFast            a joint would exceed its working speed or acceleration
-ARM-006 MotionInvalid      the motion generator rejected its input
-ARM-007 NotClear           on the path a body of the arm or its tool comes too close to another
-ARM-008 SurroundingsTooLarge  the cell has more bodies than the real-time process can hold
-ARM-009 UnknownArm         no arm of that name is known
-"""
+"""Errors of kinematics, planning and motion of the arm."""
 
 from __future__ import annotations
 

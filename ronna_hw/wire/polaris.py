@@ -105,7 +105,6 @@ COMMAND_TIMEOUT_S: Final = MappingProxyType(
         "PUWR": 4.0, "TCTST": 2.0, "TTCFG": 2.0, "PSOUT": 2.0, "VSNAP": 2.0, "VGET": 2.0,
     }
 )  # fmt: skip
-COMMAND_NAMES: Final = frozenset(COMMAND_TIMEOUT_S) | {"GX", "IRINIT", "IRCHK", "VCAP"}
 
 TSTART_RESET_FRAME_COUNTER: Final = "80"
 TSTART_FASTER: Final = "40"

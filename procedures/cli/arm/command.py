@@ -66,7 +66,6 @@ def check(
     """
     from procedures.calibration.arm.check import check_arm
     from procedures.cli.arm import files
-    from procedures.cli.arm.display import print_check
     from procedures.cli.calibrating.calibration import observe
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
@@ -94,7 +93,8 @@ def check(
             if asked.as_json:
                 terminal.print_json(figures.as_json())
             else:
-                print_check(figures)
+                rows = [[one.name, one.value, one.verdict] for one in figures.table()]
+                terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
 
 
 def main() -> None:

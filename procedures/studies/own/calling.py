@@ -7,13 +7,33 @@ import random
 import sys
 import traceback
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from procedures.studies.errors import MethodFailed
+from procedures.studies.errors import MethodAnswerWrong, MethodFailed
+from procedures.studies.own.method import OwnMethod
 
 GLOBAL_SEED = 0
+
+
+@dataclass(frozen=True)
+class OwnCallable:
+    """A user method in this process, under its name; `result` and `form` say what it must return."""
+
+    name: str
+    function: Callable[..., Any]
+    result: ClassVar[str]
+    form: ClassVar[str]
+
+    @classmethod
+    def of(cls, method: OwnMethod) -> Self:
+        """In this process. Raises STU-012."""
+        return cls(method.name, method.function())
+
+    def _wrong(self, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(f"{self.name} did not return {self.result}", expected=self.form, got=got)
 
 
 def called(

@@ -2,32 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Self
-
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.studies.errors import MethodAnswerWrong
-from procedures.studies.own.calling import called
-from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.calling import OwnCallable, called
 
 Array = NDArray[np.float64]
 Pairs = NDArray[np.intp]
 
 
-@dataclass(frozen=True)
-class OwnPairing:
+class OwnPairing(OwnCallable):
     """Called like `Pairing`; raises STU-013 and STU-014."""
 
-    name: str
-    function: Callable[..., Any]
-
-    @classmethod
-    def of(cls, method: OwnMethod) -> Self:
-        """In this process. Raises STU-012."""
-        return cls(method.name, method.function())
+    result = "a pairing"
+    form = "None, or whole numbers (k, 2): indices from 0 of image and physical points, each point once"
 
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
@@ -58,11 +46,3 @@ class OwnPairing:
             if len(set(of_side.tolist())) < len(of_side):
                 raise self._wrong("a point in two pairs")
         return pairs.astype(np.intp)
-
-    def _wrong(self, got: str) -> MethodAnswerWrong:
-        return MethodAnswerWrong(
-            f"{self.name} did not return a pairing",
-            expected="None, or whole numbers (k, 2): indices from 0 of image and physical points,"
-            " each point once",
-            got=got,
-        )

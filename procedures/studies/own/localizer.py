@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Self
-
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.volume import Volume
-from procedures.studies.errors import MethodAnswerWrong
-from procedures.studies.own.calling import called
-from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.calling import OwnCallable, called
 from procedures.studies.own.numbers import real_numbers
 
 Array = NDArray[np.float64]
@@ -21,17 +15,11 @@ Array = NDArray[np.float64]
 BESIDE_MM = 10.0  # outside the volume: the centre of a sphere cut by the field of view
 
 
-@dataclass(frozen=True)
-class OwnLocalizer:
+class OwnLocalizer(OwnCallable):
     """Called like `Localizer`; raises STU-013 and STU-014."""
 
-    name: str
-    function: Callable[..., Any]
-
-    @classmethod
-    def of(cls, method: OwnMethod) -> Self:
-        """In this process. Raises STU-012."""
-        return cls(method.name, method.function())
+    result = "centres"
+    form = "numbers (n, 3): patient coordinates LPS in mm, as returned by volume.geometry.to_patient_mm"
 
     def __call__(self, volume: Volume) -> Array:
         """Centres (n, 3), LPS mm."""
@@ -56,11 +44,3 @@ class OwnLocalizer:
             shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
             raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")
         return centres_mm
-
-    def _wrong(self, got: str) -> MethodAnswerWrong:
-        return MethodAnswerWrong(
-            f"{self.name} did not return centres",
-            expected="numbers (n, 3): patient coordinates LPS in mm, as returned by "
-            "volume.geometry.to_patient_mm",
-            got=got,
-        )

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Self
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.studies.errors import MethodAnswerWrong
-from procedures.studies.own.calling import called
-from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.calling import OwnCallable, called
 from procedures.studies.own.numbers import real_numbers
 
 Array = NDArray[np.float64]
@@ -20,17 +14,11 @@ Array = NDArray[np.float64]
 ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm over a head
 
 
-@dataclass(frozen=True)
-class OwnRegistration:
+class OwnRegistration(OwnCallable):
     """Called like `PairedRegistration`; raises STU-013 and STU-014."""
 
-    name: str
-    function: Callable[..., Any]
-
-    @classmethod
-    def of(cls, method: OwnMethod) -> Self:
-        """In this process. Raises STU-012."""
-        return cls(method.name, method.function())
+    result = "a rigid transform"
+    form = "a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1"
 
     def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
         """The transform physical <- image."""
@@ -52,10 +40,3 @@ class OwnRegistration:
         if bent > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
             raise self._wrong("a mirror image" if bent <= ROTATION_TOLERANCE else f"axes off by {bent:.1g}")
         return RigidTransform.from_matrix(matrix)
-
-    def _wrong(self, got: str) -> MethodAnswerWrong:
-        return MethodAnswerWrong(
-            f"{self.name} did not return a rigid transform",
-            expected="a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1",
-            got=got,
-        )

@@ -102,10 +102,6 @@ class Surroundings:
     corridor: Corridor | None = None
     most_mm_s: float = inf  # limit for anything that moves, anywhere: set by the operating mode
 
-    def into(self, corridor: Corridor | None) -> Surroundings:
-        """The same with this corridor into the head open, or none."""
-        return replace(self, corridor=corridor)
-
     def moved(self, by: Pose) -> Surroundings:
         """The same with everything fixed in the room moved."""
         corridor = self.corridor

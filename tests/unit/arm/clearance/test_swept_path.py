@@ -3,6 +3,7 @@
 import json
 import math
 import random
+from dataclasses import replace
 
 import pytest
 
@@ -107,12 +108,12 @@ def test_only_the_needle_enters_the_head_and_only_along_its_corridor() -> None:
     around = _around(head)
     with pytest.raises(NotClear, match="needle would come too close to the head"):
         sweep_path(MODEL, into, around).require()
-    sweep_path(MODEL, into, around.into(corridor)).require()
+    sweep_path(MODEL, into, replace(around, corridor=corridor)).require()
     beside = corridor._replace(
         entry_mm=(x, y + 6.0, z), target_mm=(axis_end[0], axis_end[1] + 6.0, axis_end[2])
     )
     with pytest.raises(NotClear):
-        sweep_path(MODEL, into, around.into(beside)).require()
+        sweep_path(MODEL, into, replace(around, corridor=beside)).require()
     blunt = Surroundings(tool=(NEEDLE._replace(enters_head=False),), obstacles=(head,), corridor=corridor)
     with pytest.raises(NotClear):
         sweep_path(MODEL, into, blunt).require()
