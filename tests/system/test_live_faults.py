@@ -43,7 +43,7 @@ def test_a_standalone_simulator_takes_faults_at_its_control_port() -> None:
 
 def test_the_theatre_forwards_messages_of_the_pendant(tmp_path: Path) -> None:
     heard = SimpleQueue[str]()
-    theatre = TheatreProcess("--scene", "mini", "--out", str(tmp_path), pendant=heard.put)
+    theatre = TheatreProcess("--scene", "mini", "--out", str(tmp_path), on_controller_message=heard.put)
     try:
         theatre.await_ready()
         answer = ask_control_port(theatre.control, "fault", line="robot emergency stop")
