@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from xml.etree import ElementTree
+from xml.parsers.expat import errors
 
 from ronna_hw.bounded_input.refusal import InputRefused
 
+OUT_OF_MEMORY = errors.codes[errors.XML_ERROR_NO_MEMORY]
 MOST_ELEMENTS = 100_000  # a camera's description has up to thirty thousand
 DEEPEST = 64
 NAMES_BYTES = 20_000_000  # in total: a namespace name is repeated in that of every element
@@ -22,6 +24,8 @@ def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
     except InputRefused:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two from an encoding
+        if getattr(error, "code", None) == OUT_OF_MEMORY:
+            raise MemoryError from error  # which says nothing about the XML
         raise InputRefused(f"not valid XML: {error}") from error
     return root
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import atheris  # type: ignore[import-not-found]
 import psutil
-from bounded_cost import MEMORY_BYTES
+from bounded_cost import MEMORY_BYTES, bounded_cost
 
 OURS = ["ronna_hw", "drivers", "sim", "procedures"]
 LONGEST_BYTES = 100_000
@@ -30,7 +30,8 @@ def main() -> None:
         (corpus / str(number)).write_bytes(good)
 
     def take(data: bytes) -> None:
-        taken(parser, data)
+        with bounded_cost():
+            taken(parser, data)
 
     usual_bytes = psutil.Process().memory_info().rss
     options = {

@@ -53,6 +53,8 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
         if problem.errno is None:
             raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
         raise
+    except MemoryError:  # which says nothing about the file
+        raise
     except Exception as problem:  # a damaged file can break the parser in any way
         raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
 
@@ -69,6 +71,8 @@ def value(path: Path, header: Dataset, keyword: str) -> Any:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks what matters about the value
             return header.get(keyword)
+    except MemoryError:
+        raise
     except Exception as problem:  # a damaged value can break the decoder in any way
         raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
 

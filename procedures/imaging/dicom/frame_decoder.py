@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 PROCESS = "procedures.imaging.dicom.decoder_process"
-LIMIT_S = 30.0  # host time for one slice; a large one takes a tenth of a second, the first also the imports
+LIMIT_S = (
+    30.0  # host time for one slice, the first with the imports; its processor time has a limit of its own
+)
 PIPE_BYTES = 1 << 16
 
 

@@ -100,6 +100,8 @@ def _stored_by_library(
             stored = decoder.decode(path) if apart else np.asarray(data.pixel_array)
     except InputRefused as problem:
         raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
+    except MemoryError:
+        raise
     except Exception as problem:
         if not _can_decode(syntax):
             raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem

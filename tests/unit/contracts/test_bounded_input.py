@@ -217,6 +217,11 @@ def test_inflated_data_must_be_complete_and_within_the_limit() -> None:
     assert inflate(zlib.compress(b"whole"), 5) == b"whole"
 
 
+def test_memory_that_cannot_be_had_is_no_mistake_in_xml() -> None:
+    with bounded_cost(1 << 20), pytest.raises(MemoryError):
+        parse_xml(b"<a b='" + b"x" * 9_000_000 + b"'/>", 10_000_000)
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -22,6 +22,7 @@ from pydicom.uid import (
 from spoiled_slices import every, setting
 
 from procedures.imaging import errors, read_series
+from procedures.imaging.dicom import frame_decoder
 from procedures.imaging.dicom.attributes import read_dicom
 from procedures.imaging.dicom.compressed_frame import check_frame
 from ronna_hw.bounded_input import InputRefused
@@ -62,6 +63,52 @@ def test_an_oversized_file_is_refused_without_reading_it_whole(dicom_series: Wri
     os.truncate(first(folder), 2_000_000_000)  # takes no place on the disk
     with bounded_cost(100 << 20, 1.0), pytest.raises(errors.FileDamaged, match=rf"{FIRST}.*too large"):
         read_series(folder)
+
+
+@pytest.mark.parametrize("asked", ["dcmread", "Dataset.get", "Dataset.pixel_array"])
+def test_memory_that_cannot_be_had_is_no_damage_of_a_file(
+    dicom_series: Write, monkeypatch: pytest.MonkeyPatch, asked: str
+) -> None:
+    folder = dicom_series(edit=every(lambda data: data.compress(RLELossless)))
+
+    def refuse(*_: object, **_named: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(f"pydicom.{asked}", property(refuse) if asked.endswith("array") else refuse)
+    with pytest.raises(MemoryError):
+        read_series(folder)
+
+
+SLOW_DECODER = """
+import sys, time
+from procedures.imaging.dicom import attributes, decoder_process
+
+def work(path):
+    begun_s = time.process_time()
+    while path.name == "endless" or time.process_time() < begun_s + 0.6:
+        pass
+    raise ValueError("done")
+
+attributes.read_dicom = work
+decoder_process.SLICE_S = 2
+decoder_process.main(sys.argv[1:])
+"""
+
+
+def test_each_slice_may_take_its_decoder_some_processor_time_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "slow_decoder.py").write_text(SLOW_DECODER)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.setattr(frame_decoder, "PROCESS", "slow_decoder")
+    before = os.times()
+    with frame_decoder.FrameDecoder() as decoder:
+        for _ in range(3):
+            with pytest.raises(frame_decoder.NotDecoded, match="done"):
+                decoder.decode(tmp_path / "slow")
+        with pytest.raises(frame_decoder.NotDecoded, match="gave up"):
+            decoder.decode(tmp_path / "endless")
+    assert os.times().children_user - before.children_user < 15.0
 
 
 def test_a_slice_with_too_many_elements_is_refused(dicom_series: Write) -> None:
