@@ -11,7 +11,14 @@ from collections.abc import Iterator, Sequence
 
 from hostile_mutants import mutants
 
-from ronna_hw.wire.gige_vision import GVCP_COMMAND_HEADER, GVCP_KEY, GvcpCommand
+from ronna_hw.wire.gige_vision import (
+    CCP_CONTROL,
+    GVCP_COMMAND_HEADER,
+    GVCP_KEY,
+    WRITEREG_ITEM,
+    Bootstrap,
+    GvcpCommand,
+)
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES
 from ronna_hw.wire.polaris_rom import CHECKSUM_FROM, CHECKSUM_OFFSET, ROM_BYTES
 
@@ -22,6 +29,9 @@ DRIPS = 60
 ENDLESS_BYTES = 1 << 20
 ASKED_UNREAD = 3000  # requests, whose answers are not read
 MUTANTS = 200
+ON_REGISTERS = (GvcpCommand.READREG, GvcpCommand.WRITEREG, GvcpCommand.READMEM, GvcpCommand.WRITEMEM)
+FEATURES_ADDRESS, FEATURES = 0x20000, 64  # of the simulated cameras; some are none
+WRONG_HEADERS = 0.1  # share of commands
 BRACKETS = (b"[", b"{", b"<a>", b"<!DOCTYPE a [<!ENTITY b 'c'>", b"(", b"\0", b"\xff", b"9", b"GET ", b"\r\n")
 
 
@@ -57,25 +67,29 @@ def maltreat(line: socket.socket, good: Sequence[bytes], chosen: random.Random) 
 
 
 def camera_commands(chosen: random.Random, count: int) -> Iterator[bytes]:
-    """Commands to a camera with any code, length, address and content, and what is no command."""
+    """Commands of an application in control, most of them with a right header; some are no commands."""
+    control = struct.pack(WRITEREG_ITEM, Bootstrap.CCP, CCP_CONTROL)
+    yield struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, 1, GvcpCommand.WRITEREG, len(control), 1) + control
     for _ in range(count):
-        code = chosen.choice((*GvcpCommand, chosen.randrange(0x10000)))
-        feature = 0x20000 + 16 * chosen.randrange(64)
-        address = chosen.choice(
-            (0, 0x0A00, 0x0D00, 0x0D18, 0x200, 0x938, 0xFFFFFFFC, chosen.randrange(2**32), feature)
-        )
+        code = chosen.choice((*ON_REGISTERS * 4, *GvcpCommand, chosen.randrange(0x10000)))
+        feature = FEATURES_ADDRESS + 4 * chosen.randrange(4 * FEATURES)
+        address = chosen.choice((*Bootstrap, feature, feature, feature, 0xFFFFFFFC, chosen.randrange(2**32)))
+        number = chosen.choice((0, 1, 2, 48, 64, 1500, 0x7F000001, chosen.randrange(2**32)))
         body = struct.pack(">I", address) + chosen.choice(
             (
                 b"",
-                struct.pack(">HH", 0, chosen.choice((0, 3, 536, 0xFFFF))),
-                struct.pack(">I", chosen.randrange(2**32)),
+                struct.pack(">HH", 0, chosen.choice((0, 4, 536, 0xFFFF))),
+                *[struct.pack(">I", number)] * 3,
                 chosen.randbytes(chosen.choice((1, 8, 536, 8000))),
             )
         )
-        length = chosen.choice((len(body), 0, 0xFFFF)) & 0xFFFF
-        head = (chosen.choice((GVCP_KEY, GVCP_KEY, 0)), chosen.choice((1, 0x11, 0x80, 0)), code, length)
-        yield struct.pack(GVCP_COMMAND_HEADER, *head, chosen.randrange(0x10000)) + body
-        yield chosen.randbytes(chosen.choice((0, 1, 7, 60_000)))
+        key, flags, length = GVCP_KEY, 1, len(body)
+        if chosen.random() < WRONG_HEADERS:
+            key, length = chosen.choice((GVCP_KEY, 0)), chosen.choice((length, 0, 0xFFFF))
+            flags = chosen.choice((1, 0x11, 0x80, 0))
+        yield struct.pack(GVCP_COMMAND_HEADER, key, flags, code, length, chosen.randint(1, 0xFFFF)) + body
+        if chosen.random() < WRONG_HEADERS:
+            yield chosen.randbytes(chosen.choice((0, 1, 7, 60_000)))
 
 
 def loading(definition: bytes) -> Iterator[bytes]:
