@@ -128,6 +128,19 @@ class TrackedCase:
         """Where the arm truly is (4, 4) with its encoders at these joints."""
         return self._at(joints)[1]
 
+    def frame_noise_mm(self, joints: JointVector) -> Array:
+        """Of the place of the frame on the arm in one frame, (3, 3) mm for each of three standard normals."""
+        flange = self.true_flange(joints)
+        sight = self._optics.sight(
+            apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        )
+        step = 1e-3  # the fit is linear in noise as small as this
+        still = fit_rigid_body(self._body_mm, sight.mean_mm).translation_mm
+        drawn = step * np.eye(sight.mean_mm.size).reshape(-1, *sight.mean_mm.shape)
+        fits = [fit_rigid_body(self._body_mm, sight.measured(one)).translation_mm for one in drawn]
+        each = np.array([(fit - still) / step for fit in fits])
+        return np.asarray(np.linalg.cholesky(each.T @ each))
+
     def direction(self) -> Array:
         """A random unit vector."""
         way = self.generator.standard_normal(3)

@@ -8,15 +8,18 @@ import subprocess
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 import tomli_w
 from guide_frames import with_guide_frame
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
+from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
 from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import THEATRE_FOLDER, read_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 MINI = ("--sim", "--scene", "mini", "--seed", "3")
@@ -36,6 +39,8 @@ class Promise:
 
 
 HAND_MM = 10.0 / 80.0  # ten newtons on the stiffness of the scene
+# Of the tracker, in 998 of 1,000 insertions: after four stages the largest displacement counts.
+NOISE_MM = (-0.025, 0.09)
 FAULTS = {
     "a hand load of 10 N": Promise("push guide 0 10 0 N", "at_target", pushed_mm=HAND_MM),
     "the surgeon pulling the guide": Promise("push guide 0 -30 -26 N", "at_target", "PRO-017"),
@@ -57,7 +62,7 @@ BEFORE = {
 }
 
 
-def judge(promise: Promise, lines: list[Line], folder: Path) -> None:
+def judge(promise: Promise, lines: list[Line], folder: Path, unpushed_mm: Numbers3) -> None:
     """The step ended as promised; an instrument is in only where it was when the guide was pulled."""
     of_step = [line for line in lines if str(line.get("step", "")).partition(":")[0] == promise.step]
     if promise.code:
@@ -70,14 +75,34 @@ def judge(promise: Promise, lines: list[Line], folder: Path) -> None:
         return
     (done,) = (line for line in of_step if line["entry"] == "result")
     record = json.loads((folder / "records" / f"{done['record']}.json").read_text())
-    assert record["payload"]["pushed_mm"] == pytest.approx(promise.pushed_mm, abs=0.08)
+    lowest_mm, highest_mm = NOISE_MM
+    assert lowest_mm < record["payload"]["pushed_mm"] - promise.pushed_mm < highest_mm
+    moved_mm = np.subtract(instrument_tip_mm(folder), unpushed_mm)
+    assert moved_mm == pytest.approx((0.0, promise.pushed_mm, 0.0), abs=1e-3)
+
+
+def instrument_tip_mm(folder: Path) -> Numbers3:
+    """Truth at the only target of a run."""
+    (sample,) = read_samples(folder / THEATRE_FOLDER)
+    return sample.tip_mm
+
+
+@pytest.fixture(scope="module")
+def unpushed_mm(tmp_path_factory: pytest.TempPathFactory) -> Numbers3:
+    """Truth of the same case without a fault."""
+    runs = tmp_path_factory.mktemp("unpushed")
+    Commands().run("ronna-procedure", "run", *MINI, "--out", str(runs), timeout_s=200)
+    (folder,) = runs.iterdir()
+    return instrument_tip_mm(folder)
 
 
 @pytest.mark.hazard(45)
 @pytest.mark.hazard(46)
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("what", FAULTS)
-def test_a_scripted_fault_ends_as_promised(commands: Commands, tmp_path: Path, what: str) -> None:
+def test_a_scripted_fault_ends_as_promised(
+    commands: Commands, tmp_path: Path, unpushed_mm: Numbers3, what: str
+) -> None:
     promise = FAULTS[what]
     faults = tmp_path / "faults.txt"
     faults.write_text(f"since step == {promise.step}: room {promise.fault}\n")
@@ -85,12 +110,14 @@ def test_a_scripted_fault_ends_as_promised(commands: Commands, tmp_path: Path, w
     ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=200)
     assert ran.returncode == (EXIT_REFUSED if promise.code and not promise.goes_on else 0), ran.stderr
     (folder,) = (tmp_path / "runs").iterdir()
-    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder)
+    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder, unpushed_mm)
 
 
 @pytest.mark.hazard(46)
 @pytest.mark.parametrize("what", FAULTS)
-def test_a_live_fault_ends_as_promised(commands: Commands, tmp_path: Path, what: str) -> None:
+def test_a_live_fault_ends_as_promised(
+    commands: Commands, tmp_path: Path, unpushed_mm: Numbers3, what: str
+) -> None:
     promise = FAULTS[what]
     before = BEFORE[promise.step]
     step = promise.step if promise.step == "tool_check" else f"{promise.step}:T1"
@@ -106,7 +133,7 @@ def test_a_live_fault_ends_as_promised(commands: Commands, tmp_path: Path, what:
     ask_control_port(control[1], "fault", line=f"now: room {promise.fault}")
     stepping.communicate(f"run {step}\nhome\nquit\n", timeout=100)
     (folder,) = (tmp_path / "runs").iterdir()
-    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder)
+    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder, unpushed_mm)
 
 
 @pytest.mark.hazard(47)
