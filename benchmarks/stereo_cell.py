@@ -130,6 +130,7 @@ class CellStereo:
         ]
         self._exposure_us: float = EXPOSURE_US
         self.pairs = 0
+        self.clock = HostClock()
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
         """Read these parts of the sensors."""
@@ -151,7 +152,7 @@ class CellStereo:
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Draw a pair."""
         self.pairs += 1
-        stamp = cast(Stamp, SimpleNamespace())
+        stamp = Stamp(self.pairs, self.pairs, self.clock.now_s())
         left, right = (
             CameraImage(stamp, Validity.OK, serial, _pixels(camera, settings, self.pairs), _area(settings))
             for camera, serial, settings in self._cameras
@@ -259,7 +260,7 @@ def _workcell_of(
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
     file = parse_theatre({"theatre": "stereo cell"})  # its devices are passed in, without endpoints
     theatre = SimpleNamespace(
-        arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None, file=file
+        arms={"master": arm}, stereo=stereo, clock=stereo.clock, require=lambda *_names: None, file=file
     )
     calibrations: Any = SimpleNamespace(stereo_head=calibration, arm=None)
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)

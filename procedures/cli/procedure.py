@@ -47,9 +47,10 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 
 @app.command("steps")
 def steps_command(as_json: JsonOption = False) -> None:
-    """List the steps of the procedure and what each one needs."""
+    """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.step import Scope
     from procedures.steps.catalogue import CLINICAL_STEPS
+    from procedures.steps.planned_questions import planned_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 
     if as_json:
@@ -60,6 +61,10 @@ def steps_command(as_json: JsonOption = False) -> None:
                 "needs": list(step.needs),
                 "per_trajectory": step.scope is not Scope.CASE,
                 "moves": step.moves,
+                "asks": [
+                    {"topic": one.topic, "answers": list(one.answers), "if": one.condition}
+                    for one in planned_questions(step)
+                ],
             }
             for step in CLINICAL_STEPS
         ]
@@ -67,7 +72,7 @@ def steps_command(as_json: JsonOption = False) -> None:
         return
     print_table(
         "Steps of the procedure",
-        ("step", "what it does", "for each trajectory", "moves the arm", "needs"),
+        ("step", "what it does", "for each trajectory", "moves the arm", "needs", "asks"),
         [
             (
                 step.name,
@@ -75,6 +80,7 @@ def steps_command(as_json: JsonOption = False) -> None:
                 "" if step.scope is Scope.CASE else "yes",
                 "yes" if step.moves else "",
                 ", ".join(step.needs),
+                ", ".join(dict.fromkeys(one.topic for one in planned_questions(step))),
             )
             for step in CLINICAL_STEPS
         ],

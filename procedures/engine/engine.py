@@ -77,7 +77,7 @@ class Engine:
         self._on_ending = on_ending
         self._before_result = before_result
         self._recorders = recorders
-        self._running = False  # a step
+        self.running: StepKey | None = None
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
         setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
 
@@ -118,7 +118,7 @@ class Engine:
         spec = self.order.spec(key)
         self.machine.begin(key.name)
         self._show_state()
-        self._running = True
+        self.running = key
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
             self.events.publish(StepState(step=str(key), state="begun"))
@@ -142,7 +142,7 @@ class Engine:
             self._fail(key, problem)
             raise
         finally:
-            self._running = False
+            self.running = None
         self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} was left out: {reason}")
@@ -227,7 +227,7 @@ class Engine:
         """
         standing = self.case.standing
         self.faults.doubt_tool(found)
-        if self._running and self.case.standing != standing:
+        if self.running and self.case.standing != standing:
             raise ToolUnchecked(TOUCHED, got=found)
 
     # Between steps

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, TypeVar
 
+from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
 
 if TYPE_CHECKING:
@@ -69,7 +70,8 @@ class StepSpec(Generic[R_co]):
     voids no result of that trajectory, and nothing more is done for it. `rechecks` says that it checks the
     mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
     may have had that tool in their hands, so the step is run again before the tool is used. `preconditions`
-    are checked besides, and say in plain words what is unmet.
+    are checked besides, and say in plain words what is unmet. `asks` are the questions of its course, in
+    order; those of its branches are in their table: see `planned_questions`.
     """
 
     result: type[R_co]
@@ -82,6 +84,7 @@ class StepSpec(Generic[R_co]):
     continues: bool = False
     finishes: bool = False
     rechecks: bool = False
+    asks: tuple[Topic, ...] = ()
     preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
 
     @property

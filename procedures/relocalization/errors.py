@@ -84,7 +84,7 @@ class Saturated(DataError):
 
 
 class PairNotUsable(DataError):
-    """Images are repeatedly incomplete or missing, or left and right come from different triggers."""
+    """Images are repeatedly incomplete, missing or old, or left and right come from different triggers."""
 
     code = "STE-012"
     action = "Check both cameras with ronna-procedure doctor; check cables, trigger and network load."

@@ -16,7 +16,7 @@ from procedures.planning.reach.motions import HOME
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.paths.previews import SPHERE, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.paths.surroundings import planning_scene
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -36,7 +36,6 @@ from ronna_hw.devices import Motion
 from ronna_hw.devices.readings import JointVector
 
 MOVE, LINE = "move", "line"
-SPHERE = "/fiducial "  # in the name of a pose, before its number
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
@@ -50,7 +49,10 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
         lines = _over_the_gauge(case, setting)
         return lines if workcell.at_home else ("the arm is not home; from home it would", *lines)
     paths = stored.result
-    motions = [one for one in paths.motions if _belongs(one, key)]
+    if key.name == Relocalization.kind:
+        motions = motions_over_spheres(paths.motions, key.trajectory)
+    else:
+        motions = [one for one in paths.motions if _belongs(one, key)]
     if workcell.at_home or not motions or motions[0].start != HOME:
         return _told(motions, key)
     over = _sphere_below(paths, key, workcell)
@@ -115,9 +117,6 @@ def _told(motions: Sequence[MotionPreview], key: StepKey) -> tuple[str, ...]:
 
 def _belongs(motion: MotionPreview, key: StepKey) -> bool:
     target = "/target"
-    own = f"{key.trajectory}/" if key.trajectory else ""
-    if key.name == Relocalization.kind:
-        return motion.end.startswith(own) and SPHERE in motion.end
     if key.name == MountedGuide.kind:
         return motion.end == HOME and SPHERE in motion.start
     if key.name == PositionedGuide.kind:

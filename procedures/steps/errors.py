@@ -30,6 +30,14 @@ class DepthStopWrong(LimitError):
     exit_code = RefusedError.exit_code
 
 
+class ReadingTooOld(LimitError):
+    """A reading of the room's hands was made too long ago to be relied on."""
+
+    code = "TOOL-007"
+    action = "Repeat the step: it is read again."
+    exit_code = RefusedError.exit_code
+
+
 class ToolBesideGauge(LimitError):
     """The mounted guide does not match its record: bent, badly seated, wrong mandrel, or the arm sags."""
 

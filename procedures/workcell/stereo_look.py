@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import (
@@ -17,6 +17,7 @@ from procedures.relocalization.sphere_image import SphereImage
 from procedures.relocalization.sphere_in_pair import AreaImage, locate_sphere
 from procedures.relocalization.triangulation import StereoPoint
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.clock import Clock
 from ronna_hw.devices import StereoPair
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.errors import RonnaError
@@ -24,6 +25,7 @@ from ronna_hw.errors import RonnaError
 # What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
+CLOCK_ERROR_S = 0.1  # theatre time; between the clocks of cameras and theatre. The arm rests for longer
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
 
 
@@ -59,16 +61,15 @@ def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
     return AreaOfInterest(0, 0, columns, rows)
 
 
-def look(stereo: StereoPair, calibration: StereoHeadCalibration) -> Look:
-    """Take a pair and measure the sphere in it; a pair that did not come whole is taken again.
+def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
+    """Take a pair and measure the sphere in it; one that did not come whole, or is old, is taken again.
 
     Raises STE-012 when none does: to search for the sphere elsewhere would not help.
     """
-    reading = stereo.grab_pair()
-    for _ in range(FURTHER_TRIES):
+    for _ in range(1 + FURTHER_TRIES):
+        reading = _grabbed(stereo, clock)
         if reading.validity is Validity.OK:
             break
-        reading = stereo.grab_pair()
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
         raise PairNotUsable(
             "no usable pair of images",
@@ -85,6 +86,16 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration) -> Look:
         rims = f"{seen.left.rim_fraction:.0%} left, {seen.right.rim_fraction:.0%} right"
         problem = NotTrusted(seen.doubt, got=f"rim in view {rims}")
     return Look(reading, seen.left, seen.right, seen.point, problem)
+
+
+def _grabbed(stereo: StereoPair, clock: Clock) -> StereoReading:
+    """A pair; STALE when it was exposed before it was asked for, when the arm was elsewhere."""
+    asked_s = clock.now_s()
+    reading = stereo.grab_pair()
+    sides = (side for side in (reading.left, reading.right) if side is not None)
+    measured_s = [side.stamp.measured_s for side in sides if side.stamp.measured_s is not None]
+    old = min((reading.stamp.theatre_time_s, *measured_s)) < asked_s - CLOCK_ERROR_S
+    return replace(reading, validity=Validity.STALE) if old and reading.validity is Validity.OK else reading
 
 
 def _sides(reading: StereoReading) -> str:

@@ -8,7 +8,7 @@ was last stopped or its stream ended is confirmed by the operator.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
@@ -34,6 +34,10 @@ IN_WORDS = {
     MotionName.INSERT: "along the axis to where the guide is held",
     MotionName.WITHDRAW: "out along the axis",
 }
+COVERS = (
+    "; a yes also covers every later motion without a question of its own, until the arm is stopped or its "
+    "stream ends{}"
+)
 
 
 class SupervisedMotion:
@@ -57,6 +61,16 @@ class SupervisedMotion:
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
+        self._course = ""
+
+    @contextlib.contextmanager
+    def leading(self, course: str) -> Iterator[None]:
+        """Within, a confirmation of the first motion also says what all motions of the step come to."""
+        self._course = course
+        try:
+            yield
+        finally:
+            self._course = ""
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """From now on every motion meets that checkpoint, and the first one is asked about."""
@@ -67,13 +81,25 @@ class SupervisedMotion:
         self._confirmed = False
 
     def confirm(
-        self, topic: Topic, subject: str, motions: Sequence[CellMotion], trajectory: str | None = None
+        self,
+        topic: Topic,
+        subject: str,
+        motions: Sequence[CellMotion],
+        trajectory: str | None = None,
+        covers: str = "",
     ) -> None:
-        """Have motions confirmed, in two steps where a person answers; raises PRO-002 unless it is a yes."""
+        """Have motions confirmed, in two steps where a person answers; raises PRO-002 unless it is a yes.
+
+        `covers` says what else is confirmed with them.
+        """
         facts = motion_facts(self._arm(), motions) if motions else []
         read_back = facts[0].read_back if facts else None
         question = Question(
-            topic, subject, "; then ".join(map(str, facts)), trajectory=trajectory, read_back=read_back
+            topic,
+            subject,
+            "; then ".join(map(str, facts)) + covers,
+            trajectory=trajectory,
+            read_back=read_back,
         )
         self._confirmed = self._require_yes(question) or self._confirmed
 
@@ -116,7 +142,11 @@ class SupervisedMotion:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
                 self.confirm(
-                    Topic.FIRST_MOTION, f"first motion: {IN_WORDS[motion.what]}", [motion], motion.trajectory
+                    Topic.FIRST_MOTION,
+                    f"first motion: {IN_WORDS[motion.what]}",
+                    [motion],
+                    motion.trajectory,
+                    COVERS.format(f", here {self._course}" if self._course else ""),
                 )
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
                 self._arm().resume()  # moves nothing

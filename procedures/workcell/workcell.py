@@ -343,8 +343,8 @@ class Workcell:
                 self._mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
-        """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
-        seen = look(self._stereo, self.calibrations.stereo_head)
+        """Take a pair and measure the sphere in it. Raises STE-012 when no new pair comes whole."""
+        seen = look(self._stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
 

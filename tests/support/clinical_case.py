@@ -15,10 +15,14 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from procedures.results.result import StepResult
+from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.planned_questions import planned_questions
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.stereo_look import Look
@@ -49,6 +53,8 @@ A1, A2, A3, A4, A5, A6 = (math.radians(angle) for angle in SCENE.arm.home_deg)
 HOME_RAD: JointVector = (A1, A2, A3, A4, A5, A6)
 IN_VIEW_MM = 12.0  # of the tool centre: what lies farther away is outside both pictures
 SIGMA_MM = 0.01  # per axis, of a sphere in the CT or before the stereo head
+CLINICAL_NAMES = {step.name for step in CLINICAL_STEPS}
+ANYWHERE = (Topic.PAUSE, Topic.GUARD, Topic.UNVERIFIED)  # what any step may meet
 NO_PICTURES = StereoReading(STAMP, Validity.OK, None, None)
 OUTLINE = SphereImage(
     centre_px=(1024.0, 544.0),
@@ -160,7 +166,17 @@ class ClinicalCell(RecordingCell):
         """An engine for these steps; for a result, a step that leaves it."""
         specs = [given(step) if isinstance(step, StepResult) else step for step in steps]
         once = not self.strategy.localizes_per_trajectory
-        return self.engine(order_of(specs, TRAJECTORIES, localizes_per_trajectory=not once))
+        engine = self.engine(order_of(specs, TRAJECTORIES, localizes_per_trajectory=not once))
+        ask = engine.questions.ask
+
+        def only_planned(question: Question) -> str:
+            if engine.running is not None and engine.running.name in CLINICAL_NAMES:
+                planned = planned_questions(engine.order.spec(engine.running))
+                assert question.topic in {*ANYWHERE, *(one.topic for one in planned)}, str(engine.running)
+            return ask(question)
+
+        engine.questions.ask = only_planned  # type: ignore[method-assign]
+        return engine
 
     def run(self, *steps: StepSpec[StepResult] | StepResult) -> Stored[StepResult]:
         """Run these steps; of the last one, for its first trajectory, the result."""

@@ -32,7 +32,9 @@ class Command:
 def _list(engine: Engine, _argument: str, say: Say) -> None:
     width = max(len(engine.status(key)) for key in engine.order.sequence)
     for key in engine.order.sequence:
-        say(f"{engine.status(key):<{width}}  {key!s:<24} {engine.order.spec(key).title}")
+        spec = engine.order.spec(key)
+        asks = f"; asks {', '.join(spec.asks)}" if spec.asks and not engine.case.stands(key) else ""
+        say(f"{engine.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
 
 
 def _next(engine: Engine, _argument: str, say: Say) -> None:
@@ -107,6 +109,10 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
         return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
+    from procedures.steps.planned_questions import planned_questions
+
+    for question in planned_questions(engine.order.spec(key)):
+        say(f"  asks {question}")
 
 
 def _dry(engine: Engine, argument: str, say: Say) -> None:
@@ -128,6 +134,10 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
 def _pause(engine: Engine, _argument: str, say: Say) -> None:
     engine.checkpoint.pause()
     say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
+
+
+def _stop(_engine: Engine, _argument: str, say: Say) -> None:
+    say("no step is running and the arm is at rest; quit leaves the case")
 
 
 def _resume(_engine: Engine, _argument: str, say: Say) -> None:
@@ -193,9 +203,12 @@ COMMANDS: dict[str, Command] = {
     "to": Command("STEP", "run up to and including a step", _to),
     "back": Command("STEP", "repeat a step; shows what that supersedes", _back),
     "skip": Command("[STEP]", "refused: every result is needed later", _skip),
-    "why": Command("[STEP]", "why a step cannot start now", _why),
+    "why": Command("[STEP]", "why a step cannot start now, and what it asks", _why),
     "dry": Command("[STEP]", "the motions of a step; nothing moves", _dry),
     "pause": Command("", "pause before the next step", _pause),
+    "stop": Command(
+        "", "stop the arm and pause, from a script while a step runs; typed, Ctrl-C twice", _stop
+    ),
     "resume": Command("", "continue a paused case", _resume),
     "home": Command("", "instrument out, guide back, then park; not in a pause, where a step is on", _home),
     "acknowledge": Command("YOUR-NAME", "recover devices in fault; a paused step begins again", _acknowledge),

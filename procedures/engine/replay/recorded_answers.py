@@ -114,8 +114,10 @@ class RecordedAnswers:
     _section: Mapping[tuple[str, str], deque[_Answer]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
-        """From here on the answers are those of that section."""
+        """From here on the answers are those of that section, whose process may have had its own clock."""
         self._section = self._sections.get(section, {})
+        given_s = (line.theatre_time_s for lines in self._section.values() for line in lines)
+        self.moment_s = min(given_s, default=self.moment_s)
 
     @contextmanager
     def peeking(self) -> Iterator[None]:

@@ -18,6 +18,7 @@ from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -124,10 +125,12 @@ def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
 
 
 def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
-    """Have one stage done and confirmed; raises PRO-002 unless it is said to be done."""
+    """Have one stage done and confirmed; raises PRO-002 unless it is said to be done, TOOL-007."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
     before = f"; earlier: {done_in_words(known)}" if known else ""
+    if stage is STAGES[-1]:
+        begun.rely_on_stop(context)
     stages.begins(trajectory, stage.task)
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
@@ -187,6 +190,7 @@ STEP = StepSpec(
     "Work through the guide",
     Phase.OPERATION,
     run,
+    asks=(Topic.DEPTH_STOP, *(stage.topic for stage in STAGES), Topic.INSTRUMENT_OUT),
     scope=Scope.TRAJECTORY,
     reads=(PositionedGuide, CheckedPlan, *ROOM_READS),
     continues=True,

@@ -225,6 +225,7 @@ STEP = StepSpec(
     "Place and lock the cart",
     Phase.PREPARATION,
     run,
+    asks=(Topic.CART_LOCKED,),
     reads=(CheckedSetUp, ClampedHead, LocalizedFiducials, CheckedPlan),
     preconditions=away_from_head,
 )

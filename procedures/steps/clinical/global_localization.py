@@ -14,6 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
 from procedures.registration.shift import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
@@ -129,6 +130,7 @@ STEP = StepSpec(
     "Localize all spheres with the tracker",
     Phase.PREPARATION,
     run,
+    asks=(Topic.TOOL_CHANGE,),
     reads=(CheckedSetUp,),
     preconditions=_localizable_from_here,
 )

@@ -61,6 +61,7 @@ STEP = StepSpec(
     "Clamp the head",
     Phase.PREPARATION,
     run,
+    asks=(Topic.HEAD_CLAMPED,),
     reads=(CheckedSetUp, CheckedPlan),
     preconditions=away_from_head,
 )

@@ -163,6 +163,7 @@ STEP = StepSpec(
     "Check the plan",
     Phase.PREOPERATIVE,
     run,
+    asks=(Topic.PATIENT,),
     reads=(ImportedCt, LocalizedFiducials),
     preconditions=localizable,
 )

@@ -146,6 +146,7 @@ STEP = StepSpec(
     "Position the guide in front of the entry",
     Phase.OPERATION,
     run,
+    asks=(Topic.APPROACH,),
     scope=Scope.TRAJECTORY,
     reads=(RegisteredRobot, MountedGuide, CheckedTool, CheckedPaths, *ROOM_READS, *READS),
     moves=True,

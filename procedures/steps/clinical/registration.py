@@ -369,6 +369,7 @@ STEP = StepSpec(
     "Register the CT to the robot",
     Phase.OPERATION,
     run,
+    asks=(Topic.REGISTRATION,),
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
     preconditions=_outside,

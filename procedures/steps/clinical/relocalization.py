@@ -25,6 +25,7 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.previews import in_one_line, motions_over_spheres
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
@@ -71,6 +72,13 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 def run(context: StepContext) -> Outcome[Relocalization]:
     """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
+    motions = motions_over_spheres(paths.motions, context.key.trajectory)
+    course = f"{in_one_line(motions)}; and the small steps over each sphere" if motions else ""
+    with context.workcell.supervised.leading(course):
+        return _localized(context, paths)
+
+
+def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
     planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)

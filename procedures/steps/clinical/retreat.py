@@ -6,6 +6,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -49,6 +50,7 @@ STEP = StepSpec(
     "Retreat along the axis",
     Phase.OPERATION,
     run,
+    asks=(Topic.RETREAT, Topic.PARK),
     scope=Scope.TRAJECTORY,
     reads=(PositionedGuide, ReachedTarget, *ROOM_READS),
     moves=True,

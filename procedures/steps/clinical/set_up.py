@@ -108,5 +108,6 @@ STEP = StepSpec(
     "Connect and check the devices",
     Phase.PREPARATION,
     run,
+    asks=(Topic.RESUME,),
     preconditions=_not_connected_yet,
 )

@@ -120,6 +120,7 @@ STEP = StepSpec(
     "Measure a ball at the target with the stereo head",
     Phase.OPERATION,
     run,
+    asks=(Topic.APPROACH,),
     scope=Scope.TRAJECTORY,
     reads=(RegisteredRobot, CheckedPaths, *ROOM_READS, *READS),
     moves=True,

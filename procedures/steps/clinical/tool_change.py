@@ -59,6 +59,7 @@ STEP = StepSpec(
     "Exchange the stereo head for the guide",
     Phase.OPERATION,
     run,
+    asks=(Topic.PARK, Topic.TOOL_CHANGE, Topic.TOOL_TIP),
     reads=(CheckedSetUp, *ROOM_READS, *READS),
     moves=True,
     preconditions=exchangeable,

@@ -25,6 +25,7 @@ from procedures.steps.clinical.tools.sight import require_seen_in_place
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolBesideGauge
+from procedures.steps.reading_age import require_recent
 from procedures.workcell import MountedTool
 from procedures.workcell.parking import park
 from ronna_hw.arm.angles import radians6
@@ -62,7 +63,7 @@ class CheckedTool(StepResult, kind="tool_check"):
 def run(context: StepContext) -> Outcome[CheckedTool]:
     """Have the mandrel put into the gauge, read and taken out, three times; go home.
 
-    Where the guide bears a frame, the tracker looks at it first. Raises TOOL-005, TOOL-006, PRO-002.
+    Where the guide bears a frame, the tracker looks at it first. Raises TOOL-005 to TOOL-007, PRO-002.
     """
     workcell = context.workcell
     context.result(MountedGuide)
@@ -87,15 +88,17 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         reads=reads,
         plausible_mm=guide.gauge.plausible_mm,
     )
-    readings = []
+    readings, read_s = [], []
     for number in range(APPROACHES):
         context.progress((1 + number) / (2 + APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ARRIVING, from_afar=number == 0)
         workcell.hold()  # a hand pushes the mandrel in: only a motion that is asked for leads on
         workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))
+        read_s.append(context.setting.clock.now_s())
         context.have_instrument_out()
     park(workcell, "park the arm from the gauge")
+    require_recent(context, "the dials of the gauge", read_s[0])
     offset, tilt_deg = compared(guide.gauge, readings)
     off_mm = math.hypot(*offset)
     measured = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"
@@ -136,6 +139,7 @@ STEP = StepSpec(
     "Check the guide on the gauge",
     Phase.OPERATION,
     run,
+    asks=(Topic.TOOL_CHECK, Topic.INSTRUMENT_OUT, Topic.PARK),
     reads=(MountedGuide, *ROOM_READS, *READS),
     moves=True,
     rechecks=True,

@@ -186,6 +186,26 @@ def test_persistently_unusable_pairs_stop_without_a_search(cell: StereoCell, val
 
 
 @pytest.mark.hazard(25)
+@pytest.mark.parametrize("known", ["arrival", "exposure"])
+def test_a_pair_exposed_before_it_was_asked_for_is_refused(cell: StereoCell, known: str) -> None:
+    start = start_of(cell, 2.0)
+    grab = cell.stereo.grab_pair
+
+    def grab_pair(timeout_s: float = 5.0) -> StereoReading:
+        pair = grab(timeout_s)
+        old_s = pair.stamp.theatre_time_s - 0.5
+        if known == "arrival":
+            return replace(pair, stamp=replace(pair.stamp, theatre_time_s=old_s))
+        assert pair.right is not None
+        return replace(pair, right=replace(pair.right, stamp=replace(pair.right.stamp, measured_s=old_s)))
+
+    cell.stereo.grab_pair = grab_pair  # type: ignore[method-assign]
+    with pytest.raises(PairNotUsable, match=r"STE-012.*the pair is stale"):
+        cell.centre(start)
+    assert cell.stereo.pairs == 3
+
+
+@pytest.mark.hazard(25)
 def test_a_pair_out_of_step_once_is_acquired_again(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     grab = cell.stereo.grab_pair

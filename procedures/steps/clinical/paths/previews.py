@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydantic import Field
 
 from procedures.planning.reach.motions import PreviewedMotion
 from procedures.results.result import Values
 from ronna_hw.arm.clearance.swept_path import Closest
+from ronna_hw.text.counting import counted
+
+SPHERE = "/fiducial "  # in the name of a pose, before its number
 
 
 class ClosestApproach(Values):
@@ -55,3 +60,19 @@ class MotionPreview(Values):
             largest_speed_mm_s=preview.largest_speed_mm_s,
             nearest_to_head_mm=preview.nearest_to_head_mm,
         )
+
+
+def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
+    """Those of one localization: of a trajectory, or the one that serves all."""
+    own = f"{trajectory}/" if trajectory else ""
+    return [one for one in motions if one.end.startswith(own) and SPHERE in one.end]
+
+
+def in_one_line(motions: Sequence[MotionPreview]) -> str:
+    """At least one: how many, how long, how fast and how close."""
+    near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
+    return (
+        f"{counted(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
+        f"{max(one.largest_speed_mm_s for one in motions):.0f} mm/s; "
+        + (f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm" if near else "nothing near")
+    )

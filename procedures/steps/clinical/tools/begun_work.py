@@ -11,6 +11,8 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.branches import FINISHED, HOLD, WORK_BEGUN, from_stage
 from procedures.steps.clinical.tools.depth_stop import DepthStop, set_depth_stop
+from procedures.steps.errors import ReadingTooOld
+from procedures.steps.reading_age import require_recent
 from ronna_hw.wire import room_tasks
 
 BESIDE = "the guide was repositioned since; its axis may miss the opening"
@@ -45,7 +47,8 @@ class BegunWork:
 
     `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
     `watched` says that the tracker saw the guide after each stage since, `pushed_mm` how far it was from its
-    place after one at most.
+    place after one at most. `stop_read_s` is the theatre time at which the depth stop was read, until the
+    instrument goes in by it.
     """
 
     trajectory: str
@@ -54,11 +57,23 @@ class BegunWork:
     done: list[str] = field(default_factory=list)  # tasks
     watched: bool = True
     pushed_mm: float = 0.0
+    stop_read_s: float | None = None
 
     @property
     def finished_before(self) -> bool:
         """Whether nothing remained to be done."""
         return len(self.before) == len(STAGES)
+
+    def rely_on_stop(self, context: StepContext) -> None:
+        """The instrument goes in. Raises TOOL-007 when its stop was read too long ago: it is set anew."""
+        if self.stop_read_s is None:
+            return
+        try:
+            require_recent(context, f"the depth stop for {self.trajectory}", self.stop_read_s)
+        except ReadingTooOld:
+            context.setting.memory.drop(BegunWork)
+            raise
+        self.stop_read_s = None
 
 
 def begun_work(context: StepContext) -> BegunWork:
@@ -80,6 +95,7 @@ def begun_work(context: StepContext) -> BegunWork:
         )
         return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
+    begun.stop_read_s = context.setting.clock.now_s()
     instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
     memory.keep(begun)
     context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide

@@ -18,7 +18,7 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, TIP_LIMIT_MM, CheckedTool
-from procedures.steps.errors import ToolBesideGauge
+from procedures.steps.errors import ReadingTooOld, ToolBesideGauge
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
 from procedures.workcell.tool_records import ToolRecords
@@ -119,6 +119,16 @@ def test_the_arm_does_not_leave_the_gauge_without_confirmation(cell: ClinicalCel
 def test_readings_that_are_not_finite_are_refused(cell: ClinicalCell) -> None:
     with pytest.raises(NotConfirmed, match="PRO-002: the readings are not finite numbers"):
         check(cell, math.nan, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.hazard(47)
+def test_dials_read_an_hour_before_the_result_are_refused(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    with pytest.raises(ReadingTooOld, match="TOOL-007: the dials of the gauge: read too long ago"):
+        check(cell, *(0.0,) * 5)
+    assert cell.workcell.at_home
 
 
 @pytest.mark.hazard(47)

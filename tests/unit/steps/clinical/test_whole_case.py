@@ -16,9 +16,11 @@ from prepared_results import (
 
 from procedures.engine.events import StepState
 from procedures.engine.step import StepSpec
+from procedures.operator.topic import Topic
 from procedures.planning.plan.guide_hold import held_trajectory
 from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
@@ -67,6 +69,17 @@ def test_the_summary_of_a_step_names_its_figures(finished: tuple[ClinicalCell, d
     assert "predicted target error" in said["registration"]
     words = re.findall(r"\w+", " ".join(said.values()))
     assert not {"look", "looks", "well", "clear", "estimators", "apart"} & set(words)
+
+
+@pytest.mark.hazard(36)
+def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_covers(
+    once: ClinicalCell,
+) -> None:
+    over = [one for one in once.case.get(CheckedPaths).result.motions if "/fiducial " in one.end]
+    asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
+    assert len(over) > len(TRAJECTORIES)
+    assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
+    assert asked.value.endswith("and the small steps over each sphere")
 
 
 def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(

@@ -30,7 +30,7 @@ from procedures.operator.topic import Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
-from procedures.steps.errors import DepthStopWrong
+from procedures.steps.errors import DepthStopWrong, ReadingTooOld
 from procedures.workcell import MountedTool
 
 STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
@@ -128,6 +128,22 @@ def test_a_corrected_depth_stop_is_confirmed(cell: ClinicalCell) -> None:
     work(engine)
     assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
     assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
+
+
+@pytest.mark.hazard(45)
+def test_no_instrument_goes_in_by_a_depth_stop_read_too_long_ago(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = before_the_entry(cell)
+    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    with pytest.raises(ReadingTooOld, match="TOOL-007: the depth stop for T1: read too long ago"):
+        work(engine)
+    assert [task.name for task in cell.room.worked] == ["depth_stop", "skin", "drill", "dura"]
+    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 60.0)
+    cell.room.worked.clear()
+    cell.operator.answers[Topic.WORK_BEGUN] = "from insert"
+    work(engine)
+    assert [task.name for task in cell.room.worked] == ["out", "depth_stop", "insert", "out"]
 
 
 def test_no_instrument_goes_in_without_a_depth_stop_reading(cell: ClinicalCell) -> None:
