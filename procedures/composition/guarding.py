@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 from functools import partial
+from pathlib import Path
 
 from procedures.engine.engine import Engine
 from procedures.engine.step import StepKey
-from procedures.guards import GuideStill, TrackerLink, patient_watch, sight_guard, standing_guards
+from procedures.guards import (
+    GuideStill,
+    TrackerLink,
+    UnchangedRecords,
+    patient_watch,
+    sight_guard,
+    standing_guards,
+)
 from procedures.recovery.moved_cart import MovedCart
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.steps.clinical.validity.moved_head import void_moved
+from ronna_hw.config import TheatreFile
 
 
-def guard(engine: Engine, *, only_leaving: bool = False) -> None:
-    """Every guard of a calibration or, if it has a patient, of a case.
+def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: bool = False) -> None:
+    """Every guard of a calibration or, if it has a patient, of a case that began with what the file said.
 
     With `only_leaving` the inputs are not compared: whatever has changed, the arm may go home.
     """
@@ -22,6 +31,10 @@ def guard(engine: Engine, *, only_leaving: bool = False) -> None:
     workcell = setting.workcell
     folder = engine.case.folder
     guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    if not only_leaving:
+        guards.append(
+            UnchangedRecords(file, theatre, lambda: engine.running is not None and workcell.insertion is None)
+        )
     link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
     if setting.clinical is None:
         guards.append(link)

@@ -138,5 +138,5 @@ def made_engine(
         latest=None if left is None else left.latest,
     )
     engine.checkpoint.beside = tape.beside
-    guard(engine, only_leaving=resumption is not None and resumption.only_leaving)
+    guard(engine, file, theatre.file, only_leaving=resumption is not None and resumption.only_leaving)
     return engine

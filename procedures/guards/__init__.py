@@ -6,6 +6,14 @@ suspends the case with a reason in plain words, until it is met or the operator 
 
 from procedures.guards.guide_still import GuideStill
 from procedures.guards.standing import patient_watch, sight_guard, standing_guards
+from procedures.guards.theatre_records import UnchangedRecords
 from procedures.guards.tracker_link import TrackerLink
 
-__all__ = ["GuideStill", "TrackerLink", "patient_watch", "sight_guard", "standing_guards"]
+__all__ = [
+    "GuideStill",
+    "TrackerLink",
+    "UnchangedRecords",
+    "patient_watch",
+    "sight_guard",
+    "standing_guards",
+]

@@ -1,12 +1,15 @@
 """Every run has the guards and watches of its kind, and they hold the arm."""
 
+import tomllib
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import tomli_w
 from clinical_case import ClinicalCell
 from passing_clock import PassingClock
-from recording_cell import GUIDE
+from plain_steps import only_home_remains
+from recording_cell import GUIDE, RecordingCell, mini_theatre_file
 
 from procedures.composition.guarding import guard
 from procedures.engine.engine import Engine
@@ -17,6 +20,7 @@ from procedures.guards.guide_still import GuideStill
 from procedures.guards.head_in_sight import HeadInSight
 from procedures.guards.line_of_sight import LineOfSight
 from procedures.guards.mounted_tool import ToolStillMounted
+from procedures.guards.theatre_records import UnchangedRecords
 from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
 from procedures.operator.errors import GuardUnmet
@@ -24,6 +28,7 @@ from procedures.operator.topic import Topic
 from procedures.steps.clinical import global_localization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.workcell import MountedTool
+from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.lifecycle import Lifecycle
 
 OF_EVERY_RUN = [DiskSpace, WallClock, ArmLink, ToolStillMounted, LineOfSight]
@@ -36,9 +41,9 @@ ORDER = order_of([global_localization.STEP], ())
 @pytest.mark.parametrize(
     ("clinical", "only_leaving", "expected"),
     [
-        (True, False, [*OF_EVERY_RUN, UnchangedInputs, *OF_A_PATIENT, TrackerLink]),
+        (True, False, [*OF_EVERY_RUN, UnchangedRecords, UnchangedInputs, *OF_A_PATIENT, TrackerLink]),
         (True, True, [*OF_EVERY_RUN, *OF_A_PATIENT, TrackerLink]),
-        (False, False, [*OF_EVERY_RUN, TrackerLink]),
+        (False, False, [*OF_EVERY_RUN, UnchangedRecords, TrackerLink]),
     ],
     ids=["a case", "a case whose arm only goes home", "a calibration"],
 )
@@ -49,9 +54,36 @@ def test_a_run_has_the_guards_of_its_kind(
     setting = cell.setting() if clinical else replace(cell.setting(), clinical=None)
     engine = Engine(ORDER, cell.case, setting, cell.journal)
     unwatched = engine.checkpoint.watching
-    guard(engine, only_leaving=only_leaving)
+    guard(engine, tmp_path / "theatre.toml", cell.theatre, only_leaving=only_leaving)
     assert (engine.checkpoint.watching is not unwatched) is clinical
     assert [type(one) for one in engine.checkpoint.guards] == expected
+
+
+@pytest.mark.hazard(1)
+def test_a_calibration_renewed_during_a_case_suspends_its_next_motion_until_it_is_put_back(
+    tmp_path: Path,
+) -> None:
+    cell = RecordingCell(tmp_path)
+    cell.clock = PassingClock()
+    file = mini_theatre_file(tmp_path, simulated=True)
+    former, began_with = file.read_bytes(), read_theatre_file(file)
+    setting = replace(cell.setting(), clinical=None)
+    engine = Engine(only_home_remains(), cell.case, setting, cell.journal)
+    guard(engine, file, began_with)
+    moved = len(cell.arm.motions)
+    content = tomllib.loads(former.decode())
+    content["calibration"]["tool_tip"]["stated_error_mm"] = 0.07
+    file.write_text(tomli_w.dumps(content))
+    cell.operator.refusing = (Topic.GUARD,)
+    with pytest.raises(GuardUnmet, match=r"PRO-017: .*calibration\.tool_tip in theatre\.toml changed after"):
+        engine.run_to()
+    assert len(cell.arm.motions) == moved
+    assert ("rested", "") in cell.entries("rested")
+    cell.workcell.set_home()
+    engine.retreat_home()  # is not held up
+    file.write_bytes(former)
+    engine.run_to()
+    assert len(cell.arm.motions) > moved
 
 
 @pytest.mark.hazard(3)
@@ -59,7 +91,7 @@ def test_a_guarded_case_does_not_move_with_another_tool(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     cell.clock = PassingClock()
     engine = cell.engine(ORDER)
-    guard(engine)
+    guard(engine, tmp_path / "theatre.toml", cell.theatre)
     cell.arm.state = Lifecycle.ACTIVE
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     cell.arm.mounted = GUIDE
