@@ -103,7 +103,7 @@ class OrderPanel:
         self._pause.set_enabled(is_mine and not waits and not paused and not ended)
         faulty = any(row.seen.fault for row in view.devices.values())
         self._acknowledge.set_visibility(faulty)
-        self._acknowledge.set_enabled(is_mine and waits and not ended)
+        self._acknowledge.set_enabled(is_mine and (waits or paused) and not ended)
         self._abort.set_enabled(is_mine and not ended)
         options = [row.step for row in view.steps if row.state != "done"]
         if options != self._to.options:

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from run_folders import await_motion_in
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
@@ -124,3 +125,25 @@ def test_a_plan_changed_during_a_case_stops_all_motion_and_voids_the_registratio
     (voided,) = [line for line in lines if line["entry"] == Entry.VOIDED]
     assert all(line["entry"] != Entry.MOTION for line in lines[lines.index(voided) :])
     assert any("registration-T1" in str(name) for name in voided["supersedes"])
+
+
+@pytest.mark.slow
+@pytest.mark.hazard(32)
+def test_a_script_stops_the_arm_during_a_step_and_decides_how_it_goes_on(
+    commands: Commands, tmp_path: Path
+) -> None:
+    options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))
+    process = commands.start("ronna-procedure", "step", *options, stdin=subprocess.PIPE)
+    assert process.stdin is not None
+    process.stdin.write("to relocalization:T1\n")
+    process.stdin.flush()
+    await_motion_in(tmp_path, "relocalization:T1")
+    said, errors = process.communicate("stop\nresume\nquit\n", timeout=100)
+    assert process.returncode == 0, errors
+    assert "Paused: a stop was ordered on the standard input; " in said
+    assert "done relocalization:T1" in said
+    (run,) = tmp_path.iterdir()
+    lines = list(read_journal(run / JOURNAL_FILE))
+    rested = next(number for number, line in enumerate(lines) if line["entry"] == Entry.RESTED)
+    assert any(line["entry"] == Entry.MOTION for line in lines[:rested])
+    assert any(line["entry"] == Entry.MOTION for line in lines[rested:])

@@ -23,6 +23,7 @@ from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
+    from procedures.cli.case.piped_lines import PipedLines
     from procedures.engine.engine import Engine
 
 HELD = (
@@ -32,7 +33,7 @@ PAUSED = "paused> "
 ACKNOWLEDGE = "acknowledge"
 AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {ACKNOWLEDGE} YOUR-NAME | {' | '.join(LOOKING)}"
 QUIT = ("quit", "q")
-MEANT = {"exit": "quit", "stop": "quit", "continue": "resume"}  # else the nearest might move the arm
+MEANT = {"exit": "quit", "continue": "resume"}  # else the nearest might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
@@ -48,10 +49,12 @@ class Prompt:
         after: Callable[[], object] = lambda: None,
         resumes: bool = False,
         meanwhile: Callable[[Engine], None] | None = None,
+        piped: PipedLines | None = None,
     ) -> None:
         """`words` is shown on a terminal; `after` is called when a command is done.
 
         `meanwhile` returns when something can be read; until then the case may be operated from elsewhere.
+        `piped` is where the lines come from that are not typed at a terminal.
         With `resumes`, `resume` leaves the prompt and the case continues.
         """
         self._resumes = resumes
@@ -60,6 +63,7 @@ class Prompt:
         self._asking = asking
         self._after = after
         self._meanwhile = meanwhile
+        self._piped = piped
         self._engine: Engine | None = None
         self.input_ended = False
 
@@ -166,7 +170,7 @@ class Prompt:
         with self._asking() as write:
             if on_terminal(sys.stdin):
                 write(words)
-            line = sys.stdin.readline()
+            line = (self._piped or sys.stdin).readline()
             self.input_ended = not line
             return line or None
 

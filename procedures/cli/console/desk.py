@@ -64,6 +64,7 @@ class _Standing:
     signature: Signature | None = None
     readings: tuple[float, ...] | None = None
     misread: int = 0  # how often, not yet in the journal
+    acknowledged_by: str = ""  # who acknowledges faults while it stands
 
 
 class Desk:
@@ -170,7 +171,8 @@ class Desk:
 
     def _steer(self, order: AnyOrder, engine: Engine) -> str:
         name = self._seat.holder
-        paused = self._standing is not None and self._standing.question.topic is Topic.PAUSE
+        standing = self._standing
+        paused = standing is not None and standing.question.topic is Topic.PAUSE
         vacated = self._vacated
         match order:
             case Pause():
@@ -182,9 +184,11 @@ class Desk:
             case Abort():
                 if self._waiting_for is None:
                     engine.checkpoint.abort()
-                    if self._standing is not None:
-                        self._settle(self._standing.question.silence)
+                    if standing is not None:
+                        self._settle(standing.question.silence)
                 self._wish = Wish("abort", by=name, vacated=vacated)
+            case Acknowledge() if paused and standing is not None and standing.answer is None:
+                standing.acknowledged_by = name
             case _ if self._waiting_for is None:
                 return "the engine is not waiting for an order: a step is running, or a question is open"
             case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if (
@@ -265,8 +269,11 @@ class Desk:
 
     # The engine's own thread
 
-    def ask(self, question: Question) -> str | None:
-        """The answer from the console; silence in time, and None when the console has ended."""
+    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> str | None:
+        """The answer from the console; silence in time, and None when the console has ended.
+
+        `acknowledge` is called, at a pause, with the name of who acknowledges faults.
+        """
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
             self._standing = standing = _Standing(question, shown_digest(as_shown(question, question.number)))
@@ -280,6 +287,13 @@ class Desk:
                     while standing.misread:
                         standing.misread -= 1
                         question.misread()
+                    if standing.acknowledged_by:
+                        by, standing.acknowledged_by = standing.acknowledged_by, ""
+                        self._changed.release()  # devices take seconds, and a stop must get through
+                        try:
+                            acknowledge(by)
+                        finally:
+                            self._changed.acquire()
             finally:
                 self._standing = None
         if standing.signature is not None:

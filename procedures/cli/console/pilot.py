@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import sys
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import leave_head
@@ -25,6 +26,10 @@ HELD = "the case is held, the arm is at rest; the operator at the console decide
 LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
 
 
+def _typed(timeout_s: float) -> bool:
+    return bool(select.select([sys.stdin], [], [], timeout_s)[0])
+
+
 class ConsoleOperator:
     """Asks at the console while it operates the case, and otherwise whoever would be asked without it."""
 
@@ -36,7 +41,7 @@ class ConsoleOperator:
     def ask(self, question: Question) -> str:
         """The answer; of a console that ends meanwhile, that of whoever takes its place."""
         self._pilot.note_seat()
-        answer = self._desk.ask(question) if self._desk.in_charge else None
+        answer = self._desk.ask(question, self._pilot.acknowledge) if self._desk.in_charge else None
         self._pilot.note_seat()
         if answer is None:  # whoever takes its place reads in another way
             return question.silence if question.reads else self._otherwise.ask(question)
@@ -46,8 +51,12 @@ class ConsoleOperator:
 class Pilot:
     """Carries out orders between steps, on the engine's own thread."""
 
-    def __init__(self, desk: Desk, *, runs: bool) -> None:
-        """`runs` where the case goes on by itself until the operator says otherwise."""
+    def __init__(self, desk: Desk, *, runs: bool, typed: Callable[[float], bool] = _typed) -> None:
+        """`runs` where the case goes on by itself until the operator says otherwise.
+
+        `typed` says whether something can be read from the standard input in that host time.
+        """
+        self._typed = typed
         self.desk = desk
         self.has_led_home = False  # the case was aborted, and led out and home as far as that was confirmed
         self._runs = runs
@@ -84,6 +93,16 @@ class Pilot:
         if self._engine.ask(question) != READ:
             return None if self.desk.gone else ()
         return read[-1]
+
+    def acknowledge(self, by: str) -> None:
+        """Recover the devices that are in fault; what cannot be recovered yet is told."""
+        if self._engine is None:
+            return
+        try:
+            for role, fault in self._engine.faults.acknowledge(by).items():
+                tell(f"acknowledged by {by}: {role}: {fault}")
+        except RonnaError as error:
+            self._tell_fault(self._engine, error)
 
     def attach(self, engine: Engine) -> None:
         """From now on orders are about this engine."""
@@ -125,11 +144,11 @@ class Pilot:
     def follow_until_typed(self, engine: Engine) -> None:
         """Carry orders out until something is typed on the standard input, or that ends."""
         self._wait(engine)
-        while not select.select([sys.stdin], [], [], 0.0)[0]:
+        while not self._typed(0.0):
             self.note_seat()
             in_charge = self.in_charge
             if self.desk.gone or engine.machine.ended or (name := comes_next(engine)) is None:
-                select.select([sys.stdin], [], [], LOOK_AGAIN_S)
+                self._typed(LOOK_AGAIN_S)
             elif self._going and not self._must_wait(in_charge=in_charge):
                 self._run_step(engine, name)
             else:
@@ -200,11 +219,7 @@ class Pilot:
         if wish.what == ABORT:
             self._abort(engine)
         elif wish.what == "acknowledge":
-            try:
-                for role, fault in engine.faults.acknowledge(wish.by).items():
-                    tell(f"acknowledged by {wish.by}: {role}: {fault}")
-            except RonnaError as error:
-                self._tell_fault(engine, error)
+            self.acknowledge(wish.by)
             self._wait(engine)
         else:
             self._until = {"next": comes_next(engine), "to": wish.step}.get(wish.what)

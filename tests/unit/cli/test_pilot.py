@@ -24,6 +24,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import ConsoleMissing
 from procedures.engine.orders import read_order
+from procedures.engine.questions import Questions
 from procedures.engine.step import Outcome
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import OperatorAborted
@@ -354,6 +355,30 @@ def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_ste
         eventually(lambda: case.give("next", upcoming="home") == "")
         eventually(lambda: case.ended_by == [None])
     assert (cell.arm.joints_rad, case.engine.machine.state) == (HOME, "finished")
+
+
+@pytest.mark.hazard(32)
+def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again(cell: RecordingCell) -> None:
+    case = Operated(cell.engine(plain_order()), runs=False)
+    cell.operator = case.pilot.operator(cell.operator)  # type: ignore[assignment]
+    case.engine.questions = Questions(cell.operator, cell.journal, cell.clock.now_s, case.engine.events)
+    with running(case):
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        case.engine.checkpoint.pause()
+        assert case.give("next", upcoming="image") == ""
+        eventually(lambda: case.pilot.desk._standing is not None)
+        cell.arm.state = Lifecycle.FAULT
+        assert case.give("acknowledge") == ""
+        eventually(lambda: "recovered by Ana" in cell.arm.calls)
+        asked = case.pilot.desk._standing
+        assert asked is not None
+        answer = {"question": asked.question.number, "answer": "continue", "shown": asked.shown}
+        assert case.give("answer", **answer) == ""
+        case.await_waiting()
+        assert cell.entries("failed") == [("failed", "image")]  # PRO-001: it is begun again
+        assert case.give("next", upcoming="image") == ""
+        eventually(lambda: case.stands("image"))
 
 
 def test_a_missing_console_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

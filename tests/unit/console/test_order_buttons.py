@@ -12,7 +12,7 @@ from nicegui import Client, ui
 from console.feed.view import CaseView
 from console.panels.orders import OrderPanel
 from console.panels.question import ARMED_S, HeldButton
-from procedures.engine.events import Waiting
+from procedures.engine.events import Questioned, Waiting
 
 
 def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
@@ -28,6 +28,24 @@ def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
         return seen.is_deleted, panel._next.text
 
     assert asyncio.run(clicks()) == (True, "Next: fit:T1")
+
+
+@pytest.mark.parametrize(("topic", "possible"), [("pause", True), ("park", False)])
+def test_faults_can_be_acknowledged_at_a_pause(topic: str, possible: bool) -> None:
+    async def give(_order: dict[str, Any]) -> None:
+        pass
+
+    open_question = Questioned(
+        question=1, topic=topic, subject="", value="", answers=("yes", "no"), timeout_s=None
+    )
+
+    async def enabled() -> bool:
+        with Client(ui.page("/of-a-test"), request=None):
+            panel = OrderPanel(give, lambda _words: None)
+            panel.show(CaseView(question=open_question), is_mine=True)
+        return panel._acknowledge.enabled
+
+    assert asyncio.run(enabled()) is possible
 
 
 @pytest.mark.parametrize(

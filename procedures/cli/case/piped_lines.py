@@ -1,0 +1,67 @@
+"""The lines of a script that pipes its commands: read ahead, so that `stop` counts while a step runs."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Iterator
+from itertools import chain
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+STOP = "stop"
+READ_AHEAD = 1000  # lines; beyond them the writer waits
+
+
+class PipedLines:
+    """Standard input that is no terminal. Nothing but `stop` overtakes the commands before it."""
+
+    def __init__(self) -> None:
+        self._changed = threading.Condition()
+        self._lines: deque[str] = deque()  # the last is empty at the end of the input
+        self._idle = True  # the case waits for a command, or nothing was read yet
+
+    def attach(self, engine: Engine) -> None:
+        """Begin to read: from now on `stop` is about this engine."""
+        threading.Thread(target=self._read, args=(engine,), name="standard input", daemon=True).start()
+
+    def ready(self, timeout_s: float) -> bool:
+        """Whether a line, or the end, can be read in time."""
+        with self._changed:
+            return self._changed.wait_for(lambda: bool(self._lines), timeout_s)
+
+    def readline(self) -> str:
+        """The next line; empty at the end, as often as it is asked for."""
+        with self._changed:
+            self._idle = True
+            self._changed.wait_for(lambda: bool(self._lines))
+            line = self._lines.popleft() if self._lines[0] else ""
+            self._idle = False
+            self._changed.notify_all()
+        return line
+
+    def _read(self, engine: Engine) -> None:
+        for line in chain(_lines(sys.stdin.fileno()), [""]):
+            with self._changed:
+                self._changed.wait_for(lambda: len(self._lines) < READ_AHEAD)
+                overtakes = line.strip() == STOP and not (self._idle and not self._lines)
+                if not overtakes:
+                    self._lines.append(line)
+                    self._changed.notify_all()
+            if overtakes:
+                engine.checkpoint.pause("a stop was ordered on the standard input")
+                engine.setting.workcell.stop()
+
+
+def _lines(descriptor: int) -> Iterator[str]:
+    """Not by `sys.stdin`: a thread that waits in it holds a lock that the end of the program needs."""
+    rest = b""
+    while chunk := os.read(descriptor, 4096):
+        *whole, rest = (rest + chunk).split(b"\n")
+        yield from (f"{line.decode(errors='replace')}\n" for line in whole)
+    if rest:
+        yield rest.decode(errors="replace")
