@@ -2,53 +2,59 @@
 
 import json
 import signal
+import subprocess
 from pathlib import Path
 
 import pytest
-from run_folders import REACHED_S, records_of, run_folder
+from run_folders import records_of
 from user_commands import Commands
-from waiting import eventually
 
-from procedures.engine.events.event_file import EVENTS_FILE
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(2400)]
 
-pytestmark = [pytest.mark.soak, pytest.mark.timeout(900)]
-
-CASE = ("run", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1", "--json")
-CASE_LIMIT_S = 300.0
-WATCHERS = 20
-LATE_ANYWAY = 3  # of some three thousand cycles, on a computer that has other work as well
+CASE = ("step", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1")
+BEFORE_ALL_MOTIONS, LAST = "path_check", "retreat:T1"
+WATCHERS, LIMIT_S = 20, 300.0
+TIMES = 3  # other work on the computer only adds late cycles: the fewest are the case's own
 
 
-def begun(out: Path) -> Path:
-    """The run's folder, once there is something to follow."""
-    eventually(lambda: (folder := run_folder(out)) is not None and (folder / EVENTS_FILE).exists(), REACHED_S)
-    folder = run_folder(out)
-    assert folder is not None
-    return folder
+def order(case: subprocess.Popen[str], last: str) -> None:
+    """Run the case up to a step."""
+    assert case.stdin is not None
+    assert case.stdout is not None
+    case.stdin.write(f"to {last}\n")
+    case.stdin.flush()
+    assert any(line.startswith(f"done {last}") for line in case.stdout), f"{last} was not done"
 
 
 def late_cycles(commands: Commands, out: Path, watchers: int) -> int:
-    """With the guide on the arm, of a case that so many watch, the first of whom is halted.
-
-    Before that the watchers start: twenty interpreters at once are no business of the one who is watched.
-    """
-    case = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    folder = begun(out)
+    """Of a case that so many watch before anything moves, the first of whom is halted."""
+    case = commands.start("ronna-procedure", *CASE, "--out", str(out), stdin=subprocess.PIPE)
+    order(case, BEFORE_ALL_MOTIONS)
+    (folder,) = out.iterdir()
     watching = [commands.start("ronna-procedure", "watch", str(folder), "--json") for _ in range(watchers)]
+    for one in watching:
+        assert one.stdout is not None
+        assert json.loads(one.stdout.readline())["what"]
     for one in watching[:1]:
         one.send_signal(signal.SIGSTOP)
-    _, messages = case.communicate(timeout=CASE_LIMIT_S)
+    order(case, LAST)
+    _, messages = case.communicate("quit\n", timeout=LIMIT_S)
     assert case.returncode == 0, messages
     for one in watching[:1]:
         one.send_signal(signal.SIGCONT)
     for one in watching:
-        seen, _ = one.communicate(timeout=CASE_LIMIT_S)
+        seen, _ = one.communicate(timeout=LIMIT_S)
         assert json.loads(seen.splitlines()[-1])["what"]
-    (link,) = (record.payload["link"] for record in records_of(folder) if record.kind == "retreat")
-    assert isinstance(link, dict)
-    return int(link["late_cycles"]) + int(link["lost_cycles"])
+    links = [link for record in records_of(folder) if isinstance(link := record.payload.get("link"), dict)]
+    assert len(links) > 1  # one for each session of the robot link
+    return sum(int(link["late_cycles"]) + int(link["lost_cycles"]) for link in links)
 
 
-def test_twenty_watchers_one_of_them_halted_make_no_cycle_late(commands: Commands, tmp_path: Path) -> None:
-    alone = late_cycles(commands, tmp_path / "alone", 0)
-    assert late_cycles(commands, tmp_path / "watched", WATCHERS) <= alone + LATE_ANYWAY
+def test_twenty_watchers_one_of_them_halted_do_not_change_the_late_cycles_of_a_case(
+    commands: Commands, tmp_path: Path
+) -> None:
+    alone, watched = (
+        min(late_cycles(commands, tmp_path / f"{watchers}-{time}", watchers) for time in range(TIMES))
+        for watchers in (0, WATCHERS)
+    )
+    assert watched == alone
