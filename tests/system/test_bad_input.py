@@ -56,11 +56,9 @@ def test_the_doctor_reports_an_endpoint_that_does_not_answer(silent_port: int, t
 
 
 def test_the_doctor_reports_that_nothing_listens_at_an_endpoint(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        free = probe.getsockname()[1]
-    theatre = _tracker_at(f"tcp://127.0.0.1:{free}", tmp_path)
-    done = _doctor(theatre)
+    with socket.socket() as held:  # bound, so that nobody else gets it, and not listening
+        held.bind(("127.0.0.1", 0))
+        done = _doctor(_tracker_at(f"tcp://127.0.0.1:{held.getsockname()[1]}", tmp_path))
     assert done.returncode == EXIT_NOT_FOUND
     assert "Nothing listens" in json.loads(done.stdout)["findings"][-1]["advice"]
 
