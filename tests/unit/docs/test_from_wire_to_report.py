@@ -1,0 +1,159 @@
+"""The page on the way from the wire to the report: one sphere's bytes, reading, record and number."""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+from clinical_case import CENTRES_CT_MM, FIRST, SCENE, SPHERES_MM, ClinicalCell
+from numpy.typing import NDArray
+from polaris_unit_in_process import UnitInProcess, tracker_on
+from prepared_results import checked_paths, checked_plan, checked_set_up, localized_fiducials, relocalization
+
+from procedures.reporting.report import write_report
+from procedures.steps.clinical import correspondence, global_localization, registration
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import robot_from_marker
+from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.frames import Frame
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
+from ronna_hw.recording.taped_device import taped
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = ROOT / "docs" / "explanation" / "from-wire-to-report.md"
+TRACKER = SCENE.tracker.robot_from_tracker.transform(Frame.ROBOT, Frame.TRACKER)
+SPHERE = 1  # whose number is followed
+BX_BEGINS = b"\xc4\xa5"
+# Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
+NOT_RUN = {"drivers/ndi_polaris/line/transport.py", "ronna_hw/devices/tracker.py"}
+
+Array = NDArray[np.float64]
+
+
+class UnitInRoom(UnitInProcess):
+    """Sees the frame on the arm where it is."""
+
+    def __init__(self, frame: Sequence[float]) -> None:
+        super().__init__()
+        self._frame = tuple(frame)
+
+    def pose_of(self, handle: int) -> tuple[float, ...]:
+        return (*self._frame, 0.1)
+
+
+class Wire:
+    """Keeps every BX reply as it came."""
+
+    def __init__(self) -> None:
+        self.replies: list[bytes] = []
+
+    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+        if direction is Direction.RECEIVED and data.startswith(BX_BEGINS):
+            self.replies.append(data)
+
+    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+        raise AssertionError(f"{link} has a process of its own")
+
+    def note(self, link: str, **facts: str | float) -> None:
+        pass
+
+
+def strays_in(reply: bytes) -> Array:
+    """Decoded as the protocol's reference says, for one tool that is seen."""
+    after_tool = 6 + 1 + 2 + 8 * 4 + 8
+    count = reply[after_tool]
+    numbers = struct.unpack_from(f"<{3 * count}f", reply, after_tool + 1 + (count + 7) // 8)
+    return np.array(numbers).reshape(-1, 3)
+
+
+@contextmanager
+def modules_run() -> Iterator[set[str]]:
+    """Files of the project of which code runs within the block."""
+    found: set[str] = set()
+
+    def note(frame: FrameType, _event: str, _argument: object) -> None:
+        found.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        yield found
+    finally:
+        sys.setprofile(None)
+        inside = {Path(name) for name in found if name.startswith(str(ROOT))}
+        found |= {str(path.relative_to(ROOT)) for path in inside}
+
+
+def links() -> set[str]:
+    """Modules on the tracker's way, and from the registration on those on the image's, which it joins."""
+    text = PAGE.read_text(encoding="utf-8")
+    of_image, of_tracker = (
+        text.split(f"## {title}")[1].split("\n## ")[0] for title in ("An image", "A pose")
+    )
+    shared = of_image[of_image.index("| [registration]") :]
+    return {str(path) for path in re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", of_tracker + shared)}
+
+
+def numbers_of(report: str, sphere: int) -> str:
+    """What the page says of a sphere: its distance from the tracker's point, mm."""
+    found = re.search(
+        rf"<tr><td>{sphere + 1}</td><td>[\d.]+</td><td>([\d.]+)</td>(<td>[\d.]+</td>){{2}}<td>yes</td>",
+        report,
+    )
+    assert found
+    return found[1]
+
+
+@pytest.mark.parametrize("aside_mm", [0.0, 0.4])
+def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, aside_mm: float) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    frame = TRACKER.inverse() @ robot_from_marker(cell.workcell, cell.arm.joints_rad)
+    unit, wire = UnitInRoom((*frame.quaternion_wxyz, *frame.translation_mm)), Wire()
+    seen_mm = TRACKER.inverse().apply(SPHERES_MM)
+    seen_mm[SPHERE] += (aside_mm, 0.0, 0.0)
+    unit.strays = [(x, y, z) for x, y, z in seen_mm.tolist()]
+    driver: Any = tracker_on(unit, cell.clock, "serial:///dev/null")
+    driver.record_bytes(wire)
+    tape = ReadingTape(tmp_path / READINGS_FOLDER, lambda: 0.0, {})
+    cell.opened.replace_tracker(taped(driver, tape))
+    tape.begin(0)
+    before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
+    looked = (relocalization(), checked_paths(cell))
+    engine = cell.begin(*before, global_localization.STEP, correspondence.STEP, *looked, registration.STEP)
+    with modules_run() as run:
+        driver.connect()
+        driver.configure()
+        engine.run_to(engine.order.find(f"registration:{FIRST}"))
+        engine.close("left")
+        report = write_report(tmp_path).read_text(encoding="utf-8")
+    tape.close()
+    assert links() - NOT_RUN <= run
+
+    on_wire_mm = strays_in(wire.replies[-1])[SPHERE]
+    assert on_wire_mm == pytest.approx(seen_mm[SPHERE], abs=1e-4)  # single precision
+    tape_lines = (tmp_path / READINGS_FOLDER / READINGS_FILE).read_text().splitlines()
+    lines = [json.loads(line) for line in tape_lines if line]
+    frames = [line["answer"] for line in lines if line.get("call") == "read_frame"]
+    assert len(frames) == len(wire.replies) == global_localization.FRAMES
+    assert frames[-1]["strays"][SPHERE]["position_mm"] == on_wire_mm.tolist()
+    record = cell.case.get(GlobalLocalization).record
+    payload = json.loads((tmp_path / "records" / f"{record.identifier}.json").read_text())["payload"]
+    away_mm = np.linalg.norm(np.array(payload["points_tracker_mm"]) - on_wire_mm, axis=1)
+    place = int(away_mm.argmin())
+    assert away_mm[place] < 1e-9
+    localized, matched = cell.case.get(GlobalLocalization).result, cell.case.get(Correspondence).result
+    in_room_mm = localized.robot_from_tracker.transform.apply(on_wire_mm)
+    assert payload["points_robot_mm"][place] == pytest.approx(in_room_mm, abs=1e-9)
+    from_ct_mm = matched.robot_from_ct.transform.apply(CENTRES_CT_MM[SPHERE])
+    assert numbers_of(report, SPHERE) == f"{np.linalg.norm(from_ct_mm - in_room_mm):.3f}"
+    assert (float(numbers_of(report, SPHERE)) > 0.05) is (aside_mm > 0.0)
