@@ -17,7 +17,6 @@ from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
-ONCE_HIDDEN = (0, 2, 10)  # with eight markers one hid another for some of ten trajectories
 ONCE_OUT_OF_REACH = 104  # the third trajectory drawn for this seed asked more of A5 than it has
 
 
@@ -49,15 +48,6 @@ def test_a_trajectory_from_below_is_out_of_reach() -> None:
     assert not reach.serves([ends[0], (target, entry)])
 
 
-@pytest.mark.slow  # 13 s of CPU
-def test_eight_markers_and_ten_targets_are_drawn_within_reach_and_sight_for_a_hundred_seeds() -> None:
-    for seed in range(100):
-        scene = named_scene("default", seed=seed, markers=8, targets=10)
-        reach, ends = reach_of(scene)
-        assert (len(scene.head.fiducials), len(ends)) == (8, 10)
-        assert reach.serves(ends)
-
-
 def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() -> None:
     """Two spheres in line with a camera: no turn about a vertical trajectory may use that line."""
     apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
@@ -67,16 +57,22 @@ def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() 
     assert PlanFeasibility(crowded[:2]).serves([down])
 
 
-@pytest.mark.parametrize(
-    ("seed", "markers", "targets"),
-    [
-        (0, 5, 3),
-        (ONCE_OUT_OF_REACH, 5, 3),
-        *(pytest.param(seed, 8, 10, marks=pytest.mark.slow) for seed in ONCE_HIDDEN),
-    ],
-)
-def test_the_planner_accepts_the_drawn_plans(seed: int, markers: int, targets: int) -> None:
-    scene = named_scene("default", seed=seed, markers=markers, targets=targets)
+@pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])
+def test_the_planner_accepts_the_drawn_plans(seed: int) -> None:
+    accept(named_scene("default", seed=seed, markers=5, targets=3))
+
+
+@pytest.mark.slow  # 43 s of CPU
+@pytest.mark.timeout(300)
+def test_the_planner_accepts_eight_markers_and_ten_targets_of_a_hundred_seeds() -> None:
+    for seed in range(100):
+        scene = named_scene("default", seed=seed, markers=8, targets=10)
+        assert (len(scene.head.fiducials), len(scene.head.targets)) == (8, 10)
+        accept(scene)
+
+
+def accept(scene: Scene) -> None:
+    """Plan the drawn trajectories as the planner does; raises what it refuses."""
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
     arm = kr6_r900(scene.arm.variant)
