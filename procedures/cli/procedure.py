@@ -104,7 +104,7 @@ def doctor_command(
         typer.Option(
             "--endpoint",
             help="A tracker's line, a controller's EKI server or a camera to check: serial:///dev/..., "
-            "tcp://host:port or gev://host.",
+            "tcp://host:port or gev://host. Servers that do not speak first are sent a tracker's inquiry.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for runs, whose disk is judged.")] = Path("runs"),

@@ -1,7 +1,8 @@
 """State of a tracker's line, below the driver: which rate gets a reply, in bytes, and who else has the port.
 
 The inquiry is the driver's own: every unit of the protocol answers it, and it changes nothing. A unit is
-never reset for this, not even with a break; a line that another program has open is left alone.
+never reset for this, not even with a break; a line that another program has open is left alone. A server that
+speaks first, in XML, is left alone too: it is a controller, and takes every byte for a command.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR
 BAUDS = (*LIKELY_BAUDS, *sorted(set(COMM_BAUD_CODES.values()) - set(LIKELY_BAUDS)))
 OPEN_LIMIT_S = 2.0
 INQUIRY_LIMIT_S = 1.0  # for one rate, or for the connection
+SPEAKS_FIRST_S = 0.5  # host time; our EKI program sends its state every 0.1 s
 KEPT_BYTES = 32
 
 
@@ -128,6 +130,8 @@ def _at_rate(link: CommandLink, baud: int | None) -> Attempt:
     try:
         if baud is not None:
             link.transport.set_baud(baud)
+        elif (first := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
+            return Attempt(baud, Outcome.GARBAGE, first[-KEPT_BYTES:])
         heard, reply = inquire(link, time.monotonic() + INQUIRY_LIMIT_S)
     except PortUnavailable:
         return Attempt(baud, Outcome.REFUSED)

@@ -277,6 +277,23 @@ def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
     assert "eki_project of [robot.master]" in found.advice
 
 
+def test_a_controller_that_speaks_first_is_sent_nothing() -> None:
+    told: list[bytes] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with server.accept()[0] as peer:
+                peer.sendall(b'<State Mode="EXT"></State>')
+                told.append(peer.recv(4096))
+
+        controller = threading.Thread(target=serve)
+        controller.start()
+        seen = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1]))).seen
+        controller.join()
+    assert told == [b""]
+    assert "a robot controller that sends its state over EKI" in seen
+
+
 def test_an_address_where_nothing_listens_is_reported() -> None:
     diagnosis = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=1)))
     assert not diagnosis.well
