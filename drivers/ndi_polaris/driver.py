@@ -179,8 +179,9 @@ class PolarisTracker:
     def configure(self, timeout_s: float = 10.0) -> None:
         """Set baud rate, volume and illuminators; load and enable all tools.
 
-        Raises NDI-03x when the unit refuses a tool or an option, NDI-013 when it holds another tool, the
-        errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for an earlier fault or bump.
+        Raises NDI-030 to NDI-037 when the unit refuses a tool or an option, NDI-013 when it holds another
+        tool, the errors of the link, and, with FAULT latched, NDI-020 or NDI-021 for an earlier fault or
+        bump.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
         self._guarded(self._set_up, self._monotonic() + timeout_s)
