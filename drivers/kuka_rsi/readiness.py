@@ -32,8 +32,24 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
         "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
-    brakes = "not reported; normally released while the drives are on"
-    yield Fact("brakes", brakes if state.drives else "closed, because the drives are off")
+    yield _brakes(state)
+
+
+def _brakes(state: ControllerState) -> Fact:
+    """With drives on they may be closed: after a long standstill the controller closes them by itself."""
+    if state.open_brakes is None:
+        said = "normally released while the drives are on" if state.drives else "the drives are off"
+        return Fact("brakes", f"not reported; {said}")
+    axes = range(1, len(state.axes_deg) + 1)
+    are_open = [f"A{axis}" for axis in axes if state.open_brakes >> (axis - 1) & 1]
+    closed = [f"A{axis}" for axis in axes if f"A{axis}" not in are_open]
+    if are_open and not state.drives:
+        advice = "Let nobody under the arm, and have the brakes tested: it may sink."
+        return Fact("brakes", f"open while the drives are off: {' '.join(are_open)}", False, advice)
+    if closed and state.moving:
+        advice = "Stop the program at the pendant, and have the brakes and their cable tested."
+        return Fact("brakes", f"closed while the arm moves: {' '.join(closed)}", False, advice)
+    return Fact("brakes", f"closed: {' '.join(closed)}" if closed else "open")
 
 
 def _message(number: int) -> str:

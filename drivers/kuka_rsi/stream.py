@@ -71,9 +71,9 @@ def open_controller(
         ("mode", str(state.mode)),
         ("verified", "no, it does not report its " + ", ".join(unsaid) if unsaid else "yes"),
     )
-    # EKI carries neither serial number nor software version of the controller.
-    model = state.variant or "unknown"
-    return eki, Identity("KUKA", model, serial="", firmware="", details=details), not unsaid
+    model, serial = state.variant or "unknown", state.serial or ""
+    # EKI does not carry the software version of the controller.
+    return eki, Identity("KUKA", model, serial, firmware="", details=details), not unsaid
 
 
 def reopen_controller(

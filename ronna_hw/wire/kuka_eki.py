@@ -77,6 +77,8 @@ class StateAttribute(StrEnum):
     CYCLE = "Cycle"  # ms
     CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of the context that the program loads
     VARIANT = "Variant"  # ronna_hw.arm.kr6_r900.ArmVariant
+    SERIAL = "Serial"  # of the arm; 0 if the controller does not have it
+    BRAKES = "Brakes"  # one bit for each axis, A1 the lowest; set if the brake is open
 
 
 class OperationMode(StrEnum):

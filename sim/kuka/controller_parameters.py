@@ -119,6 +119,12 @@ class ControllerParameters:
         float, "Host time after which a client of our EKI program that sent no request is disconnected."
     ] = FIRST_REQUEST_LIMIT_MS / 1000.0
     longest_text: Annotated[int, "Longest KRL string in an EKI element, in characters."] = 512
+    serial_number: Annotated[int, "$KR_SERIALNO in the State: taken for an INT that every KR C4 has."] = (
+        601234
+    )
+    reports_brakes: Annotated[
+        bool, "The State has $BRAKE_SIG: a bit for each axis, 1 for an open brake. Otherwise it is empty."
+    ] = True
     inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", Most(7)] = 0
     line_acceleration_mm_s2: Annotated[float, "Acceleration of a LIN of the EKI program."] = 1000.0
     line_turn_rad_s: Annotated[float, "Largest angular velocity of the tool on a LIN."] = 1.0

@@ -45,6 +45,8 @@ class FakeController:
             "Cycle": "4",
             "CtxHash": context_hash(load_context()),
             "Variant": "kr6_r900_sixx",
+            "Serial": "601234",
+            "Brakes": "63",
         }
         self.axes_deg: tuple[float, ...] = START_DEG
         self.eki_axes_deg: tuple[float, ...] | None = None

@@ -25,7 +25,7 @@ IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, T
 
 @dataclass(frozen=True)
 class ControllerState:
-    """One `State`. The last five are None if the controller does not report them."""
+    """One `State`. The last seven are None if the controller does not report them."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -42,6 +42,8 @@ class ControllerState:
     cycle_ms: int | None
     context_hash: str | None
     variant: str | None
+    serial: str | None
+    open_brakes: int | None  # one bit for each axis
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
@@ -51,6 +53,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     if element.tag != STATE or axis is None:
         raise BadEkiTelegram("a State without axes", wire=ElementTree.tostring(element))
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
+    serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
     try:
         A1, A2, A3, A4, A5, A6 = (_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
         return ControllerState(
@@ -69,6 +72,8 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
             cycle_ms=None if cycle is None else int(cycle),
             context_hash=get(StateAttribute.CONTEXT_HASH),
             variant=get(StateAttribute.VARIANT),
+            serial=None if serial in (None, "", "0") else serial,
+            open_brakes=None if not brakes else int(brakes),
         )
     except (KeyError, ValueError) as error:
         raise BadEkiTelegram(

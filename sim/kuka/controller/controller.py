@@ -32,6 +32,7 @@ from sim.kuka.rsi.signal_flow import inputs_of
 
 IDLE_PROGRAM_STATES = (ProState.FREE, ProState.RESET, ProState.END)
 FULL_OVERRIDE = 100
+ALL_BRAKES = 0b111111
 
 
 class Controller:
@@ -238,6 +239,11 @@ class Controller:
         """The brakes close without a message: the program continues, the axes no longer follow."""
         self._overloaded = True
         self.arm.drives.brake()
+
+    @property
+    def open_brakes(self) -> int:
+        """One bit for each axis, A1 the lowest."""
+        return ALL_BRAKES if self.drives_on and not self._overloaded else 0
 
     def trip(self, name: str) -> None:
         """End the run with one of the messages of `tripped`, as its real cause would."""

@@ -145,6 +145,8 @@ class ProjectChannel:
             str(controller.cycle_ms),
             controller.context_hash,
             controller.arm.description.variant,
+            str(controller.parameters.serial_number),
+            str(controller.open_brakes) if controller.parameters.reports_brakes else "",
         )
 
     def _state(self, identifier: str) -> str:

@@ -31,6 +31,8 @@ def test_the_state_contains_everything_a_driver_must_know_before_motion(cell: Ca
         "Cycle": "4",
         "CtxHash": context_hash(load_context()),
         "Variant": "kr6_r900_sixx",
+        "Serial": "601234",
+        "Brakes": "0",
     }
     assert {key: state.get(key) for key in expected} == expected
     assert [child.tag for child in state] == ["Axis", "Pos"]

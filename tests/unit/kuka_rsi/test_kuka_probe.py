@@ -5,13 +5,17 @@ from __future__ import annotations
 import os
 import socket
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from xml.etree import ElementTree
 
 import pytest
 from fake_controller import FakeController
 
 from drivers.kuka_rsi import probe as kuka_probe
+from drivers.kuka_rsi.arm import KukaRsiArm
+from drivers.kuka_rsi.eki.controller_state import read_state
 from drivers.kuka_rsi.probe import stream_port_diagnostic
+from drivers.kuka_rsi.readiness import standing_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic
@@ -83,8 +87,46 @@ def test_a_pressed_emergency_stop_is_named_with_its_remedy(controller: FakeContr
     assert [name for name, fact in facts.items() if not fact.ready] == ["emergency stop"]
     assert facts["emergency stop"].advice.startswith("Release the emergency stop")
     assert facts["drives"].found == "on"
-    assert facts["brakes"].found.startswith("not reported; normally released")
+    assert facts["brakes"].found == "open"
     assert facts["operating mode"].found == "EXT"
+
+
+@pytest.mark.parametrize(
+    ("drives", "moving", "brakes", "found", "well"),
+    [
+        ("1", "0", "63", "open", True),
+        ("0", "0", "0", "closed: A1 A2 A3 A4 A5 A6", True),
+        ("1", "0", "0", "closed: A1 A2 A3 A4 A5 A6", True),  # after a long standstill
+        ("1", "1", "62", "closed while the arm moves: A1", False),
+        ("0", "0", "4", "open while the drives are off: A3", False),
+        ("1", "0", "", "not reported; normally released while the drives are on", True),
+        ("0", "0", None, "not reported; the drives are off", True),
+    ],
+)
+def test_brakes_are_judged_as_the_controller_reports_them(
+    controller: FakeController, drives: str, moving: str, brakes: str | None, found: str, well: bool
+) -> None:
+    controller.facts |= {"Drives": drives, "Moving": moving}
+    if brakes is None:  # files of an earlier version
+        del controller.facts["Brakes"]
+    else:
+        controller.facts["Brakes"] = brakes
+    state = read_state(ElementTree.fromstring(controller.state()), 0.0)
+    (fact,) = (one for one in standing_facts(state) if one.name == "brakes")
+    assert (fact.found, fact.ready, bool(fact.advice)) == (found, well, not well)
+
+
+@pytest.mark.parametrize(("told", "serial"), [("601234", "601234"), ("0", ""), (None, "")])
+def test_the_arm_has_the_serial_number_that_its_controller_reports(
+    controller: FakeController, make_arm: Callable[[], KukaRsiArm], told: str | None, serial: str
+) -> None:
+    if told is None:  # files of an earlier version
+        del controller.facts["Serial"]
+    else:
+        controller.facts["Serial"] = told
+    identity = make_arm().connect()
+    assert identity.serial == serial
+    assert ("verified", "yes") in identity.details
 
 
 def test_a_controller_that_hangs_up_at_once_is_reported_as_serving_another_client() -> None:

@@ -91,6 +91,7 @@ def test_an_overload_holds_the_arm_without_a_message_until_the_program_is_cancel
         if controller.arm.drives.at_rest:
             break
     held = controller.arm.axes_deg
+    assert controller.open_brakes == 0
     bench.ramp(on_a1(4.0), from_deg=on_a1(2.0))
     assert controller.arm.axes_deg == held
     assert (controller.message, controller.rsi_state) == (None, RsiState.MOVECORR)
