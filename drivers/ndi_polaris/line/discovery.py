@@ -56,7 +56,7 @@ def await_reset(link: CommandLink, deadline_s: float) -> bool:
     until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
     heard = b""
     while (left_s := until_s - link.now_s()) > 0:
-        heard += link.transport.read(left_s)
+        heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
         if RESET_TEXT in heard:
             return True
     return False

@@ -59,6 +59,20 @@ def test_a_controller_with_another_configuration_is_refused_at_connect(
 
 
 @pytest.mark.hazard(20)
+@pytest.mark.parametrize(("fact", "value"), [("CtxHash", "0123456789abcdef"), ("Variant", "kr6_r900_2")])
+def test_recovery_with_another_controller_is_refused(
+    controller: Any, active_arm: Any, fact: str, value: str
+) -> None:
+    controller.drop_eki()
+    eventually(lambda: state_of(active_arm) is Lifecycle.FAULT)
+    controller.facts[fact] = value
+    with pytest.raises(WrongController, match=value):
+        active_arm.recover("tester", 3.0)
+    assert state_of(active_arm) is Lifecycle.FAULT
+    assert "ACK_ERRORS" not in controller.commands
+
+
+@pytest.mark.hazard(20)
 def test_a_controller_that_does_not_report_its_context_hash_is_unverified(
     controller: Any, make_arm: Any
 ) -> None:
