@@ -6,12 +6,15 @@ conversation gets as far as it can.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import random
 import re
 import select
 import socket
 import struct
 import threading
+import tty
 from collections.abc import Callable
 from enum import StrEnum
 from itertools import count
@@ -30,6 +33,7 @@ BEGINS_BEFORE = (1, 500, 4000, 60_000)  # the byte of a conversation at which ma
 DATAGRAM_BYTES = 65536
 STREAM_BUFFER_BYTES = 4 << 20
 LOOK_S = 0.02
+PIECE_BYTES = 512  # of a terminal that has room for some
 NUMBERS = (b"9" * 400, b"-1", b"4294967296", b"1e400", b"NaN", b"Infinity", b"\xd9\xa3", b"")
 ENDLESS = (b"A", b"<", b"\0", b"\xff", b"<a>", b'<State Id="', b"=\n", b"0 ", b"\xc4\xa5\xff\xff")
 DIGITS = re.compile(rb"\d+(?:\.\d+)?")
@@ -53,12 +57,16 @@ class HostileLine(DisturbedLine):
     def __init__(self, device: Endpoint, seed: int) -> None:
         super().__init__(device)
         self._chosen = random.Random(seed)
+        self._resets_at = count()
         self.choose()
 
     def choose(self) -> str:
-        """Another malice for the next connection; tells which."""
-        self.malice = self._chosen.choice(list(Malice))
-        self._begins_at = self._chosen.randrange(self._chosen.choice(BEGINS_BEFORE))
+        """Another malice for the next connection, every other time a reset one byte later; tells which."""
+        if self._chosen.random() < 0.5:
+            self.malice, self._begins_at = Malice.RESET, next(self._resets_at)
+        else:
+            self.malice = self._chosen.choice(list(Malice))
+            self._begins_at = self._chosen.randrange(self._chosen.choice(BEGINS_BEFORE))
         self._passed = 0
         return f"{self.malice} from byte {self._begins_at}"
 
@@ -103,6 +111,54 @@ class HostileLine(DisturbedLine):
             return bytes(self._chosen.choice(b"0129AFZ\xff\0") for _ in found[0])
 
         return re.sub(where, another, data, flags=re.DOTALL)
+
+
+class HostileSerialLine(HostileLine):
+    """The same on a pseudo-terminal. After a reset there is another one: `endpoint` changes."""
+
+    def __init__(self, device: Endpoint, seed: int) -> None:
+        super().__init__(device, seed)
+        self._path = ""
+        self._plugged = threading.Event()
+
+    @property
+    def endpoint(self) -> str:
+        assert self._plugged.wait(TAKES_S)
+        return f"serial://{self._path}"
+
+    def _serve(self) -> None:
+        while not self._ended:
+            with contextlib.closing(_Terminal()) as terminal, contextlib.suppress(OSError):
+                self._path, self._cut = terminal.path, False
+                self._plugged.set()
+                with contextlib.closing(self._open_device()) as device:
+                    DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]
+                self._plugged.clear()
+
+
+class _Terminal:
+    """The device's end of a pseudo-terminal, as far as a line uses its socket."""
+
+    def __init__(self) -> None:
+        self._own, self._drivers = os.openpty()
+        tty.setraw(self._drivers)
+        self.path = os.ttyname(self._drivers)
+
+    def fileno(self) -> int:
+        return self._own
+
+    def setsockopt(self, *_: object) -> None:
+        """A terminal has no such options."""
+
+    def sendall(self, data: bytes) -> None:
+        while data:
+            if not select.select([], [self._own], [], TAKES_S)[1]:
+                raise TimeoutError
+            data = data[os.write(self._own, data[:PIECE_BYTES]) :]
+
+    def close(self) -> None:
+        os.close(self._own)
+        os.close(self._drivers)
 
 
 class HostileTelegrams(RsiTap):
