@@ -5,18 +5,23 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import time
+from collections.abc import Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
 import psutil
+import pytest
 from case_results import measured, outcome_of, targets
-from console_clicks import ARMED_MS, answer_until, hold, take_seat
+from console_clicks import ARMED_MS, answer, answer_until, hold, take_seat
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
 from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+
+SUSPENDED_S = 60.0
 
 
 def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a_console(
@@ -129,18 +134,56 @@ def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, pa
 def test_a_suspended_browser_does_not_hold_up_the_case(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json", "--speed", "1")  # else over before a slow page is open
     enter(page, case.addresses["viewer_url"])
+    with _suspended_pages():
+        assert case.process.poll() is None
+        assert case.ended() == 0
+    assert outcome_of(case)["targets"]
+
+
+@pytest.mark.slow  # a minute by the clock
+def test_the_step_ends_and_the_seat_is_freed_while_the_pages_are_suspended_for_a_minute(
+    start: OperatedCases, page: Any, browser: Any
+) -> None:
+    case = start("step", "--speed", "1")
+    enter(page, case.addresses["url"] + "&low")
+    take_seat(page, "Ana")
+    watching = opened_context(browser)
+    viewer = watching.new_page()
+    enter(viewer, case.addresses["viewer_url"] + "&low")
+    page.wait_for_selector("text=next: ct_import")
+    page.locator(".upto").click()
+    page.get_by_role("option", name="relocalization:T1", exact=True).click()
+    page.locator("[data-do=run_to]").click()
+    answer_until(page, "first motion")
+    answer(page)
+    wakes_s = time.monotonic() + SUSPENDED_S
+
+    def told(entry: str) -> list[dict[str, Any]]:
+        return [line for line in read_journal(case.run / JOURNAL_FILE) if line["entry"] == entry]
+
+    with _suspended_pages():
+        eventually(lambda: told("result")[-1]["step"] == "relocalization:T1", SUSPENDED_S)
+        eventually(lambda: [line["by"] for line in told("seat")] == ["Ana", ""], SUSPENDED_S)
+        eventually(lambda: time.monotonic() > wakes_s, 2 * SUSPENDED_S)
+    for one in (page, viewer):
+        one.wait_for_selector(".seat >> text=/seat is empty|no one is operating/")
+    take_seat(page, "Ana")
+    page.wait_for_selector("[data-do=next]:enabled")
+    watching.close()
+
+
+@contextlib.contextmanager
+def _suspended_pages() -> Iterator[None]:
     ours = psutil.Process().children(recursive=True)
     renderers = [one for one in ours if _is_renderer(one)]
     assert renderers
     for renderer in renderers:
         renderer.suspend()
     try:
-        assert case.process.poll() is None
-        assert case.ended() == 0
+        yield
     finally:
         for renderer in renderers:
             renderer.resume()
-    assert outcome_of(case)["targets"]
 
 
 def _is_renderer(process: psutil.Process) -> bool:

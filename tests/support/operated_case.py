@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import pty
 import re
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +21,7 @@ from waiting import eventually
 
 READY_S = 60.0
 CASE_S = 600.0  # only ends what has failed: a browser on a busy computer takes what the case needs
+ADDRESSES = re.compile(r"^(?:step> )?CONSOLE (\{.*\})$", re.M)
 MINI = ("--scene", "mini", "--seed", "3")
 
 
@@ -54,8 +59,8 @@ class OperatedCase:
         return self.process.wait(CASE_S)
 
     def await_addresses(self) -> None:
-        eventually(lambda: "CONSOLE {" in self.said or self.process.poll() is not None, READY_S)
-        self.addresses = json.loads(re.findall(r"^CONSOLE (\{.*\})$", self.said, re.M)[0])
+        eventually(lambda: bool(ADDRESSES.search(self.said)) or self.process.poll() is not None, READY_S)
+        self.addresses = json.loads(ADDRESSES.findall(self.said)[0])
 
 
 class OperatedCases:
@@ -75,6 +80,16 @@ class OperatedCases:
         out = self._folder / f"runs-{len(self.started)}"
         return self._start(out, *arguments, "--out", str(out))
 
+    def at_terminal(self, *arguments: str) -> tuple[OperatedCase, Callable[[str], None]]:
+        """As a call, by a person at a terminal; returns what types a line there."""
+        out = self._folder / f"runs-{len(self.started)}"
+        ours, theirs = pty.openpty()
+        case = self._begun(out, *arguments, "--sim", *MINI, "--console", "--out", str(out), terminal=theirs)
+        os.close(theirs)
+        threading.Thread(target=_keep, args=(ours, case.errors), daemon=True).start()
+        case.await_addresses()
+        return case, lambda line: os.write(ours, line.encode() + b"\n") and None
+
     def resume(self, case: OperatedCase) -> OperatedCase:
         """Start `ronna-procedure resume RUN --console` for a case that was left."""
         return self._start(case.folder, "resume", str(case.run), "--console")
@@ -91,13 +106,14 @@ class OperatedCases:
         case.await_addresses()
         return case
 
-    def _begun(self, runs: Path, *arguments: str) -> OperatedCase:
+    def _begun(self, runs: Path, *arguments: str, terminal: int | None = None) -> OperatedCase:
         number = len(self.started)
         errors, output = (self._folder / f"{name}-{number}" for name in ("errors", "output"))
         line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments]
         with errors.open("w") as error, output.open("w") as written:
+            streams = (subprocess.DEVNULL, written, error) if terminal is None else (terminal,) * 3
             process = subprocess.Popen(
-                line, stdin=subprocess.DEVNULL, stdout=written, stderr=error, text=True
+                line, stdin=streams[0], stdout=streams[1], stderr=streams[2], text=True
             )
         case = OperatedCase(process, runs, errors, output)
         self.started.append(case)
@@ -115,6 +131,13 @@ def operated_cases(folder: Path) -> Iterator[OperatedCases]:
             if case.process.poll() is None:
                 case.process.send_signal(signal.SIGTERM)
             case.process.wait(30)
+
+
+def _keep(terminal: int, file: Path) -> None:
+    """What is shown on a terminal, until its program ends."""
+    with file.open("ab", buffering=0) as kept, contextlib.suppress(OSError):
+        while shown := os.read(terminal, 65536):
+            kept.write(shown.replace(b"\r", b""))
 
 
 def enter(page: Any, address: str) -> None:

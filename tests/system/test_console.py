@@ -20,6 +20,7 @@ from waiting import eventually
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 HANG_LIMIT_S = 120.0
+BEGUN, DONE = "intent relocalization:T1", "result relocalization:T1"
 BETWEEN_S = 0.15  # ten orders a second are too many
 
 
@@ -74,6 +75,33 @@ def test_the_case_completes_without_a_console_that_stopped_responding(tmp_path: 
         os.kill(case.console_pid, signal.SIGSTOP)
         assert case.process.wait(90) == 0
         assert "mean" in case.output.read_text()
+
+
+@pytest.mark.slow
+def test_the_terminal_operates_a_case_whose_console_was_killed_while_the_arm_moved(tmp_path: Path) -> None:
+    with operated_cases(tmp_path) as start:
+        case, types = start.at_terminal("step", "--speed", "1")
+
+        def of_the_step() -> list[str]:
+            lines = [line for line in read_journal(case.run / JOURNAL_FILE)]
+            names = [f"{line['entry']} {line.get('step', '')}" for line in lines]
+            return names[names.index(BEGUN) :] if BEGUN in names else []
+
+        script = ConsoleScript(case.addresses["url"])
+        assert script.order("claim", name="Script") == ""
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("run_to", upcoming="ct_import", step="relocalization:T1") == ""
+        await_state(script, lambda _state: any(line.startswith("motion") for line in of_the_step()))
+        os.kill(case.console_pid, signal.SIGKILL)
+        assert DONE not in of_the_step()
+        eventually(lambda: "this terminal operates the case" in case.said, HANG_LIMIT_S)
+        eventually(lambda: DONE in of_the_step(), HANG_LIMIT_S)
+        types("run relocalization:T1")
+        eventually(lambda: "Type yes or no" in case.said, HANG_LIMIT_S)
+        types("no")
+        eventually(lambda: "PRO-002" in case.said, HANG_LIMIT_S)
+        types("quit")
+        case.ended()
 
 
 @pytest.mark.slow
