@@ -16,6 +16,9 @@ from typing import Any
 
 from benchmarks.figures import Figure
 from console.planning.overlay import CHOSEN
+from ronna_hw.arm.pose import Pose
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.scene.named_scenes import named_scene
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "tests" / "support") not in sys.path:
@@ -24,11 +27,12 @@ if str(ROOT / "tests" / "support") not in sys.path:
 # These are in the tests' folder, which is on the path only now.
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from open_planner import enter_planner, make_phantom, open_planner  # noqa: E402
+from recording_cell import ENDPOINTS  # noqa: E402
 
 from benchmarks.console_page import BARE, bare_page  # noqa: E402  # it needs what stands there as well
 
 OURS = "planner"
-SCROLLS, DRAGS = 60, 30
+SCROLLS, DRAGS, DRAGS_WITH_ARM = 60, 30, 8  # with an arm each is checked for seconds
 SCROLL_MS, HEAD_S, DRAG_MS = 50.0, 2.0, 200.0
 HANDLE = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"  # of the target being edited
 WATCH = """
@@ -71,13 +75,18 @@ def measure() -> list[Figure]:
             enter_planner(page, page.url)
             shape = page.locator(".case .dim").inner_text()
             scrolls_ms = [_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(SCROLLS)]
-            page.get_by_label("crosshair to the target").click()
-            page.wait_for_selector(HANDLE, state="attached")
-            drags_ms = [_drag_ms(page, 3 if number % 2 else -3) for number in range(DRAGS)]
+            drags_ms = _drags_ms(page, DRAGS)
+            page.close()
+        with open_planner(place, patient / "ct", *_arm(place)) as addresses:
+            page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
+            page.add_init_script(WATCH)
+            enter_planner(page, addresses["url"])
+            with_arm_ms = _drags_ms(page, DRAGS_WITH_ARM)
     label = shape.split(",")[0].removeprefix("CT of ")
     return [
         _of(f"scroll to picture, {label}", scrolls_ms).at_most(SCROLL_MS),
         _of("drag to expected error", drags_ms).at_most(DRAG_MS),
+        _of("drag to expected error, with an arm", with_arm_ms).at_most(DRAG_MS),
         Figure("page to head", OURS, head_s, "s", head_s / bare_s, BARE).at_most(HEAD_S),
         Figure("page to its number", BARE, bare_s, "s"),
     ]
@@ -95,6 +104,22 @@ def _scroll_ms(page: Any, steps: int) -> float:
     page.mouse.wheel(0, 100 * steps)
     page.wait_for_function("window.times.picture")
     return float(page.evaluate("window.times.picture[0] - window.times.wheel[0]"))
+
+
+def _arm(place: Path) -> list[str]:
+    """The arm of the scene, with the head where it truly is."""
+    scene = named_scene("default", seed=3)
+    write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), place / "theatre.toml")
+    head = scene.head.robot_from_ct
+    pose = Pose.from_quaternion(head.translation_mm, head.quaternion_wxyz).to_kuka()
+    return ["--config", str(place / "theatre.toml"), "--robot-from-ct", *(f"{one:.6f}" for one in pose)]
+
+
+def _drags_ms(page: Any, count: int) -> list[float]:
+    page.get_by_label("crosshair to the target").click()
+    page.wait_for_selector(HANDLE, state="attached")
+    page.wait_for_selector("[data-state=judged]")
+    return [_drag_ms(page, 3 if number % 2 else -3) for number in range(count)]
 
 
 def _drag_ms(page: Any, right_px: int) -> float:

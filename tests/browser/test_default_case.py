@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from case_results import measured, targets
-from console_clicks import answer, answer_until, run_by_clicks, take_seat
+from console_clicks import answer, answer_until, await_next, run_by_clicks, run_to, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
@@ -32,10 +32,8 @@ def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_o
     case = start("step", scene=DEFAULT)
     enter(page, case.addresses["url"] + "&low")
     take_seat(page)
-    page.wait_for_selector("text=next: ct_import")
-    page.locator(".upto").click()
-    page.get_by_role("option", name="relocalization:T1", exact=True).click()
-    page.locator("[data-do=run_to]").click()
+    await_next(page, "ct_import")
+    run_to(page, "relocalization:T1")
     answer_until(page, "first motion", patient="default-7")
     mount(case, NO_TOOL)  # somebody takes the stereo head off while the arm is about to move
     answer(page, patient="default-7")

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 from case_results import measured, outcome_of, targets
-from console_clicks import ARMED_MS, answer, answer_until, hold, take_seat
+from console_clicks import ARMED_MS, HOLD_MS, answer, answer_until, await_next, run_to, take_seat
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
@@ -97,7 +97,7 @@ def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: Oper
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next: ct_import")
+    await_next(page, "ct_import")
     os.kill(case.process.pid, signal.SIGKILL)
     page.wait_for_selector("text=THE ENGINE HAS ENDED")
     page.wait_for_function("document.body.classList.contains('past')")  # all grey
@@ -106,14 +106,14 @@ def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: Oper
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, page: Any) -> None:
+def test_a_stray_click_and_enter_do_not_accept_a_motion_and_a_held_space_bar_answers(
+    start: OperatedCases, page: Any
+) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next: ct_import")
-    page.locator(".upto").click()
-    page.get_by_role("option", name="relocalization:T1").click()
-    page.locator("[data-do=run_to]").click()
+    await_next(page, "ct_import")
+    run_to(page, "relocalization:T1")
     answer_until(page, "first motion")
     question = page.locator("section.question")
     question.locator(".typed input").fill("0")
@@ -123,7 +123,9 @@ def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, pa
     button.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector("text=Hold the button for one second")
-    hold(page, button)
+    page.keyboard.down(" ")
+    page.wait_for_timeout(HOLD_MS)
+    page.keyboard.up(" ")
     page.wait_for_selector("text=what was typed is not it")
     assert not any((case.run / "records").glob("*-relocalization-T1.json"))
     page.get_by_role("button", name="no", exact=True).click()
@@ -150,10 +152,8 @@ def test_the_step_ends_and_the_seat_is_freed_while_the_pages_are_suspended_for_a
     watching = opened_context(browser)
     viewer = watching.new_page()
     enter(viewer, case.addresses["viewer_url"] + "&low")
-    page.wait_for_selector("text=next: ct_import")
-    page.locator(".upto").click()
-    page.get_by_role("option", name="relocalization:T1", exact=True).click()
-    page.locator("[data-do=run_to]").click()
+    await_next(page, "ct_import")
+    run_to(page, "relocalization:T1")
     answer_until(page, "first motion")
     answer(page)
     wakes_s = time.monotonic() + SUSPENDED_S

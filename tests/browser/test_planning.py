@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 from open_planner import (
     await_judged,
@@ -24,9 +25,17 @@ from open_planner import (
     type_number,
     type_place,
 )
-from page_reading import low_contrast_by_scheme, not_reached_by_tab, without_name
+from page_reading import (
+    NO_WEBGL,
+    low_contrast_by_scheme,
+    not_reached_by_tab,
+    too_wide_by_screen,
+    without_name,
+)
+from painted_ct import write_series
 from waiting import eventually
 
+from console.planning.overlay import CHOSEN
 from procedures.planning.plan.lock import held_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
@@ -116,8 +125,12 @@ def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     page.wait_for_selector(".verdictbox >> text=PLAN-008")
     page.locator("[data-do=undo]").click()
     page.wait_for_selector("[data-found='3']")
+    page.get_by_text("Other candidates").click()
+    page.get_by_label("accept c1", exact=True).click()  # measures it: there is no sphere
+    page.wait_for_selector(".said[data-code=CT-019] >> text=(92.7,")
     page.get_by_role("button", name="pick a sphere").click()
     click_picture(page, "axial", 0.5, 0.5)
+    page.wait_for_function("!document.querySelector('.said').innerText.includes('(92.7,')")
     assert "no surface" in said(page, "CT-019")
     page.locator("[data-do=propose]").click()
     page.wait_for_selector("[data-proposed='5']", timeout=60_000)
@@ -126,6 +139,40 @@ def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     type_number(page, "depth", "many")
     page.wait_for_selector("text=expected a number such as")
     assert page.complaints == []
+
+
+def test_an_end_of_a_trajectory_can_be_dragged_and_the_whole_drag_undone_also_without_webgl(
+    opened: Open, page: Any, plan: Path
+) -> None:
+    page.add_init_script(NO_WEBGL)
+    enter_planner(page, opened(plan)["url"])
+    page.get_by_label("crosshair to the target").click()
+    handle = page.locator(f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']")
+    handle.wait_for(state="attached")
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x + 30, y, steps=3)
+    page.mouse.up()
+    page.wait_for_function("Math.abs(document.querySelector('[data-field=\"target L\"]').value) > 5")
+    assert field_value(page, "target S") == "820.1"
+    page.locator("[data-do=undo]").click()
+    page.wait_for_function("document.querySelector('[data-field=\"target L\"]').value === '-2.2'")
+    assert page.locator("[data-do=undo]").is_disabled()
+    assert page.locator(".scenebox >> text=WebGL").count() > 0
+
+
+def test_no_address_title_or_message_of_the_planner_names_the_patient(page: Any, tmp_path: Path) -> None:
+    voxels = np.full((30, 40, 40), -1000, dtype=np.int16)
+    voxels[5:25, 10:30, 10:30] = 40
+    series = write_series(tmp_path / "ct", voxels, (3.0, 3.0, 3.0))
+    with open_planner(tmp_path, series) as addresses:
+        enter_planner(page, addresses["url"])
+        page.wait_for_selector(".said[data-code^=CT-]")  # no spheres
+        said_by_page = (page.title(), page.url, *page.requested, page.content())
+    for told in (*said_by_page, (tmp_path / "planner-errors").read_text()):
+        assert "secret" not in told.lower()
 
 
 def test_a_viewer_sees_the_draft_and_cannot_change_it(opened: Open, page: Any, plan: Path) -> None:
@@ -187,6 +234,7 @@ def test_the_planner_has_readable_text_and_named_controls_reachable_by_tab_in_li
     assert low_contrast_by_scheme(page) == {}
     assert without_name(page) == []
     assert not_reached_by_tab(page) == []
+    assert too_wide_by_screen(page) == {}
 
 
 def test_a_case_that_starts_on_the_plan_blocks_editing_until_it_ends(

@@ -8,7 +8,14 @@ from typing import Any
 import pytest
 from console_clicks import take_seat
 from operated_case import enter
-from page_reading import low_contrast, low_contrast_by_scheme, not_reached_by_tab, without_name
+from page_reading import (
+    NO_WEBGL,
+    low_contrast,
+    low_contrast_by_scheme,
+    not_reached_by_tab,
+    too_wide,
+    without_name,
+)
 from scripted_engine import served_at
 
 from procedures.engine.events import (
@@ -60,12 +67,6 @@ QUESTION = Questioned(
     deliberate=True,
 )
 WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
-NO_WEBGL = """
-const given = HTMLCanvasElement.prototype.getContext;
-HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
-  return kind.startsWith("webgl") ? null : given.call(this, kind, ...more);
-};
-"""
 
 
 @pytest.mark.parametrize("last", [QUESTION, WAITING], ids=["asked", "waiting"])
@@ -89,7 +90,7 @@ def test_nothing_is_wider_than_the_screen_and_stop_stays_in_view(
         page.set_viewport_size({"width": width, "height": height})
         enter(page, addresses["url"] + "&low")
         take_seat(page)
-        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert too_wide(page) == 0
         page.mouse.wheel(0, 3000)
         box = page.locator("[data-do=stop]").bounding_box()
         assert 0 <= box["x"] <= box["x"] + box["width"] <= width

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import re
-import subprocess
-import sys
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
-from operated_case import READY_S, OperatedCases, enter
-from page_reading import low_contrast_by_scheme, not_reached_by_tab, without_name
-from waiting import eventually
+from console_clicks import await_next
+from operated_case import OperatedCases, enter, reviewed
+from page_reading import low_contrast_by_scheme, not_reached_by_tab, too_wide_by_screen, without_name
+
+from ronna_hw.log_output import LOG_FILE
 
 
 def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
@@ -19,13 +19,8 @@ def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
 ) -> None:
     case = start("run", "--json")
     assert case.ended() == 0
-    errors = tmp_path / "review-errors"
-    with errors.open("w") as file:
-        line = [sys.executable, "-P", "-m", "console.command", str(case.run)]
-        process = subprocess.Popen(line, stderr=file, stdin=subprocess.DEVNULL)
-    try:
-        eventually(lambda: "CONSOLE {" in errors.read_text(), READY_S)
-        enter(page, json.loads(re.findall(r"CONSOLE (\{.*\})", errors.read_text())[0])["url"])
+    with reviewed(case.run, tmp_path / "review-errors") as address:
+        enter(page, address)
         page.wait_for_selector(".state >> text=finished")
         assert page.locator("[data-do]:visible").count() == 0
         page.wait_for_selector(".accuracy >> text=Predicted error at the targets")
@@ -36,7 +31,21 @@ def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
         assert low_contrast_by_scheme(page) == {}
         assert without_name(page) == []
         assert not_reached_by_tab(page) == []
+        assert too_wide_by_screen(page) == {}
+        errors = (tmp_path / "review-errors").read_text()
+        for told in (page.title(), page.url, case.said, errors, (case.run / LOG_FILE).read_text()):
+            assert "Phantom" not in told  # as the CT calls the patient
         assert page.complaints == []
-    finally:
-        process.terminate()
-        process.wait(10)
+
+
+def test_a_case_that_is_killed_while_it_is_reviewed_is_shown_as_ended(
+    start: OperatedCases, page: Any, tmp_path: Path
+) -> None:
+    case = start("step")
+    with reviewed(case.run, tmp_path / "review-errors") as address:
+        enter(page, address)
+        await_next(page, "ct_import")
+        assert page.locator(".frozen").count() == 0
+        os.kill(case.process.pid, signal.SIGKILL)
+        page.wait_for_selector("text=THE ENGINE HAS ENDED")
+        page.wait_for_function("document.body.classList.contains('past')")

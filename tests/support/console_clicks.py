@@ -11,6 +11,18 @@ SEAT_IS_FREE = "document.querySelector('[data-do=claim]').checkVisibility()"
 PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed 3
 
 
+def await_next(page: Any, step: str) -> None:
+    """Until the case waits for the operator, with that step as the next."""
+    page.wait_for_selector(f"text=next: {step}")
+
+
+def run_to(page: Any, step: str) -> None:
+    """Order the steps up to and including that one."""
+    page.locator(".upto").click()
+    page.get_by_role("option", name=step, exact=True).click()
+    page.locator("[data-do=run_to]").click()
+
+
 def take_seat(page: Any, name: str = "Dr Test") -> None:
     page.get_by_label("Your name").fill(name)
     page.get_by_role("button", name="Take the seat").click()

@@ -133,6 +133,20 @@ def operated_cases(folder: Path) -> Iterator[OperatedCases]:
             case.process.wait(30)
 
 
+@contextmanager
+def reviewed(run: Path, errors: Path) -> Iterator[str]:
+    """`ronna-console RUN`: its address."""
+    with errors.open("w") as file:
+        line = [sys.executable, "-P", "-m", "console.command", str(run)]
+        process = subprocess.Popen(line, stderr=file, stdin=subprocess.DEVNULL)
+    try:
+        eventually(lambda: "CONSOLE {" in errors.read_text(), READY_S)
+        yield json.loads(re.findall(r"CONSOLE (\{.*\})", errors.read_text())[0])["url"]
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
 def _keep(terminal: int, file: Path) -> None:
     """What is shown on a terminal, until its program ends."""
     with file.open("ab", buffering=0) as kept, contextlib.suppress(OSError):

@@ -68,6 +68,12 @@ FOCUSED = """
 }
 """
 MOST_TABS = 150
+NO_WEBGL = """
+const given = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return kind.startsWith("webgl") ? null : given.call(this, kind, ...more);
+};
+"""
 
 
 def low_contrast(page: Any) -> list[str]:
@@ -108,3 +114,17 @@ def not_reached_by_tab(page: Any) -> list[str]:
         if not wanted:
             break
     return [f"not reached: {html}" for html in wanted.values()] + faint
+
+
+def too_wide(page: Any) -> int:
+    """By how many pixels the page is wider than the screen."""
+    return int(page.evaluate("document.documentElement.scrollWidth - window.innerWidth"))
+
+
+def too_wide_by_screen(page: Any) -> dict[int, int]:
+    """The same on a phone and on the least screen to work at, of those for which it is too wide."""
+    found = {}
+    for width, height in ((390, 844), (1280, 720)):
+        page.set_viewport_size({"width": width, "height": height})
+        found[width] = too_wide(page)
+    return {width: by for width, by in found.items() if by > 0}

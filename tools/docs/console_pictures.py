@@ -14,9 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 # These stand beside the tests, whose folder is on the path only now.
-from console_clicks import answer, answer_until, take_seat  # noqa: E402
+from console_clicks import answer, answer_until, await_next, run_to, take_seat  # noqa: E402
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
-from operated_case import enter, operated_cases  # noqa: E402
+from operated_case import enter, operated_cases, reviewed  # noqa: E402
 
 DRAWN = """
 async () => {
@@ -42,8 +42,8 @@ def main() -> None:
         page = _page(browser, WIDE, "light")
         enter(page, case.addresses["url"])
         take_seat(page, "Dr Rehearsal")
-        page.wait_for_selector("text=next is ct_import")
-        _run_to(page, "registration:T1")
+        await_next(page, "ct_import")
+        run_to(page, "registration:T1")
         answer_until(page, "accept the registration")
         _take(page, out / "console-registration.png")
         for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
@@ -58,19 +58,19 @@ def main() -> None:
             _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")
             watching.context.close()
         answer(page)
-        page.wait_for_selector("text=next is tool_change")
-        _run_to(page, "at_target:T1")
+        await_next(page, "tool_change")
+        run_to(page, "at_target:T1")
         answer_until(page, AT_TARGET)
         page.get_by_role("button", name="head", exact=True).click()
         _take(page, out / "console-at-target.png")
         page.locator(".devicebox").scroll_into_view_if_needed()
         _take(page, out / "console-devices.png")
-
-
-def _run_to(page: Any, step: str) -> None:
-    page.locator(".upto").click()
-    page.get_by_role("option", name=step).click()
-    page.locator("[data-do=run_to]").click()
+        with reviewed(case.run, Path(place) / "review-errors") as address:
+            for scheme in ("light", "dark"):
+                looking = _page(browser, WIDE, scheme)
+                enter(looking, address)
+                _take(looking, out / f"console-review-{scheme}-1280.png")
+                looking.context.close()
 
 
 def _page(browser: Any, size: tuple[int, int], scheme: str) -> Any:

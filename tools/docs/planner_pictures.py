@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 # These stand beside the tests, whose folder is on the path only now.
-from modest_chromium import MISSING, modest_chromium  # noqa: E402
+from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
 
 DRAWN_MS = 2500  # for software graphics to have drawn the scene
@@ -31,8 +31,8 @@ def main() -> None:
         patient = make_phantom(place / "case", "--markers", 5)
         with open_planner(place, patient / "ct") as addresses:
             for scheme, (width, height) in PAGES:
-                context = browser.new_context(
-                    viewport={"width": width, "height": height}, color_scheme=scheme
+                context = opened_context(
+                    browser, viewport={"width": width, "height": height}, color_scheme=scheme
                 )
                 page = context.new_page()
                 enter_planner(page, addresses["url"])
