@@ -75,6 +75,7 @@ def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
         now_s[0] = LEASE_S + 1.0
         eventually(lambda: is_heard(b'"holder":"","reason":"the operator\'s page has not responded'))
     finally:
+        engine.events.end()  # closing waits for the end of what it sends
         console.close()
 
 

@@ -3,6 +3,7 @@
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
@@ -97,4 +98,9 @@ class AnyOrder(RuleBasedStateMachine):
 
 
 TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(max_examples=25, stateful_step_count=40, deadline=None)
+TestAnyOrder.settings = settings(max_examples=10, stateful_step_count=40, deadline=None)
+
+
+@pytest.mark.slow
+class TestManyOrders(AnyOrder.TestCase):
+    settings = settings(max_examples=60, stateful_step_count=40, deadline=None)

@@ -2,6 +2,7 @@
 
 import os
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -14,17 +15,21 @@ from procedures.journal.journal import JOURNAL_FILE, Entry
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal
 
+FRAMES = 400  # of the interpreter, which usually has 1,000: so deep a chain takes seconds to make and remove
+
 
 @pytest.fixture
 def chain_of_folders() -> Iterator[Callable[[Path], None]]:
     """Makes folders nested deeper than the interpreter has frames."""
+    usual = sys.getrecursionlimit()
+    sys.setrecursionlimit(FRAMES)
     made: list[Path] = []
 
     def make(folder: Path) -> None:
         made.append(folder)
         folder.mkdir()
         at = os.open(folder, os.O_RDONLY)
-        for _ in range(1200):
+        for _ in range(FRAMES + 100):
             os.mkdir("d", dir_fd=at)
             inner = os.open("d", os.O_RDONLY, dir_fd=at)
             os.close(at)
@@ -32,6 +37,7 @@ def chain_of_folders() -> Iterator[Callable[[Path], None]]:
         os.close(at)
 
     yield make
+    sys.setrecursionlimit(usual)
     subprocess.run(["rm", "-rf", *made], check=True)  # pytest removes its folders by recursion
 
 

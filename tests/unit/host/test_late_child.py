@@ -16,7 +16,7 @@ def test_a_limit_shared_with_other_children_is_reported_in_full() -> None:
     assert not child.alive
 
 
-WORK = "import time\nwhile time.process_time() < 2.0: pass\n"
+WORK = "import time\nwhile time.process_time() < 1.2: pass\n"
 READY = "print('READY {}', flush=True); time.sleep(60)"
 IN_ITS_CHILD = f"import subprocess, sys, time; subprocess.run([sys.executable, '-c', {WORK!r}]); "
 
@@ -24,13 +24,13 @@ IN_ITS_CHILD = f"import subprocess, sys, time; subprocess.run([sys.executable, '
 @pytest.mark.parametrize("work", [WORK, IN_ITS_CHILD], ids=["itself", "its child"])
 def test_a_child_is_waited_for_while_it_uses_the_processor(work: str) -> None:
     with ChildProcess("slow", [sys.executable, "-c", work + READY], timeout_s=None) as child:
-        assert child.await_ready(150.0, idle_s=1.0) == {}
+        assert child.await_ready(150.0, idle_s=0.6) == {}
 
 
 def test_an_idle_child_is_given_up_long_before_the_limit() -> None:
     child = ChildProcess("halted", [sys.executable, "-c", "import time; time.sleep(60)"], timeout_s=None)
     began_s = time.monotonic()
-    with pytest.raises(ChildNotReady, match="limit 1 s without using the processor"):
-        child.await_ready(idle_s=1.0)
+    with pytest.raises(ChildNotReady, match=r"limit 0\.3 s without using the processor"):
+        child.await_ready(idle_s=0.3)
     assert time.monotonic() - began_s < READY_TIMEOUT_S / 2
     assert not child.alive

@@ -15,7 +15,7 @@ from sim.basler.control.bootstrap import XML_ADDRESS
 from sim.basler.control.feature_registers import address_of
 from sim.basler.control.port import Actions
 
-FRAME_LIMIT_S = 2.0  # for an image that a spoilt camera never sends
+FRAME_LIMIT_S = 0.5  # for an image that a spoilt camera never sends
 GOOD_FRAME_LIMIT_S = 30.0
 GOOD_SILENCE_S = 0.05  # a good camera is silent when it should be, however short the look
 # Seconds of heartbeats and exposures; on a clock of their own in tests/unit/sim_basler.
