@@ -1,9 +1,10 @@
-"""Two users' days, played from the documentation alone: its commands, and a person who answers prompts."""
+"""Three users' days, played from the documentation alone: its commands, and a person who answers prompts."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 
@@ -80,6 +81,7 @@ def test_the_lab_engineer_gets_from_a_cell_full_of_faults_to_a_finished_case(lab
     code, text = lab.to("ronna-procedure doctor")
     assert code == EXIT_NOT_FOUND
     assert "NDI-022" not in text
+    assert "STE-010" in text
     assert "calibrate tool-tip" in " ".join(text.split())
     code, text = lab.to("ronna-procedure run")
     assert code == EXIT_REFUSED, text
@@ -95,16 +97,40 @@ def test_the_lab_engineer_gets_from_a_cell_full_of_faults_to_a_finished_case(lab
     assert list(lab.folder.glob("runs/*/report.html"))
 
 
-@pytest.fixture
-def rehearsal(commands: Commands, tmp_path: Path) -> Iterator[Day]:
-    day = Day("docs/tutorial/rehearsal-with-a-surgeon.md", commands, tmp_path)
+@contextmanager
+def day_of(page: str, commands: Commands, folder: Path) -> Iterator[Day]:
+    """The day of a page that uses the theatre's own file."""
+    day = Day(page, commands, folder)
     with day.theatre() as theatre:
         commands.environment["RONNA_CONTROL"] = theatre.ready["endpoints"]["control"]
         yield day
 
 
+@pytest.fixture
+def rehearsal(commands: Commands, tmp_path: Path) -> Iterator[Day]:
+    with day_of("docs/tutorial/rehearsal-with-a-surgeon.md", commands, tmp_path) as day:
+        yield day
+
+
+@pytest.fixture
+def student(commands: Commands, tmp_path: Path) -> Iterator[Day]:
+    with day_of("docs/how-to/raw-readings.md", commands, tmp_path) as day:
+        yield day
+
+
+def from_a_bad_morning(day: Day) -> None:
+    """The doctor names everything that is wrong, and is content once the page has put it right."""
+    code, text = day.to("ronna-procedure doctor")
+    assert code == EXIT_NOT_FOUND
+    told = " ".join(text.split())
+    for what in ("emergency stop", "NDI-022", "STE-010", "CAL-001"):
+        assert what in told, text
+    code, text = day.to("ronna-procedure doctor")
+    assert code == 0, text
+
+
 def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal: Day) -> None:
-    assert rehearsal.to("ronna-procedure doctor")[0] == 0
+    from_a_bad_morning(rehearsal)
     case, stop = rehearsal.lines[:2]
     del rehearsal.lines[:2]
     assert case.startswith("ronna-procedure run")
@@ -131,3 +157,11 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
     rehearsal.to("ronna-procedure report")
     (report,) = rehearsal.folder.glob("runs/*/report.html")
     assert "A. Nurse" in report.read_text()
+
+
+def test_the_doctoral_student_keeps_the_readings_of_a_theatre_that_was_not_ready(student: Day) -> None:
+    from_a_bad_morning(student)
+    assert student.to("ronna-procedure run")[0] == 0
+    assert student.to("ronna-procedure verify")[0] == 0
+    assert not student.lines
+    assert list(student.folder.glob("lab-runs/*/raw/pictures/*.png"))
