@@ -32,7 +32,6 @@ ENDPOINTS = {
 MADE = datetime(2026, 1, 1, tzinfo=UTC)
 DOWN = Rotation.from_matrix(KINEMATICS.flange_pose(KINEMATICS.home_rad).rotation_matrix)
 STEREO_SIGMA_MM = 0.005
-ARM_NOISE = "looks"
 
 
 @dataclass(frozen=True)

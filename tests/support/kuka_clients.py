@@ -173,12 +173,6 @@ class EkiClient:
         assert (answer.get("Id"), answer.get("Cmd")) == ("7", name)
         return int(answer.get("Code", "-1"))
 
-    def until_command(self, name: str, code: int) -> None:
-        """Repeat a command until it is answered with a code."""
-        deadline = time.monotonic() + LIMIT_S
-        while self.command(name) != code:
-            assert time.monotonic() < deadline, f"{name} is never answered with {code}"
-
     def state(self, **wanted: str) -> ElementTree.Element:
         """The next unasked or asked state with these attributes."""
         self.socket.sendall(b'<Cmd Id="8" Name="STATUS"></Cmd>')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import pytest
 from clinical_case import FIRST, ClinicalCell, given
 from prepared_results import (
     checked_paths,
@@ -23,6 +24,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.step import Scope, StepSpec
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
@@ -74,3 +77,21 @@ def other_frame(cell: ClinicalCell) -> None:
     calibrations: Calibrations = cell.calibrations
     frame = calibrations.tracker_frame.model_copy(update={"identifier": "renewed"})
     cell.workcell.calibrations = calibrations.model_copy(update={"tracker_frame": frame})
+
+
+def left_with_an_instrument_inside(
+    cell: ClinicalCell, order: CaseOrder
+) -> tuple[ClinicalCell, Engine, LeftRun]:
+    """Killed while someone works through the guide."""
+    ask = cell.operator.ask
+
+    def killed(question: Question) -> str:
+        if question.topic is Topic.DURA:
+            raise MemoryError
+        return ask(question)
+
+    cell.operator.ask = killed  # type: ignore[method-assign]
+    with pytest.raises(MemoryError):
+        cell.engine(order).run_to()
+    broken_off(cell)
+    return opened_again(cell, order)

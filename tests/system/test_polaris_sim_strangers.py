@@ -56,7 +56,6 @@ BIAS_LIMIT_MM = 1.0  # four times the root mean square of the unit's bias field
 REPEATABILITY_LIMIT_MM = 0.5  # of a fitted tool: single markers repeat to 0.04 mm across and 0.14 mm in depth
 TX_STEP_MM, TX_STEP = 0.01, 1e-4  # what one digit of a TX reply is worth
 PROBE_LIMIT_S = 4.0
-FLOAT_STEP_MM = 1.3e-4  # the same of a BX reply, at 2 m
 
 
 @pytest.fixture(scope="module")

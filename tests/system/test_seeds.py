@@ -12,7 +12,6 @@ from user_commands import Commands
 SEEDS = range(20)
 MEAN_LIMIT_MM = 0.5
 LARGEST_LIMIT_MM = 1.5
-LEAST_SPEED = 5.0  # times life
 # 60 targets: of an honest 95 % limit some three are exceeded; seven or more come once in fifty campaigns.
 MOST_BEYOND_LIMIT = 0.12
 

@@ -27,16 +27,6 @@ from procedures.planning.plan.seal import sealed
 from ronna_hw.errors import RonnaError
 
 
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    return tmp_path / "plan.toml"
-
-
-@pytest.fixture
-def desk(file: Path) -> PlanDesk:
-    return PlanDesk(scan(), file, None)
-
-
 def test_a_saved_plan_is_reopened_unchanged(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     assert not desk.is_saved

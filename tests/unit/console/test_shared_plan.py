@@ -16,16 +16,6 @@ from procedures.planning.errors import PlanInUse
 from procedures.planning.plan.lock import held_plan
 
 
-@pytest.fixture
-def file(tmp_path: Path) -> Path:
-    return tmp_path / "plan.toml"
-
-
-@pytest.fixture
-def desk(file: Path) -> PlanDesk:
-    return PlanDesk(scan(), file, None)
-
-
 def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)

@@ -20,8 +20,6 @@ from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
 
-CYCLES_AFTERWARDS = 5  # in which a motion that was not refused would show
-
 
 def test_the_driver_is_a_robot_arm(make_arm: Any) -> None:
     assert isinstance(make_arm(), RobotArm)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from clinical_case import FIRST, LAST, ClinicalCell, done_later, given
+from left_operation import left_with_an_instrument_inside
 from prepared_results import (
     checked_paths,
     checked_plan,
@@ -125,18 +126,7 @@ def test_the_restart_question_announces_the_repeated_tool_check(cell: ClinicalCe
 
 
 def test_an_instrument_in_the_guide_comes_out_before_the_check(cell: ClinicalCell) -> None:
-    order, ask = operation(cell), cell.operator.ask
-
-    def killed(question: Question) -> str:
-        if question.topic is Topic.DURA:
-            raise MemoryError
-        return ask(question)
-
-    cell.operator.ask = killed  # type: ignore[method-assign]
-    with pytest.raises(MemoryError):
-        cell.engine(order).run_to()
-    broken_off(cell)
-    again, engine, left = opened_again(cell, order)
+    again, engine, left = left_with_an_instrument_inside(cell, operation(cell))
     recover(engine, left)
     assert again.operator.asked[1].topic is Topic.INSTRUMENT_OUT
     assert gauge_readings(again) == 0

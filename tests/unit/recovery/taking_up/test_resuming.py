@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
-from left_operation import case_order, left_after
+from left_operation import case_order, left_after, left_with_an_instrument_inside
 from recording_cell import GUIDE
 from run_again import broken_off, opened_again
 
@@ -20,7 +20,6 @@ from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.recovery import bring_home, recover
 from procedures.results.errors import StepRefused
@@ -163,28 +162,12 @@ def test_a_guide_at_the_gauge_counts_as_holding_the_mandrel_until_confirmed_out(
     assert again.arm.motions == []
 
 
-def left_with_an_instrument_inside(cell: ClinicalCell) -> tuple[ClinicalCell, Engine, LeftRun]:
-    """Killed while someone works through the guide."""
-    order, ask = case_order(cell), cell.operator.ask
-
-    def killed(question: Question) -> str:
-        if question.topic is Topic.DURA:
-            raise MemoryError
-        return ask(question)
-
-    cell.operator.ask = killed  # type: ignore[method-assign]
-    with pytest.raises(MemoryError):
-        cell.engine(order).run_to()
-    broken_off(cell)
-    return opened_again(cell, order)
-
-
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_a_resume_after_a_kill_during_the_insertion_asks_whether_the_instrument_is_out(
     cell: ClinicalCell,
 ) -> None:
-    again, engine, left = left_with_an_instrument_inside(cell)
+    again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
     recover(engine, left)
     topics = [one.topic for one in again.operator.asked]
     assert topics[:3] == [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.FIRST_MOTION] or topics[1] is (
@@ -199,7 +182,7 @@ def test_a_resume_after_a_kill_during_the_insertion_asks_whether_the_instrument_
 def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
     cell: ClinicalCell,
 ) -> None:
-    again, engine, left = left_with_an_instrument_inside(cell)
+    again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
     recover(engine, left)
     assert "work has begun at T1: the skin is open, the skull is drilled" in again.operator.asked[0].value
     engine.run_to()
@@ -215,7 +198,7 @@ def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
 def test_nothing_moves_after_a_kill_during_the_insertion_while_the_instrument_is_inside(
     cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
 ) -> None:
-    again, engine, left = left_with_an_instrument_inside(cell)
+    again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
     again.operator.refusing = (Topic.INSTRUMENT_OUT,)
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
         way(engine, left)
