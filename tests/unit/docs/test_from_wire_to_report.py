@@ -24,7 +24,7 @@ from procedures.steps.clinical import correspondence, global_localization, regis
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import robot_from_marker
+from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.devices.byte_sink import Direction, Passed
 from ronna_hw.frames import Frame
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
@@ -144,7 +144,7 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     tape_lines = (tmp_path / READINGS_FOLDER / READINGS_FILE).read_text().splitlines()
     lines = [json.loads(line) for line in tape_lines if line]
     frames = [line["answer"] for line in lines if line.get("call") == "read_frame"]
-    assert len(frames) == len(wire.replies) == global_localization.FRAMES
+    assert len(frames) == len(wire.replies) == FRAMES
     assert frames[-1]["strays"][SPHERE]["position_mm"] == on_wire_mm.tolist()
     record = cell.case.get(GlobalLocalization).record
     payload = json.loads((tmp_path / "records" / f"{record.identifier}.json").read_text())["payload"]
