@@ -14,7 +14,16 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
-from sim.world.faults import DEVICES, begin_now, begin_with_step, check_faults, parse_faults, parse_request
+from sim.world.faults import (
+    DEVICES,
+    FaultBoard,
+    begin_now,
+    begin_with_step,
+    check_faults,
+    parse_faults,
+    parse_request,
+)
+from sim.world.faults.room import DEVICE, WRONG_TOOL, tool_numbers
 from sim.world.hands import Hands, NoSuchTask, WrongNumbers
 from sim.world.left_world import write_left_world
 from sim.world.on_stand import OnStand
@@ -46,6 +55,7 @@ class Room:
         self._devices = devices
         self._loaded = loaded
         self._hands = Hands(world, folder)
+        self._board = FaultBoard(world, DEVICE)
         self._one_at_a_time = threading.Lock()  # several connections may ask
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -98,12 +108,13 @@ class Room:
 
     def _mount(self, request: dict[str, Any]) -> None:
         number = _number(request["number"])
-        mount = self._world.scene.mount
-        if number not in (0, mount.tool_number_stereo, mount.tool_number_guide):
+        if number not in (known := tool_numbers(self._world.scene)):
             raise NoSuchTool(
-                f"no tool {number:g}: 0 removes the tool, {mount.tool_number_stereo} is the stereo"
-                f" head, {mount.tool_number_guide} the surgical guide"
+                f"no tool {number:g}: 0 removes the tool, {known[1]} is the stereo"
+                f" head, {known[2]} the surgical guide"
             )
+        for mistaken in self._board.active(WRONG_TOOL.name):
+            number = int(mistaken.argument)
         self._world.mount_tool(int(number))
         if self._folder is not None:
             write_left_world(self._world, self._folder)

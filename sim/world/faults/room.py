@@ -6,12 +6,25 @@ those of its tip frame.
 
 from __future__ import annotations
 
-from sim.world.faults.kinds import DeviceFaults, OneOf, fiducial_number
+from collections.abc import Iterator
+
+from sim.world.faults.kinds import Arguments, DeviceFaults, OneOf, expected, fiducial_number
+from sim.world.scene.model import Scene
 
 DEVICE = "room"
 HEAD, CART, TRACKER = "head", "cart", "tracker"
 ROOM = DeviceFaults(DEVICE)
 lasting = ROOM.lasting
+
+
+def tool_numbers(scene: Scene) -> tuple[int, ...]:
+    """The tools in the room; 0 is none."""
+    return (0, scene.mount.tool_number_stereo, scene.mount.tool_number_guide)
+
+
+def _a_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    yield from expected("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
+
 
 SHIFT = lasting(
     "shift",
@@ -43,6 +56,12 @@ BENT_TIP = lasting(
     "bent tip SIGNED SIGNED SIGNED mm",
     "The guide, or the mandrel in it, is bent: its end is that far from its calibrated position.",
 )
+WRONG_TOOL = lasting(
+    "wrong_tool",
+    "wrong tool INT",
+    "The tool with this number is mounted, whichever was asked for; 0: none.",
+    _a_tool,
+)
 WRONG_MANDREL = lasting(
     "wrong_mandrel",
     "wrong mandrel SIGNED mm",
@@ -65,6 +84,7 @@ ROOM_FAULTS = (
     PUSH,
     WRONG_STOP,
     BENT_TIP,
+    WRONG_TOOL,
     WRONG_MANDREL,
     BAD_SEAT,
     WRONG_LOAD,

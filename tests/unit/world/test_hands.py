@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN
+from sim.errors import BadFaultScript
 from sim.world.control import Room
+from sim.world.faults import check_faults, parse_faults
 from sim.world.hands import Hands
 from sim.world.rigid import matrix_of
 from sim.world.room_shift import ShiftedRoom
@@ -73,6 +75,23 @@ def test_faults_move_the_tip_by_their_stated_amounts(
     world = a_world()
     world.set_fault_script(f"at 0 s: room {fault}")
     assert tip_mm(world, tmp_path) - planned_mm() == pytest.approx(moved_mm, abs=1e-9)
+
+
+@pytest.mark.parametrize("mistaken", [0, SCENE.mount.tool_number_stereo])
+def test_hands_mount_the_wrong_tool_as_long_as_the_fault_lasts(mistaken: int) -> None:
+    world, guide = a_world(), SCENE.mount.tool_number_guide
+    room = Room(world, None)
+    world.set_fault_script(f"at 0 s: room wrong tool {mistaken}")
+    assert room.answer({"do": "mount", "number": guide})["ok"]
+    assert world.mounted_tool() == mistaken
+    world.set_fault_script("")
+    assert room.answer({"do": "mount", "number": guide})["ok"]
+    assert world.mounted_tool() == guide
+
+
+def test_a_wrong_tool_that_is_not_in_the_room_is_refused() -> None:
+    with pytest.raises(BadFaultScript, match="expected tool 0, 1 or 2, got 7"):
+        check_faults(parse_faults("at 0 s: room wrong tool 7"), SCENE)
 
 
 def test_a_wrongly_set_depth_stop_reads_its_actual_value() -> None:
