@@ -21,7 +21,7 @@ from pathlib import Path
 
 import pytest
 from kills import MOTION_LINK
-from single_faults import FAULTS, STEPS, stops
+from single_faults import STEPS, faults_of, stops
 from user_commands import TOKEN, Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
@@ -49,8 +49,8 @@ def random_script(seed: int) -> str:
     chosen = random.Random(seed)
     lines = []
     for _ in range(chosen.randint(1, 3)):
-        device, faults = chosen.choice(FAULTS)
-        fault = chosen.choice(sorted(faults))
+        device = chosen.choice(tuple(STEPS))
+        fault = chosen.choice(sorted(faults_of(device)))
         step, at_s = chosen.choice(STEPS[device]), chosen.uniform(0.0, CASE_S)
         begin = chosen.choice((f"when step == {step}", f"at {at_s:.3f} s"))
         lasting = "" if " for " in fault else chosen.choice(("", f" for {chosen.uniform(0.05, 5.0):.3f} s"))
