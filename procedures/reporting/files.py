@@ -28,10 +28,8 @@ def keep_truth(run: Path, truth: Truth) -> Path:
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / KEPT_TRUTH
     content = (truth.model_dump_json(indent=1) + "\n").encode()
-    if (
-        not path.is_file() or path.read_bytes() != content
-    ):  # a finished run is also shown where it cannot be written
-        write_whole(path, content)
+    if not path.is_file() or path.stat().st_size != len(content) or path.read_bytes() != content:
+        write_whole(path, content)  # else nothing is: a finished run is also shown where it cannot be written
     return path
 
 

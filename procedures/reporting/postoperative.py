@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from procedures.postoperative.summary import PostoperativeCheck
+from procedures.reporting.embedded import embedded, picture_of
 from procedures.reporting.files import REPORT_FOLDER
 from procedures.reporting.run_reading import RunReading
 from ronna_hw.bounded_input import read_json_bytes
@@ -28,7 +28,7 @@ class AfterTheOperation:
     def shown(self) -> list[tuple[str, str]]:
         """Name and picture, as embedded in a page."""
         names = [one.id for one in self.found.trajectories]
-        return [(name, _inside(self.pictures[name])) for name in names if name in self.pictures]
+        return [(name, embedded(self.pictures[name])) for name in names if name in self.pictures]
 
 
 def keep_check(folder: Path, after: AfterTheOperation) -> None:
@@ -50,8 +50,5 @@ def kept_check(reading: RunReading) -> AfterTheOperation | None:
         reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
         return None
     paths = (path for path in sorted(folder.glob(f"{PICTURE}*.png")) if path.is_file())
-    return AfterTheOperation(found, {path.stem.removeprefix(PICTURE): path.read_bytes() for path in paths})
-
-
-def _inside(picture: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(picture).decode()
+    pictures = {path.stem.removeprefix(PICTURE): picture_of(reading, path) for path in paths}
+    return AfterTheOperation(found, {name: one for name, one in pictures.items() if one is not None})

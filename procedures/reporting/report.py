@@ -6,7 +6,6 @@ from its verifier and is passed in.
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,6 +16,7 @@ from procedures.reporting import numbers
 from procedures.reporting.calibration.result_file import figures_if_readable
 from procedures.reporting.calibration.stereo_head import HeadFigures
 from procedures.reporting.clearance_figure import clearance_figure
+from procedures.reporting.embedded import embedded, picture_of
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
 from procedures.reporting.happenings import announced_advisories, happenings, questions
@@ -238,12 +238,9 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
         for name in hashes_in(line, "pictures")
     }
     return [
-        (
-            path.stem.removeprefix(prefix),
-            "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode(),
-        )
+        (path.stem.removeprefix(prefix), embedded(picture))
         for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
-        if path.is_file() and path.name not in gone
+        if path.is_file() and path.name not in gone and (picture := picture_of(reading, path)) is not None
     ]
 
 

@@ -11,6 +11,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 from typing import Any
 
+from ronna_hw.bounded_input import read_json_bytes, read_json_lines
 from ronna_hw.text.printable import printable
 
 HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
@@ -25,17 +26,17 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
-    journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
+    journal = [json.loads(line) for line in read_json_lines(run / "journal.jsonl").splitlines()]
     results = [line for line in journal if line["entry"] == "result"]
     gone = {name for line in journal for name in line.get("supersedes", ())}
     names = [line["record"] for line in results]
-    made = {name: json.loads((run / "records" / f"{name}.json").read_text()) for name in names}
+    made = {name: json.loads(read_json_bytes(run / "records" / f"{name}.json")) for name in names}
     standing = {name: record for name, record in made.items() if name not in gone}
     depth_mm = _depths(list(standing.values()))
     used = _registrations(made, standing)
     errors_mm: dict[str, float] = {}
     if truth_file.exists():
-        truth = json.loads(truth_file.read_text())
+        truth = json.loads(read_json_bytes(truth_file))
         errors_mm = {one["id"]: one["application_error_mm"] for one in truth["targets"]}
     return tuple(
         (

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import math
+import os
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -19,6 +20,7 @@ from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.reporting import target_table
+from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.report import write_report
@@ -120,6 +122,16 @@ def test_a_check_after_the_operation_that_cannot_be_read_is_named(registered: Pa
 
 
 @pytest.mark.hazard(6)
+def test_a_picture_too_large_for_a_page_is_left_out_and_named(registered: Path) -> None:
+    pictures = registered / "pictures"
+    pictures.mkdir(exist_ok=True)
+    (pictures / "ct-1.png").touch()
+    os.truncate(pictures / "ct-1.png", 1_500_000_000)  # as much of it in memory ended the report
+    page = write_report(registered).read_text()
+    assert "ct-1.png is left out" in page
+    assert len(page) < LARGEST_PICTURE_BYTES
+
+
 def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     again = (registered / "report" / "numbers.txt").read_text()
