@@ -37,6 +37,8 @@ STREAMING_WELL = ControllerState(
     cycle_ms=None,
     context_hash=None,
     variant=None,
+    serial=None,
+    open_brakes=None,
 )
 
 
