@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -217,9 +219,27 @@ def test_inflated_data_must_be_complete_and_within_the_limit() -> None:
     assert inflate(zlib.compress(b"whole"), 5) == b"whole"
 
 
+SUPPORT = Path(__file__).parents[2] / "support"
+LARGE_XML = """
+from bounded_cost import bounded_cost
+from ronna_hw.bounded_input import parse_xml
+large = b"<a b='" + b"x" * 9_000_000 + b"'/>"
+with bounded_cost(1 << 20):
+    try:
+        parse_xml(large, 10_000_000)
+    except MemoryError:
+        print("no memory")
+"""
+
+
 def test_memory_that_cannot_be_had_is_no_mistake_in_xml() -> None:
-    with bounded_cost(1 << 20), pytest.raises(MemoryError):
-        parse_xml(b"<a b='" + b"x" * 9_000_000 + b"'/>", 10_000_000)
+    """In a process of its own, which has no freed memory to give."""
+    words = [sys.executable, "-c", LARGE_XML]
+    paths = os.pathsep.join([str(SUPPORT), *sys.path])
+    done = subprocess.run(
+        words, env={**os.environ, "PYTHONPATH": paths}, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "no memory\n"
 
 
 @pytest.mark.parametrize(
