@@ -130,7 +130,7 @@ def _exact() -> list[Figure]:
 def _formulas() -> list[Figure]:
     study = RegistrationStudy(FIT_RUNS, SEED, fiducials=(5,))
     units = [
-        unit for unit in study.units() if unit.cell.startswith(ISOTROPIC) or unit.block < WEIGHTED_BLOCKS
+        unit for unit in study.units() if unit.condition.startswith(ISOTROPIC) or unit.block < WEIGHTED_BLOCKS
     ]
     formulas, gains = tables(add_up((unit, study.run(unit)) for unit in units))
     ((_, _, fle, one_space, _, _, _, tre, alarms, _),) = formulas.rows
@@ -146,6 +146,6 @@ def _formulas() -> list[Figure]:
     return figures
 
 
-def _number(cell: object) -> float:
-    assert isinstance(cell, float)
-    return cell
+def _number(value: object) -> float:
+    assert isinstance(value, float)
+    return value

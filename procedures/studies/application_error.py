@@ -47,13 +47,15 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """A cell per depth, marker type and position."""
-        cells = [f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES]
-        return [unit for cell in cells for unit in blocks(cell, self.arms, BLOCK_ARMS)]
+        """A condition per depth, marker type and position."""
+        conditions = [
+            f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES
+        ]
+        return [unit for condition in conditions for unit in blocks(condition, self.arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
         """Length of every error in mm: strategy|spheres|arm|target."""
-        depth, kind, number = unit.cell.split("|")
+        depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
         drawn = phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
         first = unit.block * BLOCK_ARMS
@@ -116,8 +118,8 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 def _errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
     """Errors (arms, n) in mm, arm by arm."""
     found: dict[Series, dict[int, list[float]]] = {}
-    for cell, content in sums.items():
-        depth, markers, _ = cell.split("|")
+    for condition, content in sums.items():
+        depth, markers, _ = condition.split("|")
         for key, error_mm in content.items():
             strategy, count, arm, _ = key.split("|")
             of_series = found.setdefault((depth, markers, strategy, int(count)), {})

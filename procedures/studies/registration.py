@@ -59,12 +59,12 @@ class RegistrationStudy:
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order kind of error, fiducials."""
-        cells = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
-        return [unit for cell in cells for unit in blocks(cell, self.runs, BLOCK_RUNS)]
+        conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
+        return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
 
     def run(self, unit: Unit) -> Sums:
         """Sums of squares (mm2) and counts over the runs."""
-        kind, count = unit.cell.split("|")
+        kind, count = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
         own = tuple(OwnRegistration.of(one) for one in self.own)
@@ -142,8 +142,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Formulas against simulation, and the gain from weighting."""
     formulas: list[Sequence[Cell]] = []
     gains: list[Sequence[Cell]] = []
-    for cell, total in sums.items():
-        kind, count = cell.split("|")
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
         runs = total["runs"]
         tre = _rms_mm(total, PLAIN)
         tre_mm = tre.value
@@ -203,8 +203,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 def _own_table(sums: Mapping[str, Sums]) -> Table:
     """User registrations next to ours, on the same points."""
     rows: list[Sequence[Cell]] = []
-    for cell, total in sums.items():
-        kind, count = cell.split("|")
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
         methods = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
         methods |= {
             key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")
@@ -228,8 +228,8 @@ def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
     lines: dict[str, list[Point]] = {"simulated": [], "eq. 39": []}
-    for cell, total in sums.items():
-        kind, count = cell.split("|")
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
         if kind != ISOTROPIC:
             continue
         lines["simulated"].append((int(count), _rms_mm(total, PLAIN)))

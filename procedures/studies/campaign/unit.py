@@ -1,4 +1,4 @@
-"""A unit of a study: some runs of one cell with its own seed, so that every worker gets the same result."""
+"""A unit of a study: runs of one condition with their own seed, so that every worker gets the same result."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ Sums = dict[str, float]  # additive over units: counts and sums of squares
 
 @dataclass(frozen=True)
 class Unit:
-    """Runs number `block` of a cell. The cell is a readable key such as `patient 1, 4 fiducials`."""
+    """Runs number `block` of a condition, which is a readable key such as `patient 1, 4 fiducials`."""
 
-    cell: str
+    condition: str
     block: int
     runs: int
 
     @property
     def key(self) -> str:
         """Identity within a study."""
-        return f"{self.cell} #{self.block}"
+        return f"{self.condition} #{self.block}"
 
 
 class Study(Protocol):
@@ -54,21 +54,21 @@ def without_empty_own(parameters: dict[str, object]) -> dict[str, object]:
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:
-    """The random numbers of a unit; they depend only on the study's seed, the cell and the block."""
-    cell = zlib.crc32(unit.cell.encode())
-    return np.random.default_rng(np.random.SeedSequence([seed, cell, unit.block]))
+    """The random numbers of a unit; they depend only on the study's seed, the condition and the block."""
+    condition = zlib.crc32(unit.condition.encode())
+    return np.random.default_rng(np.random.SeedSequence([seed, condition, unit.block]))
 
 
-def blocks(cell: str, runs: int, block_runs: int) -> list[Unit]:
-    """Split the runs of a cell into units of at most `block_runs`."""
+def blocks(condition: str, runs: int, block_runs: int) -> list[Unit]:
+    """Split the runs of a condition into units of at most `block_runs`."""
     whole, rest = divmod(runs, block_runs)
     sizes = [block_runs] * whole + ([rest] if rest else [])
-    return [Unit(cell, number, size) for number, size in enumerate(sizes)]
+    return [Unit(condition, number, size) for number, size in enumerate(sizes)]
 
 
 def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Sums]:
-    """Sums per cell, in the order of the cells."""
+    """Sums per condition, in their order."""
     total: dict[str, Counter[str]] = {}
     for unit, sums in finished:
-        total.setdefault(unit.cell, Counter()).update(sums)
-    return {cell: dict(counter) for cell, counter in total.items()}
+        total.setdefault(unit.condition, Counter()).update(sums)
+    return {condition: dict(counter) for condition, counter in total.items()}

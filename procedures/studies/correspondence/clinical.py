@@ -76,11 +76,11 @@ class ClinicalStudy:
 
     def units(self) -> Sequence[Unit]:
         """The scans in order."""
-        return [Unit(scan.cell, 0, len(self.readings_mm)) for scan in SCANS]
+        return [Unit(scan.condition, 0, len(self.readings_mm)) for scan in SCANS]
 
     def run(self, unit: Unit) -> Sums:
         """Outcomes of our method, and of the thesis' for each e."""
-        (drawn,) = (scan for scan in SCANS if scan.cell == unit.cell)
+        (drawn,) = (scan for scan in SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(drawn.family, PROTOCOL, seed, FRAME, drawn.spheres) as scan:
@@ -200,9 +200,9 @@ def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple
 
 def _success(sums: Mapping[str, Sums], kind: str, method: Method, tolerance: str) -> tuple[int, float]:
     runs, success = 0.0, 0.0
-    for cell, content in sums.items():
+    for condition, content in sums.items():
         for key, number in content.items():
-            if cell.startswith(kind) and key.startswith(f"{method.value}|{tolerance}|"):
+            if condition.startswith(kind) and key.startswith(f"{method.value}|{tolerance}|"):
                 runs += number
                 success += number if key.endswith(f"|{SUCCESS}") else 0.0
     return int(runs), success / runs if runs else 0.0

@@ -1,4 +1,4 @@
-"""Readings drawn according to the thesis' protocol (5.3.1), many runs of a cell at once.
+"""Readings drawn according to the thesis' protocol (5.3.1), many runs of a condition at once.
 
 Every run displaces the patient's marker sites, takes a random subset, adds noise and outliers on both sides,
 and shuffles both.

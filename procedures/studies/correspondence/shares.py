@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from procedures.studies.campaign.bounds import Bounded, percent
 from procedures.studies.campaign.unit import Sums
-from procedures.studies.correspondence.study import FALSE, LOST, PART, cell_of
+from procedures.studies.correspondence.study import FALSE, LOST, PART, condition_of
 from procedures.studies.heads import NoiseReading
 
 Range = tuple[float, float]
@@ -55,30 +55,34 @@ class Shares:
 def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
     """Outcomes of the runs of each series, over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
-    for cell, content in sums.items():
-        noise, _, fiducials, outliers = cell_of(cell)
+    for condition, content in sums.items():
+        noise, _, fiducials, outliers = condition_of(condition)
         for key, number in content.items():
             method, tolerance, outcome = key.split("|")
-            cells = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
-            into = cells.setdefault(outliers, {})
+            conditions = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
+            into = conditions.setdefault(outliers, {})
             into[outcome] = into.get(outcome, 0.0) + number
     ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
-    return {series: _shares(list(cells.values())) for series, cells in ordered}
+    return {series: _shares(list(conditions.values())) for series, conditions in ordered}
 
 
-def _shares(cells: list[dict[str, float]]) -> Shares:
+def _shares(conditions: list[dict[str, float]]) -> Shares:
     def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
         of, outcomes = list(of), set(outcomes)
-        runs = sum(sum(cell.values()) for cell in of)
-        return 100.0 * sum(n for cell in of for outcome, n in cell.items() if outcome in outcomes) / runs
+        runs = sum(sum(condition.values()) for condition in of)
+        return (
+            100.0
+            * sum(n for condition in of for outcome, n in condition.items() if outcome in outcomes)
+            / runs
+        )
 
-    unsuccessful = [share((LOST, PART), [cell]) for cell in cells]
-    false = [share((FALSE,), [cell]) for cell in cells]
+    unsuccessful = [share((LOST, PART), [condition]) for condition in conditions]
+    false = [share((FALSE,), [condition]) for condition in conditions]
     return Shares(
-        int(sum(sum(cell.values()) for cell in cells)),
-        share((LOST, PART), cells),
+        int(sum(sum(condition.values()) for condition in conditions)),
+        share((LOST, PART), conditions),
         (min(unsuccessful), max(unsuccessful)),
-        share((FALSE,), cells),
+        share((FALSE,), conditions),
         (min(false), max(false)),
-        share((PART,), cells),
+        share((PART,), conditions),
     )

@@ -71,7 +71,7 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` per patient and cell; the thesis' methods with each e in `tolerances_mm`; user methods."""
+    """`runs` per patient and condition; the thesis' methods with each e in `tolerances_mm`; user methods."""
 
     runs: int
     seed: int = 0
@@ -87,19 +87,19 @@ class CorrespondenceStudy:
         return without_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
-        """Cells in the order noise model, patient, fiducials, outliers."""
+        """Conditions in the order noise model, patient, fiducials, outliers."""
         return [
             unit
             for reading in self.readings
             for patient in PATIENTS
             for count in self.fiducials
             for outliers in OUTLIERS
-            for unit in blocks(cell_key(reading, patient, count, outliers), self.runs, BLOCK_RUNS)
+            for unit in blocks(condition_key(reading, patient, count, outliers), self.runs, BLOCK_RUNS)
         ]
 
     def run(self, unit: Unit) -> Sums:
         """Outcomes of every method, as `method|e|outcome` -> count."""
-        reading, patient, count, outliers = cell_of(unit.cell)
+        reading, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         seen = draw_readings(sites_mm(patient), count, outliers, reading, unit.runs, random)
         tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
@@ -160,13 +160,13 @@ def _by_own(
     return sums
 
 
-def cell_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
-    """A cell as text."""
+def condition_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
+    """A condition as text."""
     return f"{reading.value}|{patient}|{fiducials}|{outliers}"
 
 
-def cell_of(key: str) -> tuple[NoiseReading, int, int, int]:
-    """A cell from its text."""
+def condition_of(key: str) -> tuple[NoiseReading, int, int, int]:
+    """A condition from its text."""
     reading, patient, fiducials, outliers = key.split("|")
     return NoiseReading(reading), int(patient), int(fiducials), int(outliers)
 

@@ -31,8 +31,8 @@ from procedures.studies.correspondence.study import (
     OUTLIERS,
     PART,
     PRIOR_DISTURBED_RAD,
-    cell_key,
-    cell_of,
+    condition_key,
+    condition_of,
     verdict,
 )
 from procedures.studies.correspondence.tables import (
@@ -74,19 +74,19 @@ class TemplateStudy:
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
-        """Cells in the order noise model, patient, markers, outliers."""
+        """Conditions in the order noise model, patient, markers, outliers."""
         return [
             unit
             for noise in NoiseReading
             for patient in PATIENTS
             for count in MARKERS
             for outliers in OUTLIERS
-            for unit in blocks(cell_key(noise, patient, count, outliers), self.runs, BLOCK_RUNS)
+            for unit in blocks(condition_key(noise, patient, count, outliers), self.runs, BLOCK_RUNS)
         ]
 
     def run(self, unit: Unit) -> Sums:
         """Outcomes of every method, as `method|outcome` -> count."""
-        noise, patient, count, outliers = cell_of(unit.cell)
+        noise, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
         seen = draw_readings(template_mm, count, outliers, noise, unit.runs, random, IMPLANTED_MM)
@@ -146,16 +146,16 @@ def _solved(
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """One row per noise model, method and number of markers, next to the result of five to eight."""
     counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
-    for cell, content in sums.items():
-        noise, _, markers, outliers = cell_of(cell)
+    for condition, content in sums.items():
+        noise, _, markers, outliers = condition_of(condition)
         for key, number in content.items():
             method, _, outcome = key.partition("|")
             of_method = counted.setdefault((noise, markers, method), {})
             of_method.setdefault(outliers, Counter())[outcome] += round(number)
     rows: list[Sequence[Cell]] = []
-    for (noise, markers, method), cells in counted.items():
-        lost = {outliers: _percent(one, LOST, PART) for outliers, one in cells.items()}
-        pooled = sum(cells.values(), Counter())
+    for (noise, markers, method), conditions in counted.items():
+        lost = {outliers: _percent(one, LOST, PART) for outliers, one in conditions.items()}
+        pooled = sum(conditions.values(), Counter())
         false = _percent(pooled, FALSE)
         rows.append(
             (

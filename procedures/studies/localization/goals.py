@@ -27,26 +27,26 @@ def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
 
 def goals(sums: Mapping[str, Sums]) -> Table | None:
     """Ours against the goals, on families not used for tuning; None without them."""
-    cells = [cell for cell in sums if cell.split("|")[0] in JUDGING]
-    if not cells:
+    conditions = [condition for condition in sums if condition.split("|")[0] in JUDGING]
+    if not conditions:
         return None
     rows: list[Sequence[Cell]] = []
-    for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
+    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
         for streaked in (False, True):
             chosen = [
-                cell
-                for cell in cells
-                if cell.endswith(f"|{protocol}") and (cell.split("|")[0] in STREAKED) == streaked
+                condition
+                for condition in conditions
+                if condition.endswith(f"|{protocol}") and (condition.split("|")[0] in STREAKED) == streaked
             ]
             total = pooled(sums, chosen)
             found = of_method(total, Method.OURS, "found")
             if found:
                 rows += _accuracy(total, protocol, streaked, found)
-        rows += _families(sums, [cell for cell in cells if cell.endswith(f"|{protocol}")])
+        rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
     return Table(
         "Goals",
         ("figure", "value", "goal", "met"),
-        [*rows, *_detection(pooled(sums, cells))],
+        [*rows, *_detection(pooled(sums, conditions))],
         "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
     )
 
@@ -63,18 +63,18 @@ def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[
     return rows
 
 
-def _families(sums: Mapping[str, Sums], cells: Sequence[str]) -> list[Sequence[Cell]]:
+def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Sequence[Cell]]:
     """What each family of one protocol must meet: pooled, a bad one would hide behind a good one."""
     rows: list[Sequence[Cell]] = []
     low, high = CHI2
-    for cell in cells:
-        total, where = sums[cell], ", ".join(cell.split("|")[::-1])
+    for condition in conditions:
+        total, where = sums[condition], ", ".join(condition.split("|")[::-1])
         found = of_method(total, Method.OURS, "found")
         if not found:
             continue
         chi2 = of_method(total, Method.OURS, "chi2") / (3.0 * found)
         rows.append((f"chi² / 3n, {where}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)))
-        if cell.split("|")[0] == BANDAGE:
+        if condition.split("|")[0] == BANDAGE:
             rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
             rows.append(_at_most(f"rms µm, {where}", rms_um, BANDAGE_RMS_UM))
         largest_um = percentile_um(total, Method.OURS, found, 1.0)

@@ -83,13 +83,13 @@ class LocalizationStudy:
 
     def units(self) -> Sequence[Unit]:
         """A unit per volume, then one per set."""
-        cells = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
-        volumes = [unit for cell in cells for unit in blocks(cell, self.volumes, 1)]
+        conditions = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
+        volumes = [unit for condition in conditions for unit in blocks(condition, self.volumes, 1)]
         return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
 
     def run(self, unit: Unit) -> Sums:
         """Counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
-        family, protocol = unit.cell.split("|")
+        family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
         own = tuple(OwnLocalizer.of(one) for one in self.own)
@@ -219,9 +219,9 @@ def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
     return found_mm[nearest] if whole else None
 
 
-def pooled(sums: Mapping[str, Sums], cells: Sequence[str]) -> Sums:
+def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
     """Sums over several cells."""
     total: Counter[str] = Counter()
-    for cell in cells:
-        total.update(sums.get(cell, {}))
+    for condition in conditions:
+        total.update(sums.get(condition, {}))
     return dict(total)

@@ -48,24 +48,24 @@ COLUMNS = (
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Pooled, by family, and the thesis' tables 2 and 3."""
-    frames = pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)])
+    frames = pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)])
     of_frames = [_fle_table(frames)] if frames else []
-    cells = [cell for cell in sums if not cell.startswith(FRAMES)]
-    if not cells:
+    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
+    if not conditions:
         return of_frames
-    protocols = list(dict.fromkeys(cell.split("|")[1] for cell in cells))
+    protocols = list(dict.fromkeys(condition.split("|")[1] for condition in conditions))
     together: list[Sequence[Cell]] = []
     for protocol in protocols:
-        of_protocol = [cell for cell in cells if cell.endswith(f"|{protocol}")]
-        streaked = [cell for cell in of_protocol if cell.split("|")[0] in STREAKED]
-        others = [cell for cell in of_protocol if cell not in streaked]
+        of_protocol = [condition for condition in conditions if condition.endswith(f"|{protocol}")]
+        streaked = [condition for condition in of_protocol if condition.split("|")[0] in STREAKED]
+        others = [condition for condition in of_protocol if condition not in streaked]
         together += _rows("without streaks on posts", protocol, pooled(sums, others))
         together += _rows("with streaks on posts", protocol, pooled(sums, streaked))
     single = [
         row
-        for cell in cells
-        for family, protocol in [cell.split("|")]
-        for row in _rows(family, protocol, sums[cell])
+        for condition in conditions
+        for family, protocol in [condition.split("|")]
+        for row in _rows(family, protocol, sums[condition])
     ]
     found = [
         Table(
@@ -77,7 +77,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
                 "in white noise. "
             )
-            + _cut(sums, cells)
+            + _cut(sums, conditions)
             + (
                 f" {bounds.NOTE} Spheres of one scan count as independent. False ones: "
                 "Poisson, in as many scans."
@@ -96,21 +96,21 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Rms per family and method, one plot per protocol."""
     pictures = {}
-    cells = [cell for cell in sums if not cell.startswith(FRAMES)]
-    for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
+    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
+    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
         groups = {
-            cell.split("|")[0]: {
-                method: _rms_um(sums[cell], method)
-                for method in methods_of(sums[cell])
-                if of_method(sums[cell], method, "found")
+            condition.split("|")[0]: {
+                method: _rms_um(sums[condition], method)
+                for method in methods_of(sums[condition])
+                if of_method(sums[condition], method, "found")
             }
-            for cell in cells
-            if cell.endswith(f"|{protocol}")
+            for condition in conditions
+            if condition.endswith(f"|{protocol}")
         }
         pictures[f"error-{protocol}.png"] = bars(
             f"3-D error, {protocol} protocol", "rms, µm", groups, x_label="family of scans"
         )
-    if frames := pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)]):
+    if frames := pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)]):
         pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
     return pictures
 
@@ -182,8 +182,8 @@ def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -
     return None
 
 
-def _cut(sums: Mapping[str, Sums], cells: Sequence[str]) -> str:
-    total = pooled(sums, cells)
+def _cut(sums: Mapping[str, Sums], conditions: Sequence[str]) -> str:
+    total = pooled(sums, conditions)
     cut = int(of_method(total, Method.OURS, "cut"))
     found = int(of_method(total, Method.OURS, "cut found"))
     large = int(of_method(total, Method.OURS, "large"))

@@ -50,11 +50,11 @@ class ThesisLocalizationStudy:
 
     def units(self) -> Sequence[Unit]:
         """The scans in order."""
-        return [Unit(scan.cell, 0, 1) for scan in THESIS_SCANS]
+        return [Unit(scan.condition, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:
         """Counts, CPU seconds, and the coordinates of the frame's spheres as found by each method, mm."""
-        (drawn,) = (scan for scan in THESIS_SCANS if scan.cell == unit.cell)
+        (drawn,) = (scan for scan in THESIS_SCANS if scan.condition == unit.condition)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
         sums: dict[str, float] = {}
@@ -75,7 +75,7 @@ class ThesisLocalizationStudy:
 
 
 def points_as_sums(who: str, points_mm: Array) -> Sums:
-    """Coordinates (4, 3) as entries of the only unit of a cell."""
+    """Coordinates (4, 3) as entries of the only unit of a condition."""
     return {
         f"{who}|{row} {axis}": float(value)
         for row, point in enumerate(points_mm)

@@ -55,7 +55,7 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
     rows: list[Sequence[Cell]] = []
     for method in AUTOMATIC:
         for kind in (PHANTOM, PATIENT):
-            of_kind = [content for cell, content in sums.items() if cell.startswith(kind)]
+            of_kind = [content for condition, content in sums.items() if condition.startswith(kind)]
             if of_kind:
                 found, false, validated = (
                     sum(one[f"{method}|{what}"] for one in of_kind)
@@ -110,7 +110,11 @@ def _fre_mm(one: Array, other: Array) -> Array:
 
 def _found(sums: Mapping[str, Sums], method: Method) -> list[Array]:
     """The frame in every phantom scan in which the method found it."""
-    every = (points_of(content, method.value) for cell, content in sums.items() if cell.startswith(PHANTOM))
+    every = (
+        points_of(content, method.value)
+        for condition, content in sums.items()
+        if condition.startswith(PHANTOM)
+    )
     return [points for points in every if points is not None]
 
 

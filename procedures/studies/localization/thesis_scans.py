@@ -44,7 +44,7 @@ class ThesisScan:
     spheres: int
 
     @property
-    def cell(self) -> str:
+    def condition(self) -> str:
         """Readable key."""
         return f"{self.kind}|{self.number}"
 

@@ -21,8 +21,8 @@ SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
 def pairs(sums: Mapping[str, Sums]) -> Table:
     """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for cell, content in sums.items():
-        if cell.split("|")[0] != SCENARIO:
+    for condition, content in sums.items():
+        if condition.split("|")[0] != SCENARIO:
             continue
         for key, sum_mm in content.items():
             scenario, strategy, spheres, what = key.split("|")

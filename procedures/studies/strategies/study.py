@@ -62,27 +62,27 @@ class StrategiesStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """A cell per part of the study, marker type and position."""
+        """A condition per part of the study, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
         parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
         if self.own:
             parts = parts[:1]
-        cells = [
+        conditions = [
             (f"{part}|{markers}|{number}", arms)
             for part, arms in parts
             for markers in Markers
             for number in range(1, PLACES + 1)
         ]
         if self.own:
-            return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
+            return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
         many = min(self.arms, MOST_ARMS_OF_OTHERS)
-        cells += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
-        cells += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
-        return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
+        conditions += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
+        conditions += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
+        return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
         """Errors in mm of single trials, or sums of them; see the keys of each part."""
-        part, kind, number = unit.cell.split("|")
+        part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
         own = tuple(OwnStrategy.of(one) for one in self.own)

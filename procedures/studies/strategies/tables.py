@@ -86,8 +86,8 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
 
 
 def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[str], Sums]]:
-    for cell, content in sums.items():
-        part, *rest = cell.split("|")
+    for condition, content in sums.items():
+        part, *rest = condition.split("|")
         if part == wanted:
             yield part, rest, content
 

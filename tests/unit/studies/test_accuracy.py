@@ -102,9 +102,11 @@ def test_harmonics_and_sag_alone_have_the_size_that_is_predicted(strategy: str) 
 @pytest.mark.slow
 def test_the_study_shows_its_results_next_to_table_4_of_the_thesis() -> None:
     study = StrategiesStudy(arms=3)
-    firsts = [unit for unit in study.units() if unit.cell.endswith("|1")]
+    firsts = [unit for unit in study.units() if unit.condition.endswith("|1")]
     sums = {
-        unit.cell: study.run(Unit(unit.cell, 0, 5) if unit.cell.startswith(PREDICTION) else unit)
+        unit.condition: study.run(
+            Unit(unit.condition, 0, 5) if unit.condition.startswith(PREDICTION) else unit
+        )
         for unit in firsts
     }
     found = {table.title: table for table in tables(sums)}
@@ -165,7 +167,7 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
 def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy() -> None:
     study = ApplicationErrorStudy(arms=1)
     (table,) = application_error.tables(
-        {unit.cell: study.run(unit) for unit in study.units() if unit.cell.endswith("|5")}
+        {unit.condition: study.run(unit) for unit in study.units() if unit.condition.endswith("|5")}
     )
     beside = {tuple(row[:4]): row[4] for row in table.rows if row[4] is not None}
     assert beside == {
@@ -190,7 +192,7 @@ def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
 def test_the_errors_of_identified_arms_have_the_size_that_is_predicted_with_every_strategy() -> None:
     study = IdentifiedStudy(arms=4)
     (unit,) = study.units()
-    found = {table.title: table for table in by_looks.tables({unit.cell: study.run(unit)})}
+    found = {table.title: table for table in by_looks.tables({unit.condition: study.run(unit)})}
     rows = found["Predicted and actual error"].rows
     assert len(rows) == 4 * 3
     for _, _, trials, inside, predicted_mm, actual_mm in rows:

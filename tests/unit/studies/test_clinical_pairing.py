@@ -48,8 +48,10 @@ def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest
 def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by_all: None) -> None:
     assert len(SCANS) == 17
     study = ClinicalStudy(readings(40))
-    cells = {cell: study.run(Unit(cell, 0, 40)) for cell in (f"{PHANTOM}|1", f"{PATIENT}|1")}
-    (told,) = tables(cells)
+    conditions = {
+        condition: study.run(Unit(condition, 0, 40)) for condition in (f"{PHANTOM}|1", f"{PATIENT}|1")
+    }
+    (told,) = tables(conditions)
     for row in told.rows:
         shown = dict(zip(told.columns, row, strict=True))
         assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)

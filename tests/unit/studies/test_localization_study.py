@@ -163,7 +163,7 @@ def test_the_protocols_of_tables_2_and_3_recover_the_error_of_manual_localizatio
 
 def test_the_study_can_run_on_the_frame_alone() -> None:
     units = LocalizationStudy(0, 3, families=()).units()
-    assert [unit.cell for unit in units] == ["frames|usual"] * 3
+    assert [unit.condition for unit in units] == ["frames|usual"] * 3
 
 
 def test_no_family_is_for_both_tuning_and_judging_and_a_tuning_phantom_is_refused(

@@ -23,7 +23,7 @@ from procedures.studies.campaign.workers import run_study
 from procedures.studies.correspondence import study as study_module
 from procedures.studies.correspondence.readings import draw_readings
 from procedures.studies.correspondence.shares import Series, shares
-from procedures.studies.correspondence.study import CorrespondenceStudy, Method, cell_key
+from procedures.studies.correspondence.study import CorrespondenceStudy, Method, condition_key
 from procedures.studies.correspondence.tables import bars_beside_thesis, plots, tables
 from procedures.studies.errors import (
     ExtraMissing,
@@ -222,13 +222,13 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
     assert told == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
     key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
     lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
-    ((_, share),) = shares({cell_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
+    ((_, share),) = shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
     assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
 
 
 def test_the_values_of_e_that_reproduce_the_thesis_are_reported_as_ranges() -> None:
     sums = {
-        cell_key(NoiseReading.NORM, 1, 4, outliers): {
+        condition_key(NoiseReading.NORM, 1, 4, outliers): {
             study_module.outcome_key(Method.VALIDATED, e, outcome): number
             for e, lost in ((1.4, 46.0), (1.5, 40.0), (1.6, 30.0), (3.0, 45.0))
             for outcome, number in (("success", 1000.0 - lost), ("lost", lost))
@@ -265,7 +265,7 @@ def test_readings_are_shuffled_pairs_in_one_pose() -> None:
 
 
 def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
-    unit = Unit(cell_key(NoiseReading.NORM, 2, 5, 1), 0, 4)
+    unit = Unit(condition_key(NoiseReading.NORM, 2, 5, 1), 0, 4)
     assert SMALL.run(unit) == CorrespondenceStudy(4, seed=5).run(unit)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from procedures.studies.campaign.unit import Unit
-from procedures.studies.correspondence.study import cell_key
+from procedures.studies.correspondence.study import condition_key
 from procedures.studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm, tables
 from procedures.studies.heads import NoiseReading
 
@@ -19,8 +19,8 @@ def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
 
 
 def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
-    cell = cell_key(NoiseReading.PER_AXIS, 1, 4, 4)
-    sums = TemplateStudy(20, seed=3).run(Unit(cell, 0, 20))
+    condition = condition_key(NoiseReading.PER_AXIS, 1, 4, 4)
+    sums = TemplateStudy(20, seed=3).run(Unit(condition, 0, 20))
     assert sums == dict.fromkeys(
         (
             "distances|success",
@@ -30,7 +30,7 @@ def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
         ),
         20.0,
     )
-    (told,) = tables({cell: sums})
+    (told,) = tables({condition: sums})
     assert [row[3:] for row in told.rows] == [
         (20, 0.0, "at most 14", "0-0", 0.0, "at most 14", "yes", "yes")
     ] * 4

@@ -28,7 +28,9 @@ from procedures.studies.localization.thesis_scans import (
 def test_the_scans_are_those_of_the_thesis() -> None:
     assert Counter(scan.kind for scan in THESIS_SCANS) == {"phantom": 8, "patient": 12}
     assert sum(scan.spheres for scan in THESIS_SCANS) == 116
-    assert [unit.cell for unit in ThesisLocalizationStudy().units()] == [one.cell for one in THESIS_SCANS]
+    assert [unit.condition for unit in ThesisLocalizationStudy().units()] == [
+        one.condition for one in THESIS_SCANS
+    ]
 
 
 def test_a_scale_error_is_common_within_a_slice_and_independent_along_the_table() -> None:
@@ -70,7 +72,7 @@ def test_the_reproduction_is_compared_with_both_tables_including_gain_and_time()
             one |= points_as_sums(method.value, FRAME_MM + random.normal(size=(4, 3)) * sigma_mm)
             counts = {"found": scan.spheres, "false": 0, "validated": SCALE_DRAWS, "cpu_s": 1.5}
             one |= {f"{method}|{key}": float(value) for key, value in counts.items()}
-        sums[scan.cell] = one
+        sums[scan.condition] = one
     detection, errors, gains, times = tables(sums)
     assert [row[1:] for row in detection.rows[:2]] == [
         (PHANTOM, 8, 64, 64, "at least 95.43", 0, "at most 3", 100.0),

@@ -11,7 +11,7 @@ import pytest
 
 from procedures.studies.campaign.unit import Unit
 from procedures.studies.correspondence.shares import Series, Shares, shares
-from procedures.studies.correspondence.study import CorrespondenceStudy, Method, cell_key
+from procedures.studies.correspondence.study import CorrespondenceStudy, Method, condition_key
 from procedures.studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
 from procedures.studies.heads import PATIENTS, NoiseReading
 
@@ -21,8 +21,8 @@ RUNS, SMALL_E_MM, LARGE_E_MM = 150, 1.5, 2.5
 @cache
 def outcome(markers: int, e_mm: float) -> Shares:
     study = CorrespondenceStudy(RUNS, 4, (Method.VALIDATED,), (e_mm,))
-    cells = [cell_key(NoiseReading.NORM, patient, markers, 4) for patient in PATIENTS]
-    found = shares({cell: study.run(Unit(cell, 0, RUNS)) for cell in cells})
+    conditions = [condition_key(NoiseReading.NORM, patient, markers, 4) for patient in PATIENTS]
+    found = shares({condition: study.run(Unit(condition, 0, RUNS)) for condition in conditions})
     return found[Series(NoiseReading.NORM, Method.VALIDATED.value, str(e_mm), markers)]
 
 
@@ -50,8 +50,8 @@ def test_at_the_small_e_five_and_eight_markers_lose_one_more_often_than_in_the_t
 
 def test_without_validation_wrong_pairings_of_three_are_more_than_twice_as_frequent() -> None:
     study = CorrespondenceStudy(RUNS, 4, (Method.THESIS, Method.VALIDATED), (LARGE_E_MM,))
-    cells = [cell_key(NoiseReading.NORM, patient, 3, 4) for patient in PATIENTS]
-    found = shares({cell: study.run(Unit(cell, 0, RUNS)) for cell in cells})
+    conditions = [condition_key(NoiseReading.NORM, patient, 3, 4) for patient in PATIENTS]
+    found = shares({condition: study.run(Unit(condition, 0, RUNS)) for condition in conditions})
     plain, validated = (
         found[Series(NoiseReading.NORM, method.value, str(LARGE_E_MM), 3)].false
         for method in (Method.THESIS, Method.VALIDATED)
