@@ -32,7 +32,7 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
         caller.bind((interface.address, 0))  # also selects the interface
         caller.sendto(gvcp.encode(GvcpCommand.DISCOVERY, REQUEST_ID), (EVERYBODY, gev.GVCP_PORT))
         deadline_s = time.monotonic() + limit_s
-        while select.select([caller], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+        while (left_s := deadline_s - time.monotonic()) > 0.0 and select.select([caller], [], [], left_s)[0]:
             with contextlib.suppress(MalformedReply):
                 identity = _replied(*caller.recvfrom(DATAGRAM_LIMIT_BYTES))
                 found[identity.address, identity.serial] = identity
