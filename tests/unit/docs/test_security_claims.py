@@ -27,6 +27,11 @@ def test_every_bullet_names_a_test_or_states_what_is_not_covered() -> None:
     assert [one for one in bullets if not TEST.search(one) and not one.startswith("Not covered")] == []
 
 
+def test_every_row_names_a_test_or_states_what_is_not_covered() -> None:
+    _, _, *rows = [line for line in PAGE.splitlines() if line.startswith("|")]
+    assert [one for one in rows if not TEST.search(one) and "Not covered" not in one] == []
+
+
 def test_every_module_that_opens_a_listening_socket_is_named() -> None:
     found = {
         path.relative_to(ROOT).as_posix()
