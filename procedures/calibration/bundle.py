@@ -93,14 +93,13 @@ def fit_bundle(
     start: StereoHeadCalibration,
     *,
     arm: Chain | None = None,
-    least_poses: int = LEAST_POSES,
 ) -> BundleFit:
     """Adjust the head to the observations, starting from a record accurate to some millimetres and degrees.
 
     With `arm`, its geometric errors are estimated when its error exceeds its repeatability. Raises CAL-002
     with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
     """
-    require_count(len(observations), least_poses, "too few poses show the ball")
+    require_count(len(observations), LEAST_POSES, "too few poses show the ball")
     looks = _arrays(observations)
     require_spread(looks.rotations, "the orientations of the poses hardly vary")
     cameras = cameras_of(start)

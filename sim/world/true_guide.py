@@ -41,10 +41,10 @@ class TrueGuide:
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
         return pose @ calibrated_tip(self._world) @ self._seated()
 
-    def mandrel(self, flange: Matrix | None = None) -> Matrix:
+    def mandrel(self) -> Matrix:
         """Of the end of the mandrel in use."""
         longer_mm = sum(float(one.argument) for one in self._acting(WRONG_MANDREL))
-        return self.tip_frame(flange) @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
+        return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
         """The tip (3,) of an instrument inserted up to its depth stop, anywhere within the bore's play."""

@@ -27,7 +27,6 @@ def curves(
     y_label: str,
     lines: Mapping[str, Curve],
     *,
-    logarithmic: bool = False,
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
     """Named curves over a common axis, with named ranges of it; bounds are drawn as a band."""
@@ -45,8 +44,6 @@ def curves(
     axes.set_title(title)
     axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
-    if logarithmic:
-        axes.set_yscale("log")
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return _png(figure)

@@ -105,9 +105,9 @@ class Rays:
         part._columns, part._rows = self._columns, self._rows[rows]
         return part
 
-    def dot(self, vector: NDArray[np.float64], offset: float = 0.0) -> Image:
-        """`vector` (3,) dotted with each ray, plus `offset`: (height, width)."""
-        columns = self._columns * (self._per_column @ vector) + self._origin @ vector + offset
+    def dot(self, vector: NDArray[np.float64]) -> Image:
+        """`vector` (3,) dotted with each ray: (height, width)."""
+        columns = self._columns * (self._per_column @ vector) + self._origin @ vector
         rows = self._rows * (self._per_row @ vector)
         total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]
         return total
