@@ -60,12 +60,12 @@ class CommandInterpreter:
         """Line settings with which the unit listens now."""
         return self.unit.line
 
-    def restart(self) -> None:
-        """Break or power-up: saved settings now, RESET once it has started."""
+    def restart(self, after_s: float | None = None) -> None:
+        """Break or power-up: saved settings now, RESET `after_s` later."""
         self.unit.reset()
         self._forget()
         self._watch_dog_ns = 0
-        self._starts_s = time.monotonic() + self.unit.behaviour.reset_s
+        self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
     def suspect_break(self) -> None:
         """The host flushed both directions, as before a break: it is a break if silence follows."""
