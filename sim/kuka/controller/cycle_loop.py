@@ -324,6 +324,8 @@ class CycleLoop:
         now_s = time.monotonic()
         timeout_s = min(timeout_s, IDLE_WAIT_S, max(0.0, self._tick_s - now_s))
         ready, _, _ = select.select(waiting, (), (), timeout_s)
+        if ready and self._controller.run is None:
+            self._cell.poll()  # a fault that was given before a client connected acts on it
         heard = False
         for one in ready:
             if one is rsi:
