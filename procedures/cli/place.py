@@ -110,11 +110,16 @@ def place(
         "series_instance_uid": plan.series_instance_uid,
         "assumed_robot_from_ct": list(robot_from_ct),
         "strategy": strategy,
+        "sight": "judged" if tracker is not None else "not judged",
         **found.as_payload(),
         "elapsed_s": round(time.perf_counter() - began_s, 3),
     }
     if out is not None:
         _write(out, payload, found, case)
+    if tracker is None:
+        terminal.tell(
+            "sight not judged: without --robot-from-tracker the arm at home may hide markers from it"
+        )
     if as_json:
         terminal.print_json(payload)
         return

@@ -14,6 +14,9 @@ from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time
 from procedures.steps.catalogue import clinical_steps
 
 PHASE, STEP, QUESTION, HANDS = "phase", "step", "question", "hands"
+# Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
+OPERATOR_S, ALGORITHM_S = 191.5, 28.8
+LOCALIZATION = "fiducial_localization"
 OUTSIDE = "outside the steps"
 PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_steps(measure_targets=True)}
 

@@ -22,7 +22,7 @@ from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, k
 from procedures.reporting.happenings import announced_advisories, happenings, questions
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
-from procedures.reporting.minutes import times_taken
+from procedures.reporting.minutes import ALGORITHM_S, LOCALIZATION, OPERATOR_S, times_taken
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
@@ -107,6 +107,7 @@ def write_report(
         "sessions": sessions(reading.log),
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
+        "markers_in_ct": {"step": LOCALIZATION, "operator_s": OPERATOR_S, "algorithm_s": ALGORITHM_S},
         "happenings": happenings(reading.run.journal),
         "announced": announced_advisories(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),

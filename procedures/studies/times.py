@@ -7,13 +7,17 @@ from pathlib import Path
 from statistics import fmean
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.reporting.minutes import PHASE, STEP, TimeTaken, times_taken
+from procedures.reporting.minutes import (
+    ALGORITHM_S,
+    LOCALIZATION,
+    OPERATOR_S,
+    PHASE,
+    STEP,
+    TimeTaken,
+    times_taken,
+)
 from procedures.studies.campaign.table import Table
 from procedures.studies.errors import NoRunToTime
-
-# Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
-OPERATOR_S, ALGORITHM_S = 191.5, 28.8
-LOCALIZATION = "fiducial_localization"
 
 
 def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:

@@ -217,6 +217,9 @@ def test_the_report_is_self_contained_and_marked_as_simulated_and_no_medical_dev
     assert report.count("data:image/png;base64,") >= 4
     assert "SIMULATED THEATRE" in report
     assert "not a medical device" in report
+    assert re.search(
+        r"Markers in the CT: \S+ s here; in the thesis \(5\.1\) 191\.5 s by an operator, 28\.8", report
+    )
 
 
 @pytest.fixture(scope="module", params=[SIGINT, pytest.param(SIGTERM, marks=pytest.mark.slow)])

@@ -55,6 +55,8 @@ def test_the_proposed_position_is_drawn_and_passes_the_path_check(commands: Comm
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert found["assumed_place_serves"] is True
+    assert found["sight"] == "not judged"
+    assert "sight not judged" in done.stderr
     assert "<svg" in (out / "place.svg").read_text()
     assert json.loads((out / "place.json").read_text())["best_mm"] == found["best_mm"]
     x, y = found["best_mm"]

@@ -69,7 +69,7 @@ def theatre(tmp_path: Path) -> Path:
         **{"purpose": "needle_guide", "number": 2, "flange": "changer", "tip": "r", "mass_kg": 1.0},
         "centre_of_gravity_mm": [0.0, 0.0, 50.0],
         "bore": {"reach_mm": 80.0, "length_mm": 90.0, "play_mm": 0.05},
-        "gauge": {"joints_deg": [0.0, -90.0, 90.0, 0.0, 60.0, 0.0]},
+        "gauge": {"joints_deg": [0.0, -95.0, 99.0, 0.0, 66.0, 180.0]},
     }
     content |= {"flange": "changer", "tools": {"guide": guide}}
     path = tmp_path / "theatre.toml"
@@ -215,10 +215,12 @@ def test_markers_that_cannot_be_localized_give_the_error_of_the_localizer(case):
 def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR)
     assert done.returncode == 0, done.stderr
-    header, *motions = done.stdout.splitlines()[-4:]
+    header, *motions = done.stdout.splitlines()[-6:]
     for word in ("s", "smallest distance mm", "singularity", "A1..A6 deg"):
         assert word in header.split("\t")
     assert [motion.split("\t")[:3] for motion in motions] == [
+        ["home", "gauge", "move"],
+        ["gauge", "home", "move"],
         ["home", "T1/target", "move"],
         ["T1/target", "T1/target", "line"],
         ["T1/target", "home", "move"],
@@ -232,6 +234,8 @@ def test_the_json_contains_a_preview_of_every_motion(case, theatre):
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert [(motion["from"], motion["to"]) for motion in document["motions"]] == [
+        ("home", "gauge"),
+        ("gauge", "home"),
         ("home", "T1/target"),
         ("T1/target", "T1/target"),
         ("T1/target", "home"),

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.motions import gauge_unmet
 from procedures.planning.reach.paths import drive
 from procedures.planning.reach.visits import (
     ArmSetting,
@@ -88,6 +89,8 @@ class CartCase:
         hidden = self._hidden_from_tracker(setting, move)
         if hidden:
             return Verdict(None, "home", hidden)
+        for unmet in gauge_unmet(setting):
+            return Verdict(None, unmet.pose, unmet.reason)
         for found in known:
             if self._serves(setting, found):
                 return Verdict(found)

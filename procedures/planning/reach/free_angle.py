@@ -14,6 +14,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from procedures.planning.reach.motions import gauge_unmet
 from procedures.planning.reach.paths import branches_for, check_axes, drive
 from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
 from procedures.planning.reach.wrist import WristState
@@ -50,6 +51,9 @@ def choose_free_angles(
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     axes = Axes.of(setting, trajectories, fiducials)
     own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+    unmet = gauge_unmet(setting)
+    if unmet:
+        return TurnedPaths(PathCheck(None, (), (), unmet), axes, own)
     start = setting.kinematics.branch_of(setting.start_rad)
     seen = _seen_along(setting, axes, fiducials, sight, start)
     nearest = {name: next(turns, 0.0) for name, turns in seen.items()}

@@ -19,7 +19,7 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.devices.readings import JointVector
 
-HOME = "home"
+HOME, GAUGE = "home", "gauge"
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,30 @@ def unclear(
     return tuple(found.values())
 
 
+def gauge_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
+    """Why the guide cannot be checked on its gauge from here, at whatever angles of the trajectories."""
+    if setting.scene is None:
+        return ()
+    for motion in _over_gauge(setting, setting.scene):
+        bad = sweep_path(setting.kinematics, motion.plan, motion.around).refused
+        if bad is not None:
+            return (Unmet(GAUGE, _told(motion, bad)),)
+    return ()
+
+
+def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
+    """The motions of the tool check, from home and back."""
+    if setting.gauge_rad is None:
+        return
+    around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
+    limits = setting.limits or working_limits(setting.kinematics)
+    there = {HOME: setting.start_rad, GAUGE: setting.gauge_rad}
+    for start, end in ((HOME, GAUGE), (GAUGE, HOME)):
+        yield Motion(
+            start, end, plan_joint_move(setting.kinematics, there[start], there[end], limits), around
+        )
+
+
 def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
@@ -112,6 +136,8 @@ def motions_of(
         if kind is not None and visit.kind is not kind:  # tools are exchanged at home
             yield from _home(setting, stands, limits, before)
             stands = (HOME, setting.start_rad)
+        if visit.kind is VisitKind.TARGET and kind is not visit.kind:
+            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `gauge_unmet`
         kind = visit.kind
         yield from _to(setting, stands, reached, limits, around)
         stands = (visit.identifier, reached.approach_rad)

@@ -133,7 +133,8 @@ class ArmSetting:
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (the same by design; None uses the guide's). With a `scene`, every motion must
-    also be clear of everything in it. `sizes` are those of the arm's remaining errors.
+    also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
+    the guide is checked after mounting; None leaves that out.
     """
 
     kinematics: Kinematics
@@ -146,6 +147,7 @@ class ArmSetting:
     approach_mm: float = APPROACH_MM
     scene: PlanningScene | None = None
     sizes: ErrorSizes = UNCALIBRATED
+    gauge_rad: JointVector | None = None
 
     def __post_init__(self) -> None:
         """Raises FRM-001 when a transform maps between other frames."""

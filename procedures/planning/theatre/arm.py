@@ -72,6 +72,7 @@ def theatre_arm(
     pose = Pose.from_kuka(*robot_from_ct)
     calibration = theatre.calibration
     sizes = ErrorSizes.stated(theatre.procedure, calibration.arm)
+    guide = ToolRecords.of(theatre).guide
     arm = ArmSetting(
         kinematics=kinematics,
         robot_from_ct=Transform.of(
@@ -83,12 +84,13 @@ def theatre_arm(
         start_rad=start_rad,
         approach_mm=theatre.procedure.standoff_mm,
         sizes=sizes,
+        gauge_rad=radians6(*guide.gauge.joints_deg),
     )
     return TheatreArm(
         arm=arm,
         cell=theatre.cell_with_tools,
         sight=StereoSight.of(calibration.stereo_head),
-        bore=ToolRecords.of(theatre).guide.bore,
+        bore=guide.bore,
         reserve_mm=sizes.tool_mm,
         seating_error_mm=theatre.procedure.seating_error_mm,
         guide_direction_rad=calibration.tool_tip.stated_direction_error_rad,

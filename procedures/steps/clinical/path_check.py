@@ -27,6 +27,7 @@ from procedures.steps.conditions import localizable
 from procedures.strategies.approach import arrival_signs
 from procedures.strategies.best import BestOfEach
 from procedures.workcell import MountedTool
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kinematics import Branch
 
 
@@ -111,6 +112,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         approach_mm=settings.standoff_mm,
         scene=scene,
         sizes=sizes,
+        gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(

@@ -87,6 +87,22 @@ def test_a_position_serves_exactly_where_the_path_check_passes() -> None:
 
 
 @pytest.mark.hazard(48)
+def test_a_position_from_which_the_guide_cannot_go_to_its_gauge_is_refused_by_map_and_path_check() -> None:
+    free = replace(_setting(), gauge_rad=radians6(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
+    assert _case(free).judged(HERE, (_known(),)).serves
+    tip = free.kinematics.flange_pose(free.gauge_rad or free.start_rad) @ free.flange_from_tool
+    x, y, z = tip.apply([0.0, 0.0, -130.0]).tolist()  # beside the guide
+    lamp = RoomBody(name="lamp", start_mm=(x, y, z), end_mm=(x, y, z), radius_mm=15.0, frame=BodyFrame.ROBOT)
+    assert _case(_setting(lamp)).judged(HERE, (_known(),)).serves  # it is in no other way
+    setting = replace(_setting(lamp), gauge_rad=free.gauge_rad)
+    refused = _case(setting).judged(HERE, (_known(),))
+    assert (refused.serves, refused.pose) == (False, "gauge")
+    assert "the lamp" in refused.reason
+    check = choose_free_angles(setting, (ALONG,), FIDUCIALS, SIGHT).check
+    assert [one.pose for one in check.unmet] == ["gauge"]
+
+
+@pytest.mark.hazard(48)
 def test_a_known_solution_that_comes_too_close_here_is_not_taken_over() -> None:
     x, y, z = target_visit(_setting(), ALONG).pose.apply([-130.0, 0.0, -120.0]).tolist()
     stand = RoomBody(
