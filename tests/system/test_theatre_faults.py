@@ -15,6 +15,7 @@ from guide_frames import with_guide_frame
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
+from procedures.steps.clinical.tool_check import APPROACHES
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
@@ -150,6 +151,5 @@ def test_a_guide_with_a_frame_is_measured_before_it_goes_to_the_gauge(
     assert ran.returncode == EXIT_REFUSED
     assert code in ran.stderr
     (folder,) = (tmp_path / "runs").iterdir()
-    lines = [line for line in read_journal(folder / JOURNAL_FILE) if line.get("step") == "tool_check"]
-    asked = [line["topic"] for line in lines if line.get("topic") == "tool_check"]
-    assert asked == (["tool_check"] if code == "TOOL-005" else [])
+    works = [line["task"] for line in read_journal(folder / JOURNAL_FILE) if line["entry"] == "work"]
+    assert works.count("gauge") == (APPROACHES if code == "TOOL-005" else 0)
