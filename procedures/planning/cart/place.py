@@ -85,7 +85,7 @@ class CartCase:
 
     def judged(self, move: CartMove, known: Sequence[Found] = (), *, search: bool = True) -> Verdict:
         """Whether a position serves. Solutions from elsewhere are tried first; then, with `search`, all."""
-        setting = self._at(move)
+        setting = self.setting_at(move)
         hidden = self._hidden_from_tracker(setting, move)
         if hidden:
             return Verdict(None, "home", hidden)
@@ -102,7 +102,8 @@ class CartCase:
         turned = choose_free_angles(setting, self.trajectories, self.fiducials_mm, self.sight)
         return _verdict(turned.check, dict(turned.turns_rad))
 
-    def _at(self, move: CartMove) -> ArmSetting:
+    def setting_at(self, move: CartMove) -> ArmSetting:
+        """The arm as it stands to the head from there."""
         pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 
