@@ -21,7 +21,7 @@ from operated_case import enter, operated_cases, reviewed  # noqa: E402
 DRAWN = """
 async () => {
   await Promise.all([...document.images].map(image => image.decode().catch(() => null)));
-  for (let frame = 0; frame < 40; frame++) await new Promise(requestAnimationFrame);
+  for (let frame = 0; frame < 8; frame++) await new Promise(requestAnimationFrame);
 }
 """  # software graphics have drawn the scene, and every picture is there
 AT_TARGET = "the instrument is at depth"  # what is asked while it is at its target
