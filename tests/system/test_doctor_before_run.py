@@ -176,6 +176,7 @@ AS_A_CASE_DOES = (
     "the doctor connects and configures as a case does; no simulated device can be made to answer so"
 )
 UNTRIED = {
+    "ARM-009": "the arm of a driver from another package that has not registered it: no driver here has one",
     "PRO-002": "a question to a person; what it asks about is a line of the doctor's, see test_left_away.py",
     "PRO-003": "there is no journal before a run; the doctor judges the disk that it is written to",
     "CFG-001": "the doctor reads the same file",
