@@ -35,18 +35,21 @@ class HeldButton:
         self._tell = tell
         self._appeared_s = time.monotonic()
         self._down_ms: float | None = None  # by the browser's clock: the hold time is measured, not reported
+        self._by_key = False
         self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
         self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
         self.button.on("pointerdown", self._down, args=["timeStamp"])
         self.button.on("pointerup", self._up, args=["timeStamp"])
-        for gone in ("pointerleave", "pointercancel", "blur"):
-            self.button.on(gone, self._leave)
+        for gone in ("pointerleave", "pointercancel"):
+            self.button.on(gone, self._pointer_gone)
+        self.button.on("blur", self._let_go)
         self.button.on("keydown", self._key_down, args=["key", "repeat", "timeStamp"])
         self.button.on("keyup", self._key_up, args=["key", "timeStamp"])
 
     def _down(self, event: Any) -> None:
         armed = time.monotonic() - self._appeared_s >= ARMED_S
         self._down_ms = _moment_ms(event) if armed else None
+        self._by_key = False
 
     async def _up(self, event: Any) -> None:
         down_ms, self._down_ms = self._down_ms, None
@@ -57,12 +60,17 @@ class HeldButton:
             return
         await self._act()
 
-    def _leave(self) -> None:
+    def _let_go(self) -> None:
         self._down_ms = None
+
+    def _pointer_gone(self) -> None:
+        if not self._by_key:  # a page that moves under a resting pointer does not release the space bar
+            self._let_go()
 
     def _key_down(self, event: Any) -> None:
         if event.args.get("key") == " " and not event.args.get("repeat"):
             self._down(event)
+            self._by_key = True
 
     async def _key_up(self, event: Any) -> None:
         if event.args.get("key") == " ":

@@ -13,7 +13,7 @@ from urllib.parse import urlsplit
 import psutil
 import pytest
 from case_results import measured, outcome_of, targets
-from console_clicks import ARMED_MS, answer, answer_until, await_next, hold, run_to, take_seat
+from console_clicks import ARMED_MS, HOLD_MS, answer, answer_until, await_next, run_to, take_seat
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
@@ -106,7 +106,9 @@ def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: Oper
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, page: Any) -> None:
+def test_a_stray_click_and_enter_do_not_accept_a_motion_and_a_held_space_bar_answers(
+    start: OperatedCases, page: Any
+) -> None:
     case = start("step")
     enter(page, case.addresses["url"] + "&low")
     take_seat(page)
@@ -121,7 +123,9 @@ def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, pa
     button.focus()
     page.keyboard.press("Enter")
     page.wait_for_selector("text=Hold the button for one second")
-    hold(page, button)
+    page.keyboard.down(" ")
+    page.wait_for_timeout(HOLD_MS)
+    page.keyboard.up(" ")
     page.wait_for_selector("text=what was typed is not it")
     assert not any((case.run / "records").glob("*-relocalization-T1.json"))
     page.get_by_role("button", name="no", exact=True).click()
