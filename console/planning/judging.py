@@ -135,16 +135,16 @@ def _expected(
         try:
             if theatre is not None and paths is not None and paths.passed:
                 predicted = predicted_with_arm(theatre, plan, covariances_mm2, paths, one.id)
-                found[one.id] = _told(predicted, with_arm=True)
+                found[one.id] = _expected_of(predicted, with_arm=True)
             else:
                 predicted = predicted_by_markers(markers_mm, covariances_mm2, one.target_mm)
-                found[one.id] = _told(predicted, with_arm=False)
+                found[one.id] = _expected_of(predicted, with_arm=False)
         except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue
     return found
 
 
-def _told(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
+def _expected_of(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
     shares = sorted(predicted.budget_mm.items(), key=lambda one: -one[1])
     return Expected(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
 

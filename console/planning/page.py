@@ -228,7 +228,7 @@ class PlannerPage:
         return f"crosshair LPS {place} mm, {self._desk.hu_at(self._look.place_mm)}"
 
     def _say(self, problem: RonnaError | None) -> None:
-        self._words.set_content("" if problem is None else _told(problem))
+        self._words.set_content("" if problem is None else _problem_html(problem))
 
     # Display
 
@@ -243,7 +243,7 @@ class PlannerPage:
         desk = self._desk
         self._case.set_content(_case_line(desk))
         notice = desk.read_only or desk.not_kept or desk.notice
-        self._notice.set_content("" if notice is None else _told(notice))
+        self._notice.set_content("" if notice is None else _problem_html(notice))
         self._undo.set_enabled(desk.history.can_undo)
         self._redo.set_enabled(desk.history.can_redo)
         self._save.set_enabled(desk.read_only is None)
@@ -267,7 +267,7 @@ def _case_line(desk: PlanDesk) -> str:
     )
 
 
-def _told(problem: RonnaError) -> str:
+def _problem_html(problem: RonnaError) -> str:
     words = (
         text(f"{problem.code}: {problem.summary}.") + " " + tag("span", text(problem.advice), class_="advice")
     )

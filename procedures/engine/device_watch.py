@@ -51,7 +51,7 @@ class DeviceWatch:
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
         self._bounded: set[str] = set()  # trackers whose volume was told
-        self._told = ""  # what it could not see last
+        self._last_problem = ""  # what it could not see last
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 
@@ -113,8 +113,8 @@ class DeviceWatch:
         try:
             self.look(last=last)
         except Exception as problem:
-            if str(problem) != self._told:
-                self._told = str(problem)
+            if str(problem) != self._last_problem:
+                self._last_problem = str(problem)
                 self._events.publish(_fault(problem))
 
 

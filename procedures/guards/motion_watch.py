@@ -117,9 +117,9 @@ class MotionWatch:
             self.find(f"the head was not watched during {what}: {seen.problem.summary}")
         if seen.late_s > 0.0:
             self.find(f"{LATE} by up to {seen.late_s:.2f} s during {what}")
-        shift = self._unseen_s > LONGEST_UNSEEN_S
+        already_noted = self._unseen_s > LONGEST_UNSEEN_S
         self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
-        if self._unseen_s > LONGEST_UNSEEN_S and not shift:
+        if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _named(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
@@ -127,12 +127,12 @@ class MotionWatch:
         try:
             with self.beside():
                 room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
-        except BaseShifted as shift:
-            moved = BaseShifted(f"{shift.what}, during {what}", limit=shift.limit, got=shift.got)
-            moved.cart = shift.cart
-            return moved
-        except PatientMoved as shift:
-            return PatientMoved.by(f"{shift.what}, during {what}", shift.moved_mm, PATIENT_LIMIT_MM)
+        except BaseShifted as found:
+            shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
+            shifted.cart = found.cart
+            return shifted
+        except PatientMoved as found:
+            return PatientMoved.by(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
         except RonnaError as problem:  # what was seen is told all the same
             self.find(f"no further reading after {what}: {problem.summary}")
         return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)

@@ -54,12 +54,14 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
     else:
         motions = [one for one in paths.motions if _belongs(one, key)]
     if workcell.at_home or not motions or motions[0].start != HOME:
-        return _told(motions, key)
+        return _in_words(motions, key)
     over = _sphere_below(paths, key, workcell)
     if over is None:
-        return "the arm is not home; from home it would", *_told(motions, key)
+        return "the arm is not home; from home it would", *_in_words(motions, key)
     reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
-    return f"the arm is over sphere {over + 1}; from there", *_told(motions[max(reached, default=0) :], key)
+    return f"the arm is over sphere {over + 1}; from there", *_in_words(
+        motions[max(reached, default=0) :], key
+    )
 
 
 @dataclass(frozen=True)
@@ -108,7 +110,7 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
     return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
 
 
-def _told(motions: Sequence[MotionPreview], key: StepKey) -> tuple[str, ...]:
+def _in_words(motions: Sequence[MotionPreview], key: StepKey) -> tuple[str, ...]:
     lines = [_described(one) for one in motions]
     if key.name == Retreated.kind:
         lines = [*(f"back: {line}" for line in lines if LINE in line), *(one for one in lines if MOVE in one)]

@@ -270,18 +270,18 @@ class Workcell:
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> CellMotion:
         """The motion that `line_to` makes, in the branch of `near_rad` or else of where the arm is."""
-        commanded = self._told(pose, arriving, near_rad)
+        commanded = self._commanded(pose, arriving, near_rad)
         return self._line_motion(MotionName.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
     def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
         """The motion that `insert` makes; `near_rad` as for `straight`."""
-        commanded = self._told(insertion.held, insertion.arriving, near_rad)
+        commanded = self._commanded(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
         return self._line_motion(MotionName.INSERT, insertion.held, line, insertion)
 
     def withdrawing(self, insertion: Insertion) -> CellMotion:
         """The motion that `withdraw` makes."""
-        line = LineMove(self._told(insertion.standoff, insertion.arriving), self.flange_from_tool)
+        line = LineMove(self._commanded(insertion.standoff, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionName.WITHDRAW, insertion.standoff, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
@@ -388,7 +388,7 @@ class Workcell:
     ) -> CellMotion:
         return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
 
-    def _told(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
+    def _commanded(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
         return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)
 
     def _require_outside(self, what: str) -> None:

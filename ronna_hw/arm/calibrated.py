@@ -26,7 +26,7 @@ MOST_ROUNDS = 8  # four suffice for an uncalibrated arm away from singularities
 
 
 class Compensated(NamedTuple):
-    """`joints_rad` bring the flange to the wanted pose, which the controller believes to be `told`."""
+    """`joints_rad` bring the flange to the wanted pose, which the controller believes to be `commanded`."""
 
     joints_rad: JointVector
     commanded: Pose

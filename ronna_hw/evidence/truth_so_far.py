@@ -32,7 +32,7 @@ def truth_so_far(folder: Path) -> dict[str, JournalValue]:
 
 def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     """Files of a run that do not match its lines, and how."""
-    for name in told_truth(lines):
+    for name in journalled_truth(lines):
         try:
             with open_regular(folder / name) as file:
                 content = file.read(LARGEST_BYTES + 1)
@@ -47,7 +47,7 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
 
 def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
     """How the content of such a file does not match the lines; empty if it does, or they do not name it."""
-    if name not in (known := told_truth(lines)):
+    if name not in (known := journalled_truth(lines)):
         return ""
     size, sha256, number = known[name]
     if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
@@ -57,7 +57,7 @@ def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
     return ""
 
 
-def told_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
+def journalled_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
     """Length and hash of each file according to the last line that states them, and that line's number."""
     known: dict[str, tuple[int, str, int]] = {}
     for number, line in enumerate(lines):

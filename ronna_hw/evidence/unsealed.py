@@ -22,7 +22,7 @@ from ronna_hw.evidence.inspection import (
 )
 from ronna_hw.evidence.journal_reading import Line
 from ronna_hw.evidence.seal import files_of, is_later, is_sealed
-from ronna_hw.evidence.truth_so_far import told_truth
+from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable
@@ -68,7 +68,7 @@ def _confirmed(lines: tuple[Line, ...]) -> set[str]:
         *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
         *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
-        *told_truth(lines),
+        *journalled_truth(lines),
     }
 
 

@@ -49,7 +49,7 @@ class ChildProcess:
         inherited: Sequence[int] = (),
         on_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the process and wait until it is ready; raises PRC-001. `told` receives its messages.
+        """Start the process and wait until it is ready; raises PRC-001. `on_message` receives its messages.
 
         `inherited` are descriptors passed to it. With `timeout_s` None there is no wait, so that several can
         start in parallel: `await_ready` must follow.

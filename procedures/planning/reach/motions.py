@@ -74,7 +74,7 @@ def unclear(
         if bad is not None:
             pose = motion.start if motion.end == HOME else motion.end
             short_mm = motion.around.margin_mm - bad.distance_mm
-            found.setdefault(pose, Unmet(pose, _told(motion, bad), short_mm))
+            found.setdefault(pose, Unmet(pose, _collision_in_words(motion, bad), short_mm))
             if first_only:
                 break
     return tuple(found.values())
@@ -87,7 +87,7 @@ def gauge_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
     for motion in _over_gauge(setting, setting.scene):
         bad = sweep_path(setting.kinematics, motion.plan, motion.around).refused
         if bad is not None:
-            return (Unmet(GAUGE, _told(motion, bad)),)
+            return (Unmet(GAUGE, _collision_in_words(motion, bad)),)
     return ()
 
 
@@ -173,7 +173,7 @@ def _home(
     yield Motion(start, HOME, plan_joint_move(setting.kinematics, joints, setting.start_rad, limits), around)
 
 
-def _told(motion: Motion, bad: Closest) -> str:
+def _collision_in_words(motion: Motion, bad: Closest) -> str:
     leads = (
         "on the line to it" if motion.kind == "line" else (f"on the path from {motion.start} to {motion.end}")
     )

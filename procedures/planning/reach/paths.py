@@ -102,7 +102,7 @@ def drive(
                 setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
             )
         except LimitError as error:
-            journey.unmet.append(Unmet(visit.identifier, _told(error)))
+            journey.unmet.append(Unmet(visit.identifier, _in_words(error)))
             continue
         _note(journey, visit, posture)
     check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
@@ -120,12 +120,12 @@ def _poses(
         try:
             yield from localizations_along(setting, axis, fiducials_mm, branch)
         except LimitError as error:
-            journey.unmet.append(Unmet(f"{axis.identifier}/fiducials", _told(error)))
+            journey.unmet.append(Unmet(f"{axis.identifier}/fiducials", _in_words(error)))
     for trajectory in axes.targeted:
         yield target_visit(setting, trajectory)
 
 
-def _told(error: LimitError) -> str:
+def _in_words(error: LimitError) -> str:
     return f"{error.summary} [{error.code}]"
 
 

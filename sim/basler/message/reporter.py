@@ -20,7 +20,7 @@ class EventReporter:
         self._settings = settings
         self._channel = channel
         self._ticks = ticks
-        self._overrun_told = False
+        self._overrun_reported = False
 
     def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
         """Called when something happened; reported if its notification is on."""
@@ -29,8 +29,8 @@ class EventReporter:
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
         ticks = self._ticks.count(moment_ns)
         if self._channel.tell(Event(kind, block_id, ticks, data)):
-            self._overrun_told = False
-        elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_told:
+            self._overrun_reported = False
+        elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_reported:
             # one warning while the queue stays full; the number of lost events is not reported
-            self._overrun_told = True
+            self._overrun_reported = True
             self._channel.tell(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

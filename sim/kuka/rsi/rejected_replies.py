@@ -17,8 +17,8 @@ class RejectedReplies:
     def __init__(self, sentype: str) -> None:
         self.count = 0
         self._sentype = sentype
-        self._told = 0
-        self._told_s = float("-inf")
+        self._reported = 0
+        self._reported_s = float("-inf")
         self._last: tuple[bytes, int] = (b"", 0)
 
     def note(self, data: bytes, ipoc: int) -> None:
@@ -28,9 +28,9 @@ class RejectedReplies:
 
     def tell(self, now_s: float, say: Callable[[str, int], None]) -> None:
         """Report why the last one was rejected, and how many were, if new and due."""
-        if self.count == self._told or now_s < self._told_s + AGAIN_S:
+        if self.count == self._reported or now_s < self._reported_s + AGAIN_S:
             return
-        self._told, self._told_s = self.count, now_s
+        self._reported, self._reported_s = self.count, now_s
         say(f"reply rejected: {self._reason()}", self.count)
 
     def _reason(self) -> str:

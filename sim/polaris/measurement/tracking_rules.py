@@ -111,7 +111,7 @@ class _Judge:
         definition = self._definition
         if chosen is None:
             status = _status(self._inside, definition)
-            return self._told(None, status, ToolInformation.TOO_FEW_MARKERS, previous_face)
+            return self._verdict(None, status, ToolInformation.TOO_FEW_MARKERS, previous_face)
         fit, markers, rows = chosen.fit, chosen.markers, chosen.rows
         measured = self._measured_mm if len(rows) == len(self._seen) else self._measured_mm[rows]
         within = [self._inside[row] for row in rows]
@@ -123,7 +123,7 @@ class _Judge:
         if sum(within[k] for k in used) >= definition.minimum_markers:
             used = self._kept(used, within, markers, DROPPED_OUT_OF_VOLUME)
         if len(used) < definition.minimum_markers:
-            return self._told(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
+            return self._verdict(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
 
         body = definition.markers_mm[markers]
         if len(used) < len(markers):
@@ -133,12 +133,12 @@ class _Judge:
             near[k] = distance <= definition.maximum_error_mm
         good = self._kept(used, near, markers, MarkerState.BEYOND_ERROR)
         if len(good) < definition.minimum_markers or not _spread_enough(body[good], definition):
-            return self._told(None, status, ToolInformation.BAD_FIT, chosen.face)
+            return self._verdict(None, status, ToolInformation.BAD_FIT, chosen.face)
         if len(good) < len(used):
             fit = fit_rigid_body(body[good], measured[good])
         for k in good:
             self._digits[markers[k]] = int(MarkerState.USED) if within[k] else USED_OUT_OF_VOLUME
-        return self._told(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
+        return self._verdict(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
         """The markers that pass a rule; the others are assigned the digit of that rule."""
@@ -147,7 +147,7 @@ class _Judge:
                 self._digits[markers[k]] = int(digit)
         return [k for k in numbers if keep[k]]
 
-    def _told(self, pose: ToolPose | None, status: PortStatus, information: int, face: int) -> Tracked:
+    def _verdict(self, pose: ToolPose | None, status: PortStatus, information: int, face: int) -> Tracked:
         points = tuple((x, y, z) for x, y, z in self._measured_mm.tolist())
         seen, inside = tuple(self._seen), tuple(self._inside)
         return Tracked(pose, status, int(information), tuple(self._digits), face, seen, points, inside)
