@@ -43,7 +43,7 @@ REACHED_MM = 0.05  # after a settled straight line; repeatability of small arms 
 SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else moves
 STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
-SMALL_TILT_RAD = radians(1.0)  # of the hand, about a point off the flange
+SMALL_TILT_RAD = radians(5.0)  # of the hand about a point off the flange: 0.1 mm aside if that goes straight
 BESIDE_FLANGE_MM = (100.0, 0.0, 50.0)
 SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
@@ -315,7 +315,7 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
     tool = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=BESIDE_FLANGE_MM)
     here: Transform = arm.kinematics.flange_pose(start) @ tool
     half = SMALL_TILT_RAD / 2.0
-    tilt = Transform.of(Frame.TOOL, Frame.TOOL, quaternion_wxyz=(math.cos(half), math.sin(half), 0.0, 0.0))
+    tilt = Transform.of(Frame.TOOL, Frame.TOOL, quaternion_wxyz=(math.cos(half), 0.0, math.sin(half), 0.0))
     for target in (here @ tilt, here):
         # The tool point stays in place while the hand turns about it.
         seen = _joints_on_the_way(

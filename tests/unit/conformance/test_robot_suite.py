@@ -1,0 +1,193 @@
+"""The robot suite passes a good driver of an arm of another make and finds each mistake by its own case."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from ideal_arm import Controller, IdealArm
+
+from ronna_hw.clock import Clock, HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.conformance import robot
+from ronna_hw.conformance.case import MOTION, Outcome
+from ronna_hw.conformance.device_under_test import DeviceUnderTest
+from ronna_hw.conformance.report import run_case
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.motion import JointMove, LineMove, Motion
+from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+from ronna_hw.devices.robot import StopKind
+
+MakeDut = Callable[..., DeviceUnderTest]
+
+
+class FastClock(HostClock):
+    """A clock on which a test waits little, but long enough for the arm's thread to go on."""
+
+    def sleep(self, duration_s: float) -> None:
+        super().sleep(duration_s / 10.0)
+
+
+@pytest.fixture
+def make_arm(make_dut: MakeDut, monkeypatch: pytest.MonkeyPatch) -> MakeDut:
+    """The device under test for an ideal arm, some of whose members are replaced."""
+
+    def make(**members: Any) -> DeviceUnderTest:
+        driver = type("Spoilt", (IdealArm,), {"controller": Controller(), **members})
+        monkeypatch.setattr(robot, "make_device", driver)
+        dut = make_dut(driver, allowed=frozenset({MOTION.name}))
+        dut.clock = FastClock()
+        return dut
+
+    return make
+
+
+def test_a_good_arm_with_an_offset_wrist_passes_every_case(make_arm: MakeDut) -> None:
+    dut = make_arm()
+    assert {case.number: run_case(case, dut).reason for case in robot.SUITE.cases} == {
+        case.number: "" for case in robot.SUITE.cases
+    }
+
+
+def shifted(joints_rad: JointVector, by_rad: float = 0.01) -> JointVector:
+    first, *others = joints_rad
+    return (first + by_rad, *others)
+
+
+def nothing(self: IdealArm, *arguments: Any) -> None:
+    return None
+
+
+def spoilt_reading(change: Callable[[ArmReading], ArmReading]) -> Callable[..., ArmReading]:
+    def read_state(self: IdealArm, timeout_s: float = 1.0) -> ArmReading:
+        return change(IdealArm.read_state(self))
+
+    return read_state
+
+
+def other_motion(change: Callable[[Motion], Motion]) -> Callable[..., ArmReading]:
+    def drive(self: IdealArm, call: str, motion: Motion) -> ArmReading:
+        return IdealArm.drive(self, call, change(motion))
+
+    return drive
+
+
+def not_quite(motion: Motion) -> Motion:
+    return replace(motion, target_rad=shifted(motion.target_rad)) if isinstance(motion, JointMove) else motion
+
+
+def twice_as_far(motion: Motion) -> Motion:
+    if isinstance(motion, JointMove):
+        return motion
+    return replace(motion, target=robot.shifted(motion.target, (0.0, 0.0, robot.SMALL_LINE_MM)))
+
+
+def without_tool(motion: Motion) -> Motion:
+    if isinstance(motion, JointMove) or motion.flange_from_tool is None:
+        return motion
+    return LineMove(motion.target @ motion.flange_from_tool.inverse(), None, motion.speed_fraction)
+
+
+def at_any_speed(motion: Motion) -> Motion:
+    return replace(motion, speed_fraction=1.0)
+
+
+def anywhere(self: IdealArm, call: str, motion: Motion) -> ArmReading:
+    self.guard.require(call, {Lifecycle.ACTIVE})
+    if isinstance(motion, JointMove):
+        self.controller.joints_rad = motion.target_rad
+    return self.read_state()
+
+
+def jumps(self: IdealArm, timeout_s: float = 10.0) -> None:
+    IdealArm.activate(self)
+    self.controller.joints_rad = shifted(self.controller.joints_rad)
+
+
+def jumps_at_the_second(self: IdealArm, timeout_s: float = 10.0) -> None:
+    IdealArm.deactivate(self)
+    self.controller.joints_rad = shifted(self.controller.joints_rad)
+
+
+def finds_another(self: IdealArm, timeout_s: float = 10.0) -> Identity:
+    self.controller.cycles += 1
+    return replace(IdealArm.connect(self), serial=str(self.controller.cycles))
+
+
+def moves_on(self: IdealArm) -> None:
+    IdealArm.resume(self)
+    self.controller.joints_rad = shifted(self.controller.joints_rad)
+
+
+def only_holds(self: IdealArm, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
+    IdealArm.stop(self)
+
+
+def takes_any_option(self: IdealArm, name: str, config: DeviceConfig, clock: Clock) -> None:
+    IdealArm.__init__(self, name, config.model_copy(update={"options": {}}), clock)
+
+
+def lets_it_go_on(self: IdealArm, timeout_s: float = 10.0) -> None:
+    self.guard.enter(Lifecycle.CONFIGURED)
+
+
+MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
+    "no surround": ("R01", {"surround": None}),
+    "no model": ("R02", {"connect": lambda self, timeout_s=1.0: replace(IdealArm.connect(self), model="")}),
+    "configures before connect": ("R03", {"configure": nothing}),
+    "commands without a stream": (
+        "R04",
+        {"read_state": spoilt_reading(lambda one: replace(one, commanded_rad=one.joints_rad))},
+    ),
+    "a tool below 0": (
+        "R05",
+        {"read_tool_identity": lambda self, timeout_s=1.0: ToolIdentity(self._stamp(), -1)},
+    ),
+    "jumps at the start": ("R06", {"activate": jumps}),
+    "counts nothing": (
+        "R07",
+        {"read_state": spoilt_reading(lambda one: replace(one, stamp=replace(one.stamp, sequence=7)))},
+    ),
+    "no cycles": (
+        "R08",
+        {"link_statistics": lambda self: LinkStatistics(0, 0, 0, 0, 1.0, 2.0, (0.0, 1.0), (1,))},
+    ),
+    "any speed": ("R09", {"drive": other_motion(at_any_speed)}),
+    "jumps at the second start": ("R10", {"deactivate": jumps_at_the_second}),
+    "misses its target": ("R11", {"drive": other_motion(not_quite)}),
+    "misses the end of a line": ("R12", {"drive": other_motion(twice_as_far)}),
+    "moves anywhere": ("R13", {"drive": anywhere}),
+    "a resume that moves": ("R14", {"resume": moves_on}),
+    "stops that are not latched": ("R15", {"stop": only_holds}),
+    "does not close": ("R16", {"close": nothing}),
+    "finds another arm": ("R17", {"connect": finds_another}),
+    "finds any arm": ("R18", {"connect": lambda self, timeout_s=1.0: self.guard.enter(Lifecycle.CONNECTED)}),
+    "takes any option": (
+        "R19",
+        {
+            "__init__": lambda self, n, c, k: IdealArm.__init__(
+                self, n, c.model_copy(update={"options": {}}), k
+            )
+        },
+    ),
+    "lines between any frames": ("R20", {"drive": anywhere}),
+    "moves the flange on the line": ("R21", {"drive": other_motion(without_tool)}),
+    "goes on after the block": ("R26", {"deactivate": lets_it_go_on}),
+}
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_each_mistake_is_found_by_its_case(make_arm: MakeDut, mistake: str) -> None:
+    number, members = MISTAKES[mistake]
+    case = next(case for case in robot.SUITE.cases if case.number == number)
+    assert run_case(case, make_arm(**members)).outcome is Outcome.FAIL
+
+
+def test_every_robot_case_has_its_mistake() -> None:
+    """R22 to R25 are those of any device; the tracker's suite finds mistakes by them."""
+    of_any_device = {f"R{number}" for number in range(22, 26)}
+    assert {number for number, _ in MISTAKES.values()} == {
+        c.number for c in robot.SUITE.cases
+    } - of_any_device
