@@ -23,7 +23,7 @@ from procedures.planning.cart.judging import judging
 from procedures.planning.cart.place import CartCase, CartMove
 from procedures.planning.cart.place_map import map_places
 from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.path_check.free_angle import choose_free_angles
 from procedures.planning.theatre.arm import theatre_arm
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.catalogue import strategy_named

@@ -20,7 +20,7 @@ from procedures.cli.case.operators import ScriptedOperator
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.topic import Topic
-from procedures.planning.reach.visits import Visit, VisitKind
+from procedures.planning.path_check.visits import Visit, VisitKind
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.relocalization import StereoPoint
 from procedures.workcell import MountedTool, Workcell

@@ -45,17 +45,17 @@ class FlangeCamera:
             camera.distortion,
         )
 
-    def changed(self, parameters: Array) -> FlangeCamera:
+    def changed(self, increments: Array) -> FlangeCamera:
         """The camera with its ten parameters changed by these increments."""
-        turn = Rotation.from_rotvec(parameters[:3]).as_matrix()
+        turn = Rotation.from_rotvec(increments[:3]).as_matrix()
         k1, *others = self.distortion
         k2, p1, p2, k3 = others
         return FlangeCamera(
             turn @ self.rotation,
-            self.translation_mm + parameters[3:6],
-            self.focal_px * (1.0 + parameters[6]),
-            self.principal_px + parameters[7:9],
-            (k1 + float(parameters[9]), k2, p1, p2, k3),
+            self.translation_mm + increments[3:6],
+            self.focal_px * (1.0 + increments[6]),
+            self.principal_px + increments[7:9],
+            (k1 + float(increments[9]), k2, p1, p2, k3),
         )
 
     def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:

@@ -332,7 +332,7 @@ def _run(
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
-    report = publish(folder, study.name, study.parameters(), found, plots(sums))
+    report = publish(folder, study.name, study.settings(), found, plots(sums))
     if asked.as_json:
         terminal.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}

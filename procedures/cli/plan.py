@@ -29,8 +29,8 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.new_files import require_new
 
 if TYPE_CHECKING:
+    from procedures.planning.path_check.motions import PreviewedMotion
     from procedures.planning.plan.check import PlanCheck
-    from procedures.planning.reach.motions import PreviewedMotion
 
 app = typer.Typer(
     name="ronna-plan",

@@ -97,9 +97,9 @@ def _average_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32
 
 
 def _kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
-    reach = np.ceil(SHELL_TO * radius_mm / step_mm).astype(int)
+    half_sides = np.ceil(SHELL_TO * radius_mm / step_mm).astype(int)
     grid = np.meshgrid(
-        *(np.arange(-r, r + 1) * step for r, step in zip(reach, step_mm, strict=True)), indexing="ij"
+        *(np.arange(-r, r + 1) * step for r, step in zip(half_sides, step_mm, strict=True)), indexing="ij"
     )
     distance = np.linalg.norm(grid, axis=0) / radius_mm
     ball = distance < BALL_TO

@@ -27,12 +27,12 @@ from procedures.relocalization.sphere_image import SphereImage
 
 COARSE_RAYS = 180
 FINE_RAYS = 300
-COARSE_REACH = 0.05  # of the radius, to either side of the first guess
-COARSE_REACH_PX = 3.0  # px of the reduced image, at least
-FINE_REACH_BLURS = 4.0
+COARSE_SPAN = 0.05  # of the radius, to either side of the first guess
+COARSE_SPAN_PX = 3.0  # px of the reduced image, at least
+FINE_SPAN_BLURS = 4.0
 BLUR_ATTEMPTS = 3  # the first attempt on a defocused rim sees only the middle of the edge
 BLUR_GROWTH = 1.5
-FINE_REACH_PX = 6.0  # beyond the blur: enough plateau for both grey levels
+FINE_SPAN_PX = 6.0  # beyond the blur: enough plateau for both grey levels
 
 STEP_SHARE = 0.35  # of the median step: a smaller one is the sphere against its post, or a shadow
 BLUR_RATIO = 2.5  # to either side of the median blur
@@ -44,18 +44,18 @@ OFF_RIM_LIMIT_PX = 1.5
 
 def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     """The ellipse at full resolution near a guess, or None when there is no disc."""
-    reach = max(COARSE_REACH_PX * factor, COARSE_REACH * guess.radius_px)
+    span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
     start = circle(guess.centre_px, guess.radius_px)
-    coarse_profiles = sample_profiles(image, start, COARSE_RAYS, reach)
+    coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)
     falls = steepest_falls(coarse_profiles)
     rim = falls.found & _strong(falls)
     coarse = fit_ellipse(rim_points(start, coarse_profiles, falls.offset_px)[rim], start)
-    if coarse is None or not _near(coarse.ellipse, guess, reach):
+    if coarse is None or not _near(coarse.ellipse, guess, span_px):
         return None
     blur = float(np.median(falls.blur_px[rim]))
     for _ in range(BLUR_ATTEMPTS):
-        reach = FINE_REACH_BLURS * blur + FINE_REACH_PX
-        profiles = sample_profiles(image, coarse.ellipse, FINE_RAYS, reach)
+        span_px = FINE_SPAN_BLURS * blur + FINE_SPAN_PX
+        profiles = sample_profiles(image, coarse.ellipse, FINE_RAYS, span_px)
         edges = fit_blurred_steps(profiles, steepest_falls(profiles), blur)
         assumed, blur = blur, float(np.median(edges.blur_px))
         if blur < BLUR_GROWTH * assumed:
@@ -68,7 +68,7 @@ def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     rim &= _on_rim(first, points)
     inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray next to a lost one is affected by the occluder
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
-    if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_REACH_PX * factor + reach):
+    if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
         return None
     return judged(image, fit, edges, rim, inner)
 

@@ -18,7 +18,7 @@ from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 # stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
 DIM_STEP_SHARE = 0.15
 DIM_NOISE_FACTOR = 6.0  # steps from noise alone are smaller
-DIM_REACH_BLURS, DIM_REACH_PX = 3.0, 2.0
+DIM_SPAN_BLURS, DIM_SPAN_PX = 3.0, 2.0
 DIM_OFF_RIM_PX = 0.7  # the stain's inner edge shifts the steepest point by about half a pixel
 
 LEAST_RIM = 0.25  # with less it is no sphere at all
@@ -90,8 +90,8 @@ def _dimmed(
     image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
 ) -> NDArray[np.bool_]:
     """Rays (n,) with an edge on the ellipse itself, however dim the film is there."""
-    reach = DIM_REACH_BLURS * blur_px + DIM_REACH_PX
-    falls = steepest_falls(sample_profiles(image, ellipse, rays, reach))
+    span_px = DIM_SPAN_BLURS * blur_px + DIM_SPAN_PX
+    falls = steepest_falls(sample_profiles(image, ellipse, rays, span_px))
     on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX
     return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
 
@@ -100,9 +100,9 @@ def _filled_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDAr
     """Share of the inside that is brighter than halfway between the grey levels at the rim."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
-    reach = radius * ellipse.radius_at(angle)
-    x = np.rint(ellipse.centre_px[0] + reach * np.cos(angle)).astype(int)
-    y = np.rint(ellipse.centre_px[1] + reach * np.sin(angle)).astype(int)
+    distance = radius * ellipse.radius_at(angle)
+    x = np.rint(ellipse.centre_px[0] + distance * np.cos(angle)).astype(int)
+    y = np.rint(ellipse.centre_px[1] + distance * np.sin(angle)).astype(int)
     seen = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
     if not seen.any():
         return 0.0

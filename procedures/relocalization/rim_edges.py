@@ -82,8 +82,8 @@ def steepest_falls(profiles: Profiles) -> RimEdges:
     bend = before - 2.0 * top + after
     shift = np.where(bend < 0, 0.5 * (before - after) / np.minimum(bend, -1e-9), 0.0)
     offset = profiles.offset_px[peak] + np.clip(shift, -1.0, 1.0)
-    reach = np.arange(fall.shape[1])
-    height = np.where(np.abs(reach - peak[:, None]) <= 4, np.maximum(fall, 0.0), 0.0).sum(axis=1)
+    samples = np.arange(fall.shape[1])
+    height = np.where(np.abs(samples - peak[:, None]) <= 4, np.maximum(fall, 0.0), 0.0).sum(axis=1)
     blur = INVERSE_ROOT_TWO_PI * height / np.maximum(top, 1e-9)
     dark = profiles.grey.min(axis=1)
     return RimEdges(offset, dark, height, blur, np.zeros_like(offset), profiles.inside & (top > 0))

@@ -42,7 +42,7 @@ class ApplicationErrorStudy:
     seed: int = 0
     name: str = "application-error"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 

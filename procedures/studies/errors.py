@@ -6,10 +6,10 @@ from ronna_hw.errors import ConfigurationError, ConnectError, DataError
 
 
 class OtherStudy(ConfigurationError):
-    """The folder holds a study with different parameters, or results of other code."""
+    """The folder holds a study with different settings, or results of other code."""
 
     code = "STU-001"
-    action = "Choose another --out, or use parameters and code of the study in this folder."
+    action = "Choose another --out, or use settings and code of the study in this folder."
 
 
 class LedgerUnreadable(DataError):

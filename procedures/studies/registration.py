@@ -53,7 +53,7 @@ class RegistrationStudy:
     name: str = "registration"
     own: tuple[OwnMethod, ...] = ()
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {**without_empty_own(asdict(self)), "sums": SUMS}
 

@@ -50,7 +50,7 @@ class PathPreview:
                 "first": closest.first,
                 "second": closest.second,
                 "distance_mm": closest.distance_mm,
-                "at": closest.parameter,
+                "at": closest.fraction,
             },
             "singularity": self.singularity._asdict(),
             "largest_joint_speed_share": self.largest_joint_speed_share,
@@ -70,9 +70,9 @@ def preview(
     slowed = with_speed_steps(plan, path)
     speeds = _speeds(path, slowed)
     joints = path.joints_rad
-    rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.parameters)[:, None]
+    rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]
     shares = (rates * speeds[:, None]) / np.array(limits.speed_rad_s)
-    body = motion_mm(path.swept).max(axis=1, initial=0.0) / np.diff(path.parameters) * speeds
+    body = motion_mm(path.swept).max(axis=1, initial=0.0) / np.diff(path.fractions) * speeds
     nearest = float(path.swept.to_head_mm.min())
     return PathPreview(
         duration_s=0.0 if plan.is_standstill else duration_s(slowed.limits, slowed.speed_steps, CYCLE_S),
@@ -96,7 +96,7 @@ def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> Singular
 
 def _speeds(path: SweptPath, plan: MotionPlan) -> np.ndarray[Any, np.dtype[np.float64]]:
     """The largest speed of the path parameter in each interval, as limited."""
-    limits = np.full(len(path.parameters) - 1, plan.limits.velocity)
+    limits = np.full(len(path.fractions) - 1, plan.limits.velocity)
     for step in plan.speed_steps:
-        limits[path.parameters[:-1] >= step.start - 1e-12] = step.velocity
+        limits[path.fractions[:-1] >= step.start - 1e-12] = step.velocity
     return limits

@@ -104,8 +104,8 @@ def fit_tip(pairs: TipPairs) -> TipFit:
 
 def tips_of(pairs: TipPairs) -> Array:
     """The tip (m, 3) in the tool frame from each reading alone."""
-    reach = _reach_mm(pairs)
-    return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], reach))
+    offsets = _offsets_mm(pairs)
+    return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], offsets))
 
 
 def _require_usable(pairs: TipPairs) -> None:
@@ -126,18 +126,18 @@ def _require_usable(pairs: TipPairs) -> None:
 def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
     """Offset of the divot from the ball, its 3-D standard error, and the scatter per reading and axis.
 
-    Solves `reach = R tip - gap` for both unknowns.
+    Solves `offsets = R tip - gap` for both unknowns.
     """
-    rotations, reach = pairs.at_divot[:, :3, :3], _reach_mm(pairs)
+    rotations, offsets = pairs.at_divot[:, :3, :3], _offsets_mm(pairs)
     rows = np.concatenate([rotations, np.tile(-np.eye(3), (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(rows.T @ rows)
-    solution = inverse @ rows.T @ reach.ravel()
-    misses = rows @ solution - reach.ravel()
+    solution = inverse @ rows.T @ offsets.ravel()
+    misses = rows @ solution - offsets.ravel()
     variance = max(float(misses @ misses) / (len(misses) - 6), LEAST_SCATTER_MM**2)
     return solution[3:], float(np.sqrt(variance * np.trace(inverse[3:, 3:]))), float(np.sqrt(variance))
 
 
-def _reach_mm(pairs: TipPairs) -> Array:
+def _offsets_mm(pairs: TipPairs) -> Array:
     """From the tool centre at the divot to the ball's position plus the dial readings, (m, 3), robot axes."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])

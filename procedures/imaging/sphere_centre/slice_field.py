@@ -98,10 +98,10 @@ class SliceField:
     noise_terms: tuple[Array, ...]
 
     @classmethod
-    def around(cls, points_mm: Array, reach_mm: float) -> Self:
-        """For voxels (n, 3) grid mm within this reach of their centroid."""
+    def around(cls, points_mm: Array, radius_mm: float) -> Self:
+        """For voxels (n, 3) grid mm within this radius of their centroid."""
         middle_mm = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))[1:]
-        side_mm = 2.0 * (reach_mm + ROOM_MM)
+        side_mm = 2.0 * (radius_mm + ROOM_MM)
         waves = Waves.between(middle_mm, side_mm, 0.0, HIGHEST)
         noisy = Waves.between(middle_mm, side_mm, *NOISE_BAND)
         power = np.exp(-2.0 * (np.pi * LENGTH_MM * waves.cycles_per_mm) ** 2)

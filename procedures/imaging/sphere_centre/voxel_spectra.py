@@ -20,7 +20,7 @@ SAME_SPACE = 1e-10  # columns with a smaller remainder are in the space of the o
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels at `index` of a grid of shape `padded`, which leaves room for lags up to a reach.
+    """Voxels at `index` of a grid of shape `padded`, which leaves room for lags up to a limit.
 
     Spectra are half spectra; `share` is the contribution of each coefficient to a sum over the grid.
     """
@@ -31,10 +31,10 @@ class VoxelGrid:
     share: Array
 
     @classmethod
-    def around(cls, where: NDArray[np.int64], reach_mm: float, spacing_mm: Array) -> Self:
+    def around(cls, where: NDArray[np.int64], largest_lag_mm: float, spacing_mm: Array) -> Self:
         """For voxel indices (n, 3) with this spacing."""
         index = tuple((where - where.min(axis=0)).T)
-        lags = np.ceil(reach_mm / spacing_mm).astype(int)
+        lags = np.ceil(largest_lag_mm / spacing_mm).astype(int)
         padded = tuple(
             int(fft.next_fast_len(int(axis.max()) + 1 + int(lag), real=True))
             for axis, lag in zip(index, lags, strict=True)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.motions import gauge_unmet
-from procedures.planning.reach.paths import drive
-from procedures.planning.reach.visits import (
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.motions import gauge_unmet
+from procedures.planning.path_check.paths import drive
+from procedures.planning.path_check.visits import (
     ArmSetting,
     Axes,
     PathCheck,

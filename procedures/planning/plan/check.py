@@ -37,8 +37,8 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-    from procedures.planning.reach.motions import PreviewedMotion
-    from procedures.planning.reach.visits import ArmSetting, PathCheck
+    from procedures.planning.path_check.motions import PreviewedMotion
+    from procedures.planning.path_check.visits import ArmSetting, PathCheck
     from procedures.planning.sight.stereo_head import StereoSight
     from procedures.strategies.strategy import Strategy
     from procedures.strategies.trajectory import Trajectory
@@ -233,12 +233,12 @@ def _driven(
     sight: StereoSight | None,
 ) -> _Driven:
     """What keeps the arm from carrying out the plan; else its motions, if there is a scene, and turns."""
+    from procedures.planning.path_check.alternatives import advice, alternatives, unreached
+    from procedures.planning.path_check.free_angle import TurnedPaths, choose_free_angles
+    from procedures.planning.path_check.motions import previews_of
+    from procedures.planning.path_check.paths import check_paths
+    from procedures.planning.path_check.visits import Axes
     from procedures.planning.prediction.best_strategy import with_best_chosen
-    from procedures.planning.reach.alternatives import advice, alternatives, unreached
-    from procedures.planning.reach.free_angle import TurnedPaths, choose_free_angles
-    from procedures.planning.reach.motions import previews_of
-    from procedures.planning.reach.paths import check_paths
-    from procedures.planning.reach.visits import Axes
 
     fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
     if sight is None:

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.target_error import arm_error_sources, poses_for
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.visits import ArmSetting, PathCheck
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.registration.target_prediction import predict_target_error
 from procedures.strategies.best import CANDIDATES, BestOfEach

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.planning.prediction.instrument_error import (
     DIRECTION,
@@ -20,7 +21,6 @@ from procedures.planning.prediction.instrument_error import (
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
-from procedures.planning.reach.visits import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.registration.target_prediction import (
     OwnErrors,
     SharedErrors,

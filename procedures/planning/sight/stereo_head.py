@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.reach.visits import Unmet, Visit, VisitKind
+from procedures.planning.path_check.visits import Unmet, Visit, VisitKind
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 

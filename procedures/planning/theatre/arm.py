@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, cast
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.planning.head.frame_bodies import frame_bodies
 from procedures.planning.head.shape import head_shape
+from procedures.planning.path_check.visits import ArmSetting
 from procedures.planning.plan.model import FiducialKind
-from procedures.planning.reach.visits import ArmSetting
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.registration.errors import LayoutNotFound

@@ -134,8 +134,8 @@ def _skin_along(start_mm: Array, direction: Array) -> Array:
     half = np.array(HALF_AXES_MM[PATIENT])
     along, away = direction / half, start_mm / half
     square, middle = along @ along, along @ away
-    reach = (-middle + math.sqrt(middle**2 - square * (away @ away - 1.0))) / square
-    return np.asarray(start_mm + reach * direction)
+    length = (-middle + math.sqrt(middle**2 - square * (away @ away - 1.0))) / square
+    return np.asarray(start_mm + length * direction)
 
 
 def _point(vector: Array) -> tuple[float, float, float]:

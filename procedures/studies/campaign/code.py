@@ -13,7 +13,7 @@ PACKAGES = ("procedures", "ronna_hw", "sim")  # what results may depend on
 
 @cache
 def code() -> str:
-    """The version of the program, and a hash of its sources: constants are in no study's parameters."""
+    """The version of the program, and a hash of its sources: constants are in no study's settings."""
     root, digest = Path(__file__).parents[3], hashlib.sha256()
     for package in PACKAGES:
         for file in sorted((root / package).rglob("*.py")):

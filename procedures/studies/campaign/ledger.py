@@ -21,15 +21,15 @@ MOST_DAMAGED_LINES = 1000  # crashes leave a few; each is parsed in vain
 
 def fingerprint(study: Study) -> str:
     """Hash of everything that a study's results depend on."""
-    return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
+    return hashlib.sha256(canonical_json({"study": study.name, **study.settings()})).hexdigest()
 
 
 def head_of(study: Study) -> dict[str, object]:
-    """The first line of its file: results of other parameters or other code are not added to."""
+    """The first line of its file: results of other settings or other code are not added to."""
     return {
         "study": study.name,
         "fingerprint": fingerprint(study),
-        "parameters": study.parameters(),
+        "settings": study.settings(),
         "code": code(),
     }
 
@@ -119,14 +119,14 @@ def _are_sums(found: Any) -> TypeGuard[Sums]:
 
 
 def _difference(there: Any, head: Mapping[str, Any]) -> str:
-    """How another study differs, in words: its name, or the parameters."""
+    """How another study differs, in words: its name, or the settings."""
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
     # as in the file: a list for a tuple, a name for an enum member
-    before, now = there.get("parameters", {}), json.loads(json.dumps(head["parameters"]))
+    before, now = there.get("settings", {}), json.loads(json.dumps(head["settings"]))
     differ = [
         f"{name} {before.get(name)!r}, now {now.get(name)!r}"
         for name in sorted({*before, *now})
         if before.get(name) != now.get(name)
     ]
-    return f"a study with other parameters: {'; '.join(differ)}"
+    return f"a study with other settings: {'; '.join(differ)}"

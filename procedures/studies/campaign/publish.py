@@ -16,14 +16,14 @@ RESULTS, REPORT = "results.json", "report.md"
 def publish(
     folder: Path,
     title: str,
-    parameters: Mapping[str, object],
+    settings: Mapping[str, object],
     tables: Sequence[Table],
     plots: Mapping[str, bytes],
 ) -> Path:
     """Write everything into `folder`; returns the path of the report."""
     document = {
         "study": title,
-        "parameters": dict(parameters),
+        "settings": dict(settings),
         "code": code(),
         "tables": [table.document() for table in tables],
         "plots": sorted(plots),
@@ -34,7 +34,7 @@ def publish(
     for name, png in plots.items():
         write_whole(folder / name, png)
     pictures = "".join(f"![{name}]({name})\n\n" for name in sorted(plots))
-    listed = ", ".join(f"{key} {json.dumps(value)}" for key, value in parameters.items())
+    listed = ", ".join(f"{key} {json.dumps(value)}" for key, value in settings.items())
     text = (
         f"# {title}\n\n{listed}; code {code()}\n\n"
         + "\n".join(table.markdown() for table in tables)

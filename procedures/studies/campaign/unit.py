@@ -35,7 +35,7 @@ class Study(Protocol):
         """Name of the command that runs it."""
         ...
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything that the results depend on, as plain data."""
         ...
 
@@ -48,9 +48,9 @@ class Study(Protocol):
         ...
 
 
-def without_empty_own(parameters: dict[str, object]) -> dict[str, object]:
-    """User methods are a parameter only of studies that have some."""
-    return {key: value for key, value in parameters.items() if key != "own" or value}
+def without_empty_own(settings: dict[str, object]) -> dict[str, object]:
+    """User methods are a setting only of studies that have some."""
+    return {key: value for key, value in settings.items() if key != "own" or value}
 
 
 def generator(seed: int, unit: Unit) -> np.random.Generator:

@@ -64,7 +64,7 @@ class ClinicalStudy:
     seed: int = 0
     name: str = "correspondence-xframe"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {
             "seed": self.seed,

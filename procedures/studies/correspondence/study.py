@@ -82,7 +82,7 @@ class CorrespondenceStudy:
     name: str = "correspondence"
     own: tuple[OwnMethod, ...] = ()
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return without_empty_own(asdict(self))
 

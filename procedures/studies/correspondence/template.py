@@ -69,7 +69,7 @@ class TemplateStudy:
     margin_mm: float = MARGIN_MM
     name: str = "correspondence-template"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 

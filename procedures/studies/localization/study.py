@@ -77,7 +77,7 @@ class LocalizationStudy:
     name: str = "localization"
     own: tuple[OwnMethod, ...] = ()
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {**without_empty_own(asdict(self)), "sums": SUMS}
 

@@ -37,7 +37,7 @@ class ThesisLocalizationStudy:
     seed: int = 0
     name: str = "localization-thesis"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {
             **asdict(self),

@@ -44,7 +44,7 @@ class IdentifiedStudy:
     seed: int = 0
     name: str = "strategies-identified"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 

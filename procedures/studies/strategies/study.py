@@ -52,7 +52,7 @@ class StrategiesStudy:
     name: str = "strategies"
     own: tuple[OwnMethod, ...] = ()
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
         return {
             **without_empty_own(asdict(self)),

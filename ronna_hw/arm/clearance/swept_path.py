@@ -40,15 +40,15 @@ class Closest:
     first: str
     second: str
     distance_mm: float
-    parameter: float
+    fraction: float
 
 
 @dataclass(frozen=True)
 class SweptPath:
-    """Samples of a path and the distances there; parameters (n) from 0 to 1, joints (n, axes)."""
+    """Samples of a path and the distances there; fractions (n) from 0 to 1, joints (n, axes)."""
 
     bodies: Bodies
-    parameters: Array
+    fractions: Array
     joints_rad: Array
     swept: Swept
 
@@ -78,7 +78,7 @@ class SweptPath:
             return
         raise NotClear(
             f"on {what} the {bad.first} would come too close to the {bad.second}, "
-            f"{bad.parameter:.0%} of the path",
+            f"{bad.fraction:.0%} of the path",
             limit=f"{self.bodies.surroundings.margin_mm:g} mm",
             got=f"{bad.distance_mm:.1f} mm",
         )
@@ -87,7 +87,7 @@ class SweptPath:
         row, column = np.unravel_index(place, self.swept.gaps_mm.shape)
         first, second = self.bodies.names(self.bodies.pairs[column])
         gap = float(self.swept.gaps_mm[row, column])
-        return Closest(first, second, gap, float(self.parameters[row]))
+        return Closest(first, second, gap, float(self.fractions[row]))
 
 
 def _first_smallest(distances_mm: Array) -> int:
@@ -113,8 +113,8 @@ def sweep_path(
     """
     path = plan.path(kinematics)
     bodies = Bodies(kinematics, surroundings)
-    parameters = np.linspace(0.0, 1.0, FIRST_SAMPLES)
-    joints = _joints(path, plan.start_rad, parameters)
+    fractions = np.linspace(0.0, 1.0, FIRST_SAMPLES)
+    joints = _joints(path, plan.start_rad, fractions)
     found = sweep(bodies, joints)
     count = max(
         FIRST_SAMPLES,
@@ -122,8 +122,8 @@ def sweep_path(
         ceil(float(np.abs(np.diff(joints, axis=0)).max(axis=1).sum()) / STEP_RAD) + 1,
     )
     if count > FIRST_SAMPLES:
-        parameters = np.linspace(0.0, 1.0, count)
-        joints = _joints(path, plan.start_rad, parameters)
+        fractions = np.linspace(0.0, 1.0, count)
+        joints = _joints(path, plan.start_rad, fractions)
         found = sweep(bodies, joints)
     floors = floors_mm(surroundings, found.gaps_mm[0])
     while True:
@@ -133,19 +133,19 @@ def sweep_path(
         open_rows = np.flatnonzero(_unsettled(bodies, found, wanted))
         if not len(open_rows):
             break
-        middles = (parameters[open_rows] + parameters[open_rows + 1]) / 2.0
+        middles = (fractions[open_rows] + fractions[open_rows + 1]) / 2.0
         between = np.array(
             [path.joints(float(s), _vector(joints[row])) for s, row in zip(middles, open_rows, strict=True)]
         )
         more = sweep(bodies, between)
-        parameters = np.insert(parameters, open_rows + 1, middles)
+        fractions = np.insert(fractions, open_rows + 1, middles)
         joints = np.insert(joints, open_rows + 1, between, axis=0)
         found = Swept(
             np.insert(found.ends_mm, open_rows + 1, more.ends_mm, axis=0),
             np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
             np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
         )
-    return SweptPath(bodies, parameters, joints, found)
+    return SweptPath(bodies, fractions, joints, found)
 
 
 def motion_mm(swept: Swept) -> Array:
@@ -175,9 +175,9 @@ def _moved(swept: Swept) -> Array:
     return np.asarray(steps.max(axis=2))
 
 
-def _joints(path: JointPath | LinePath, start_rad: JointVector, parameters: Array) -> Array:
+def _joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
     found = [start_rad]
-    for s in parameters[1:].tolist():
+    for s in fractions[1:].tolist():
         found.append(path.joints(s, found[-1]))
     return np.array(found)
 

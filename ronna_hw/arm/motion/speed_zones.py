@@ -25,7 +25,7 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
     """The plan with its speed steps, so that nothing that moves exceeds the cap at its position."""
     allowed = np.minimum(allowed_speed(path), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
-    begins, ends = path.parameters[:-1], path.parameters[1:]
+    begins, ends = path.fractions[:-1], path.fractions[1:]
     steps: list[SpeedStep] = []
     for low, high in zip(places[:-1].tolist(), places[1:].tolist(), strict=True):
         velocity = float(allowed[(ends > low) & (begins < high)].min())
@@ -40,7 +40,7 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
 def allowed_speed(path: SweptPath) -> Array:
     """Largest speed of the path parameter in each interval of a swept path, (n - 1), per s."""
     moved = motion_mm(path.swept).max(axis=1)
-    rates = moved / np.diff(path.parameters)
+    rates = moved / np.diff(path.fractions)
     # Within an interval the rate may exceed its average; the neighbours show by how much.
     padded = np.concatenate([rates[:1], rates, rates[-1:]])
     rates = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])

@@ -84,8 +84,8 @@ def areas_stay_on_the_sensor(dut: DeviceUnderTest) -> None:
             whole = features.whole(sensor)
             features.write(offset, features.limit(offset, "Max"))
             features.write(size, whole)
-            reach = features.whole(offset) + features.whole(size)
-            check(reach <= whole, f"{offset} + {size} up to {whole}", reach)
+            end = features.whole(offset) + features.whole(size)
+            check(end <= whole, f"{offset} + {size} up to {whole}", end)
             features.set(offset, 0)
 
 

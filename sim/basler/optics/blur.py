@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 from sim.basler.optics.canvas import Image, row_bands
 
 KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and faster
-REACH_SIGMAS = 3.5  # what is farther away adds less than 0.05 %
+SPREAD_SIGMAS = 3.5  # what is farther away adds less than 0.05 %
 
 
-def reach_px(sigma_px: float) -> int:
+def spread_px(sigma_px: float) -> int:
     """How far the blur spreads light."""
-    return ceil(REACH_SIGMAS * sigma_px) + 1
+    return ceil(SPREAD_SIGMAS * sigma_px) + 1
 
 
 def blurred(patch: Image, sigma_px: float) -> Image:
     """The patch (rows, columns) convolved with a Gaussian; its border is extended outwards."""
     if sigma_px <= KERNEL_LIMIT_PX:
-        reach = reach_px(sigma_px)
-        steps = np.arange(-reach, reach + 1)
+        spread = spread_px(sigma_px)
+        steps = np.arange(-spread, spread + 1)
         kernel = np.exp(-0.5 * (steps / sigma_px) ** 2)
         kernel = (kernel / kernel.sum()).astype(np.float32)
         return _smoothed(patch, kernel)
@@ -39,35 +39,35 @@ def blurred(patch: Image, sigma_px: float) -> Image:
 
 def _smoothed(patch: Image, kernel: Image) -> Image:
     """Along the columns, then along the rows, a few rows at a time."""
-    reach = len(kernel) // 2
-    padded = _continued(patch, reach, 0)
+    spread = len(kernel) // 2
+    padded = _continued(patch, spread, 0)
     smooth = np.empty_like(patch)
     for rows in row_bands(*patch.shape):
-        down = _weighed(padded[rows.start : rows.stop + 2 * reach], kernel, 0)
-        smooth[rows] = _weighed(_continued(down, reach, 1), kernel, 1)
+        down = _weighed(padded[rows.start : rows.stop + 2 * spread], kernel, 0)
+        smooth[rows] = _weighed(_continued(down, spread, 1), kernel, 1)
     return smooth
 
 
 def _weighed(padded: Image, kernel: Image, axis: int) -> Image:
     """Convolution along an axis, which becomes shorter by the kernel's length less one."""
-    reach = len(kernel) // 2
-    length = padded.shape[axis] - 2 * reach
+    spread = len(kernel) // 2
+    length = padded.shape[axis] - 2 * spread
 
     def shifted(step: int) -> Image:
         return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
 
-    total: Image = shifted(reach) * kernel[reach]
+    total: Image = shifted(spread) * kernel[spread]
     pair = np.empty_like(total)
-    for step in range(reach):  # the kernel is symmetric: one multiplication for two taps
-        np.add(shifted(step), shifted(2 * reach - step), out=pair)
+    for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
+        np.add(shifted(step), shifted(2 * spread - step), out=pair)
         pair *= kernel[step]
         total += pair
     return total
 
 
 def _box(patch: Image, width: int, axis: int) -> Image:
-    reach = width // 2
-    sums: NDArray[np.float64] = np.cumsum(_continued(patch, reach, axis), axis=axis, dtype=np.float64)
+    spread = width // 2
+    sums: NDArray[np.float64] = np.cumsum(_continued(patch, spread, axis), axis=axis, dtype=np.float64)
     first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
     sums = np.concatenate([first, sums], axis=axis)
     ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
@@ -75,7 +75,7 @@ def _box(patch: Image, width: int, axis: int) -> Image:
     return mean
 
 
-def _continued(patch: Image, reach: int, axis: int) -> Image:
-    margin = ((reach, reach), (0, 0)) if axis == 0 else ((0, 0), (reach, reach))
+def _continued(patch: Image, spread: int, axis: int) -> Image:
+    margin = ((spread, spread), (0, 0)) if axis == 0 else ((0, 0), (spread, spread))
     padded: Image = np.pad(patch, margin, mode="edge")
     return padded

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
 GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
-EDGE_REACH = 4.0  # standard deviations beyond which an edge is invisible
+EDGE_SIGMAS = 4.0  # standard deviations beyond which an edge is invisible
 EDGE_STEPS = 400
 
 
@@ -83,9 +83,9 @@ def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigm
 def shine(canvas: Canvas, glare: Glare) -> None:
     """Add the light of a glare."""
     sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
-    reach = int(glare.radius_px + EDGE_REACH * sigma) + 1
+    margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
     x, y = (round(value) for value in glare.centre_px)
-    part = Area(x - reach, y - reach, 2 * reach + 1, 2 * reach + 1).common(canvas.area)
+    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
     if part.empty:
         return
     columns = part.x + np.arange(part.width) - glare.centre_px[0]
@@ -102,14 +102,14 @@ def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
 def _edge(sigmas: Array | Image) -> Image:
     """Coverage by an object with a blurred edge, by the distance from the edge in its sigmas."""
     cover: Image = (sigmas > 0.0).astype(np.float32)
-    soft = np.abs(sigmas) < EDGE_REACH  # a thin band: the table is slow
+    soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
     cover[soft] = np.interp(sigmas[soft], *_edge_table())
     return cover
 
 
 @cache
 def _edge_table() -> tuple[Array, Array]:
-    at = np.linspace(-EDGE_REACH, EDGE_REACH, EDGE_STEPS + 1)
+    at = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, EDGE_STEPS + 1)
     cover = np.array([NormalDist().cdf(each) for each in at])
     cover[0], cover[-1] = 0.0, 1.0
     return at, cover

@@ -9,7 +9,7 @@ import numpy as np
 
 from sim.basler.optics import sphere as sphere_image
 from sim.basler.optics import stalk as stalk_image
-from sim.basler.optics.blur import blurred, reach_px
+from sim.basler.optics.blur import blurred, spread_px
 from sim.basler.optics.canvas import Area, Canvas, Image, bounds_of
 from sim.basler.optics.film import Film, Surface
 from sim.basler.optics.foreground import CLEAR, Disturbance, nearest_to_axis, occlude, shine
@@ -20,7 +20,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.basler.optics.stalk import StalkImage
 from sim.world.scene.model import CameraTruth
 
-MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
+MARGIN_PX = spread_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
 NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 
@@ -57,7 +57,7 @@ class Optics:
         parts = [part for part in (sphere_area, stalk_area) if not part.empty]
         if not parts:
             return
-        patch_area = _hull(parts).grown(reach_px(sigma_px)).common(canvas.area)
+        patch_area = _hull(parts).grown(spread_px(sigma_px)).common(canvas.area)
         patch = canvas.part(patch_area)
         drawn = Canvas(patch_area, patch.copy())
         self._paint(drawn, sphere, self._film(sphere, disturbance), sphere_area, stalk_area)

@@ -25,7 +25,7 @@ LAYERS = (
 SCALP_MM = sum(thickness for thickness, _ in LAYERS[:3])
 STEP_MM = 0.05
 OUTSIDE_MM = 4.0
-BLUR_REACH = 4.0  # of the blur's sigma
+BLUR_MARGIN = 4.0  # of the blur's sigma
 
 
 class HeadLayers:
@@ -61,7 +61,7 @@ class HeadLayers:
 def _smoothed(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     if sigma <= 0.0:
         return table
-    reach = int(np.ceil(BLUR_REACH * sigma))
-    kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
-    padded = np.pad(table, reach, mode="edge")
+    margin = int(np.ceil(BLUR_MARGIN * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-margin, margin + 1) / sigma) ** 2)
+    padded = np.pad(table, margin, mode="edge")
     return np.convolve(padded, kernel / kernel.sum(), mode="valid")

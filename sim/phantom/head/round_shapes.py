@@ -71,8 +71,8 @@ class Barrel:
     edge: float
 
     def bounds(self) -> Bounds:
-        reach = float(np.hypot(self.radius, 0.5 * self.length))
-        return _box(np.array(self.centre), np.array(self.centre), reach)
+        half_side = float(np.hypot(self.radius, 0.5 * self.length))
+        return _box(np.array(self.centre), np.array(self.centre), half_side)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         height, across = _height_and_distance(x, y, z, self.centre, self.along)
@@ -142,6 +142,6 @@ def _height_and_distance(
     return height, across
 
 
-def _box(low: np.ndarray, high: np.ndarray, reach: float) -> Bounds:
-    (a, b, c), (d, e, f) = (low - reach).tolist(), (high + reach).tolist()
+def _box(low: np.ndarray, high: np.ndarray, half_side: float) -> Bounds:
+    (a, b, c), (d, e, f) = (low - half_side).tolist(), (high + half_side).tolist()
     return (a, b, c), (d, e, f)

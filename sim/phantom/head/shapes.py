@@ -165,8 +165,8 @@ class Cable:
     wave_length: float
 
     def bounds(self) -> Bounds:
-        reach = (self.radius + abs(self.swing[0]), self.radius + abs(self.swing[1]), inf)
-        return _around(self.centre, reach)
+        half_sides = (self.radius + abs(self.swing[0]), self.radius + abs(self.swing[1]), inf)
+        return _around(self.centre, half_sides)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         cx, cy, cz = _single(self.centre)
@@ -194,7 +194,7 @@ def _single(point: Point) -> tuple[np.float32, np.float32, np.float32]:
     return np.float32(x), np.float32(y), np.float32(z)
 
 
-def _around(centre: Point, reach: tuple[float, ...]) -> Bounds:
-    low = [value - size for value, size in zip(centre, reach, strict=True)]
-    high = [value + size for value, size in zip(centre, reach, strict=True)]
+def _around(centre: Point, half_sides: tuple[float, ...]) -> Bounds:
+    low = [value - size for value, size in zip(centre, half_sides, strict=True)]
+    high = [value + size for value, size in zip(centre, half_sides, strict=True)]
     return (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -78,8 +78,8 @@ class PosedLayers:
         """A bounding box of the head, with a margin."""
         centre = apply(self.pose.scan_from_head, self.layers.centre)
         turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
-        reach = np.linalg.norm(turned, axis=1) + margin_mm
-        return _point(centre - reach), _point(centre + reach)
+        half_sides = np.linalg.norm(turned, axis=1) + margin_mm
+        return _point(centre - half_sides), _point(centre + half_sides)
 
 
 def _point(values: Array) -> Point:

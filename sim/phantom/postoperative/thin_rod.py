@@ -18,23 +18,23 @@ FINE_MM = 0.2  # sample spacing; edges are antialiased on top
 def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
     """Paint a rod into slice `number` (rows, columns)."""
     z_mm = float(grid.z_mm[number])
-    half_mm = blur.reach_mm(grid.slice_mm, blur.SLICE_SIGMA_MM)
+    half_mm = blur.spread_mm(grid.slice_mm, blur.SLICE_SIGMA_MM)
     part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return
-    reach_mm = blur.reach_mm(grid.pixel_mm, blur.PLANE_SIGMA_MM)
+    spread_mm = blur.spread_mm(grid.pixel_mm, blur.PLANE_SIGMA_MM)
     low, high = np.array(part).min(axis=0), np.array(part).max(axis=0)
     columns, rows = (
-        grid.indices(axis, low[axis] - rod.radius - reach_mm, high[axis] + rod.radius + reach_mm)
+        grid.indices(axis, low[axis] - rod.radius - spread_mm, high[axis] + rod.radius + spread_mm)
         for axis in (0, 1)
     )
     if columns.start >= columns.stop or rows.start >= rows.stop:
         return
     voxels = (grid.x_mm[columns], grid.y_mm[rows], np.array([z_mm]))
-    spread = (reach_mm, reach_mm, half_mm)
+    margins = (spread_mm, spread_mm, half_mm)
     fine = [
         np.arange(v[0] - far, v[-1] + far + FINE_MM / 2, FINE_MM)
-        for v, far in zip(voxels, spread, strict=True)
+        for v, far in zip(voxels, margins, strict=True)
     ]
     x, y, z = (one.astype(np.float32) for one in fine)
     inside = np.zeros((len(z), len(y), len(x)), dtype=np.float32)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 PLANE_SIGMA_MM = 0.42  # in the slice: 1 mm full width at half maximum
 SLICE_SIGMA_MM = 0.35  # along z, before the slice's own thickness
-REACH_SIGMAS = 4.0
+SPREAD_SIGMAS = 4.0
 BOX_VARIANCE = 1.0 / 12.0  # of a box of unit width
 
 Matrix = NDArray[np.float32]
@@ -30,9 +30,9 @@ def weights(
     return rows
 
 
-def reach_mm(spacing_mm: float, sigma_mm: float) -> float:
+def spread_mm(spacing_mm: float, sigma_mm: float) -> float:
     """How far outside a voxel's centre the object still affects it."""
-    return REACH_SIGMAS * sigma_mm + 0.5 * spacing_mm
+    return SPREAD_SIGMAS * sigma_mm + 0.5 * spacing_mm
 
 
 def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:

@@ -48,8 +48,8 @@ def paint_patch(
     sigma = (kernel.plane_sigma_mm, kernel.plane_sigma_mm, blur.SLICE_SIGMA_MM)
     boxes = (grid.pixel_mm, grid.pixel_mm, thickness_mm)
     wide = WIDER if kernel.enhanced else 1.0
-    reach = [blur.reach_mm(box, wide * g) for box, g in zip(boxes, sigma, strict=True)]
-    fine = [_samples(v, s, far) for v, s, far in zip(voxels, spacing, reach, strict=True)]
+    spreads = [blur.spread_mm(box, wide * g) for box, g in zip(boxes, sigma, strict=True)]
+    fine = [_samples(v, s, far) for v, s, far in zip(voxels, spacing, spreads, strict=True)]
     x, y, z = (axis.astype(np.float32) for axis in fine)
     image = sharp_head.at(x[None, None, :], y[None, :, None], z[:, None, None])
     for shape in shapes:
@@ -70,11 +70,11 @@ def paint_patch(
     return Patch(slices=where[2], rows=where[1], columns=where[0], hu=np.ascontiguousarray(image))
 
 
-def _samples(voxels: NDArray[np.float64], spacing: float, reach: float) -> NDArray[np.float64]:
+def _samples(voxels: NDArray[np.float64], spacing: float, spread: float) -> NDArray[np.float64]:
     """Fine positions around a row of voxels, a whole number of them per voxel."""
     per_voxel = int(np.ceil(spacing / FINE_MM))
     step = spacing / per_voxel
-    outside = int(np.ceil((reach - 0.5 * spacing) / step))
+    outside = int(np.ceil((spread - 0.5 * spacing) / step))
     count = len(voxels) * per_voxel + 2 * outside
     samples: NDArray[np.float64] = voxels[0] - 0.5 * spacing + step * (np.arange(count) - outside + 0.5)
     return samples

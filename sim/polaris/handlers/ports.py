@@ -128,7 +128,7 @@ def _warning(unit: Unit, port: Port) -> WarningCode | None:
         return None
     others = [other.definition for other in unit.ports if other is not port and not other.wired_port]
     warning = warning_of(tool, [other for other in others if other is not None], unit.behaviour)
-    if warning is WarningCode.DEFAULT_WAVELENGTH and not unit.parameters.number(RETURN_WARNING):
+    if warning is WarningCode.DEFAULT_WAVELENGTH and not unit.user_parameters.number(RETURN_WARNING):
         return None
     return warning
 

@@ -40,11 +40,11 @@ def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
 
 def _places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
     near, far = volume.depths_mm
-    middle, reach = (near + far) / 2.0, INNER_SHARE * (far - near) / 2.0
+    middle, half = (near + far) / 2.0, INNER_SHARE * (far - near) / 2.0
     places = np.empty((count, 3))
     for index in range(count):
         x, y, z = noise(seed, what, index).uniform(-1.0, 1.0, 3)
-        depth_mm = middle + reach * z
+        depth_mm = middle + half * z
         half_x, half_y = volume.half_widths_mm(depth_mm)
         places[index] = (INNER_SHARE * half_x * x, INNER_SHARE * half_y * y, -depth_mm)
     return places

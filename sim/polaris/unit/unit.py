@@ -50,9 +50,9 @@ class Unit:
         self.beeps_until_s = 0.0
         self._frame: Frame | None = None
         self._frame_was_lost = False  # lost on its way to the host, which will request it again
-        self.parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
+        self.user_parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
-        self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
+        self.user_parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
 
     def loaded_tools(self) -> list[str]:
         """Part numbers of the tools that the host has loaded or plugged in."""
@@ -76,7 +76,7 @@ class Unit:
         self.frames = FrameCounter(self.clock)
         self.ports.free_all()
         self.alerts.reset()
-        self.parameters.reset()
+        self.user_parameters.reset()
         self.port_changes = SystemStatus(0)
         self.infrared_checked = False
 
@@ -124,12 +124,12 @@ class Unit:
     @property
     def volume(self) -> Volume:
         """The selected volume."""
-        return self.model.volumes[self.parameters.number(wire.PARAMETER_SELECTED_VOLUME)]
+        return self.model.volumes[self.user_parameters.number(wire.PARAMETER_SELECTED_VOLUME)]
 
     @property
     def watch_dog_s(self) -> int:
         """Seconds without a command after which the watchdog trips; 0 for never."""
-        return self.parameters.number(WATCH_DOG)
+        return self.user_parameters.number(WATCH_DOG)
 
     def frame(self) -> Frame:
         """The current frame, measured once however often it is requested."""
@@ -185,7 +185,7 @@ class Unit:
         return True
 
     def _begin(self, *, restart: bool) -> None:
-        rate = self.parameters.number(wire.PARAMETER_ILLUMINATOR_RATE)
+        rate = self.user_parameters.number(wire.PARAMETER_ILLUMINATOR_RATE)
         self.frames.start(restart=restart, rate_hz=ILLUMINATOR_RATES_HZ[rate])
         self.measurer.forget_tools()
         self._frame = None

@@ -57,8 +57,8 @@ def status_and_turn(arm: RobotDescription, axes_deg: Sequence[float]) -> tuple[i
     elbow_mm = arm.joints[3].origin_mm[2]
     forearm_mm = arm.joints[4].origin_mm[0]
     fore = radians(A2 + A3)
-    reach_mm = shoulder_mm + upper_mm * cos(radians(A2)) + forearm_mm * cos(fore) + elbow_mm * sin(fore)
-    status = OVERHEAD if reach_mm < 0 else 0
+    ahead_mm = shoulder_mm + upper_mm * cos(radians(A2)) + forearm_mm * cos(fore) + elbow_mm * sin(fore)
+    status = OVERHEAD if ahead_mm < 0 else 0
     if arm.stretched_A3_deg <= A3:
         status |= ABOVE_STRETCH
     if A5 <= 0:

@@ -127,7 +127,7 @@ def _draw_targets(
     """Trajectories between the spheres that the arm can reach, all in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
-    reach = PlanFeasibility(apply(robot_from_ct, spheres))
+    feasibility = PlanFeasibility(apply(robot_from_ct, spheres))
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):
@@ -140,7 +140,7 @@ def _draw_targets(
             continue
         target = entry + inward * generator.uniform(*DEPTH_RANGE_MM)
         ends = apply(robot_from_ct, entry), apply(robot_from_ct, target)
-        if not reach.serves([*drawn, ends]):
+        if not feasibility.serves([*drawn, ends]):
             continue
         drawn.append(ends)
         targets.append(

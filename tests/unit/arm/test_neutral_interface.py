@@ -191,7 +191,7 @@ def test_a_preview_detects_a_collision_of_the_tool_with_an_obstacle(arm: Kinemat
     met = preview(arm, plan, Surroundings(tool=TOOL, obstacles=(post,)), limits)
     assert met.refused is not None
     assert (met.refused.first, met.refused.second) == ("needle", "post")
-    assert 0.3 < met.refused.parameter < 0.7
+    assert 0.3 < met.refused.fraction < 0.7
 
 
 @each_arm

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.best_strategy import predicted_arm_error_mm, with_best_chosen
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.visits import ArmSetting, PathCheck
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.best import CANDIDATES, BestOfEach

@@ -11,8 +11,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.cart.place import CartCase, CartMove, Found
 from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.visits import ArmSetting, Axes, localizations_along, target_visit
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.visits import ArmSetting, Axes, localizations_along, target_visit
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.planning.theatre.scene import PlanningScene

@@ -13,10 +13,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.motions import HOME, motions_of, previews_of
-from procedures.planning.reach.paths import check_paths
-from procedures.planning.reach.visits import ArmSetting
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.motions import HOME, motions_of, previews_of
+from procedures.planning.path_check.paths import check_paths
+from procedures.planning.path_check.visits import ArmSetting
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.catalogue import strategy_named

@@ -36,7 +36,7 @@ from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.registration import RegistrationStudy
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
-NO_PARAMETERS = '{"study": "correspondence", "fingerprint": "another", "parameters": %s}'
+NO_SETTINGS = '{"study": "correspondence", "fingerprint": "another", "settings": %s}'
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Failing:
     broken: Path
     name: str = "failing"
 
-    def parameters(self) -> dict[str, object]:
+    def settings(self) -> dict[str, object]:
         return {}
 
     def units(self) -> list[Unit]:
@@ -125,7 +125,7 @@ def test_a_unit_whose_line_was_truncated_is_run_again(tmp_path: Path) -> None:
 
 def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
-    with pytest.raises(OtherStudy, match=r"STU-001: .* other parameters: runs 4, now 5"):
+    with pytest.raises(OtherStudy, match=r"STU-001: .* other settings: runs 4, now 5"):
         Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
 
 
@@ -178,7 +178,7 @@ def test_a_line_that_is_not_a_unit_is_ignored_even_with_a_valid_hash(
     assert (opened.damaged, opened.finished) == (1, {})
 
 
-@pytest.mark.parametrize("first", ["tea", "[1]", *(NO_PARAMETERS % value for value in ("null", '"tea"'))])
+@pytest.mark.parametrize("first", ["tea", "[1]", *(NO_SETTINGS % value for value in ("null", '"tea"'))])
 def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
     Ledger(tmp_path, SMALL)
     (tmp_path / FILE).write_text(f"{first}\n")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from pydantic import Field
 
-from procedures.planning.reach.motions import PreviewedMotion
+from procedures.planning.path_check.motions import PreviewedMotion
 from procedures.results.result import Values
 from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.text.counting import counted
@@ -26,7 +26,7 @@ class ClosestApproach(Values):
     def of(cls, closest: Closest) -> ClosestApproach:
         """As the clearance check has it."""
         return cls(
-            first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.parameter
+            first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
         )
 
 

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.operator.question import words
+from procedures.planning.path_check.alternatives import advice, alternatives, unreached
+from procedures.planning.path_check.free_angle import TurnedPaths, choose_free_angles
+from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.best_strategy import with_best_chosen
-from procedures.planning.reach.alternatives import advice, alternatives, unreached
-from procedures.planning.reach.free_angle import TurnedPaths, choose_free_angles
-from procedures.planning.reach.visits import ArmSetting, PathCheck
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
 from procedures.strategies.by_trajectory import StrategyByTrajectory

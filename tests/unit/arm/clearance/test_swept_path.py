@@ -88,7 +88,7 @@ def test_bodies_at_a_constant_distance_are_reported_closest_at_the_start_of_the_
     gaps_mm = path.swept.gaps_mm.min(axis=1)
     assert gaps_mm.max() - gaps_mm.min() < 1e-9
     assert path.closest is not None
-    assert path.closest.parameter == 0.0
+    assert path.closest.fraction == 0.0
 
 
 def test_a_body_that_is_too_close_may_move_away_but_not_closer() -> None:

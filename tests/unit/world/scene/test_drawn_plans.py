@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.visits import ArmSetting
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.visits import ArmSetting
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from procedures.planning.reach.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
+from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -182,5 +182,5 @@ def _collision_in_words(motion: Motion, bad: Closest) -> str:
         near = f"runs {-bad.distance_mm:.1f} mm into"
     return (
         f"{leads} the {bad.first} {near} the {bad.second}, "
-        f"{bad.parameter:.0%} of the way, limit {motion.around.margin_mm:g} mm [ARM-007]"
+        f"{bad.fraction:.0%} of the way, limit {motion.around.margin_mm:g} mm [ARM-007]"
     )

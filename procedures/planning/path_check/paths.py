@@ -10,9 +10,9 @@ from dataclasses import dataclass, field, replace
 
 from numpy.typing import ArrayLike
 
-from procedures.planning.reach.motions import unclear
-from procedures.planning.reach.posture import Posture, place, ranked_branches
-from procedures.planning.reach.visits import (
+from procedures.planning.path_check.motions import unclear
+from procedures.planning.path_check.posture import Posture, place, ranked_branches
+from procedures.planning.path_check.visits import (
     ArmSetting,
     Axes,
     JointMove,

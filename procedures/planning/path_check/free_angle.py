@@ -14,10 +14,10 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.reach.motions import gauge_unmet
-from procedures.planning.reach.paths import branches_for, check_axes, drive
-from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
-from procedures.planning.reach.wrist import WristState
+from procedures.planning.path_check.motions import gauge_unmet
+from procedures.planning.path_check.paths import branches_for, check_axes, drive
+from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
+from procedures.planning.path_check.wrist import WristState
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.free_turns import STEP_RAD, between_rad
 from procedures.strategies.trajectory import Trajectory

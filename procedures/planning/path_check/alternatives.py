@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from procedures.planning.reach.free_angle import choose_free_angles
-from procedures.planning.reach.paths import drive
-from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck
+from procedures.planning.path_check.free_angle import choose_free_angles
+from procedures.planning.path_check.paths import drive
+from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.best import CANDIDATES, BestOfEach
 from procedures.strategies.catalogue import strategy_named

@@ -11,7 +11,7 @@ import math
 from dataclasses import dataclass
 from typing import Self
 
-from procedures.planning.reach.visits import PathCheck, VisitKind
+from procedures.planning.path_check.visits import PathCheck, VisitKind
 from ronna_hw.arm.kinematics import Kinematics
 
 LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
