@@ -67,7 +67,8 @@ def serve_pages(
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()
-    guard = Guard(_application(add), sessions, port, largest_body_bytes, listening.trust)
+    pages = _application(add)
+    guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
     served = [(server_of(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
     addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}

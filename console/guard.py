@@ -1,7 +1,8 @@
 """Guards everything that the console serves, and refuses first.
 
 A loopback address is no authentication: other users and every page in the same browser can reach it. A
-request needs the right Host, the right Origin if it may change something, and a session opened with a token.
+request needs the right account of this computer, the right Host, the right Origin if it may change something,
+and a session opened with a token.
 """
 
 from __future__ import annotations
@@ -53,7 +54,9 @@ class Guard:
         port: int,
         largest_body_bytes: int = LARGEST_BODY_BYTES,
         trust: Trust = lambda _peer: None,
+        is_foreign: Callable[[object], bool] = lambda _peer: False,
     ) -> None:
+        """`is_foreign` tells by host and port which connections another account of this computer has."""
         self._app = app
         self._sessions = sessions
         self._largest_body_bytes = largest_body_bytes
@@ -62,6 +65,7 @@ class Guard:
         self._scheme = "http"
         self._roles = frozenset(Role)
         self._trust = trust
+        self._is_foreign = is_foreign
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     def for_viewers(self, host: str, trust: Trust = lambda _peer: None) -> Guard:
@@ -85,6 +89,9 @@ class Guard:
     async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = _headers(scope)
         host = headers.get("host", "")
+        if self._is_foreign(scope.get("client")):
+            await _refuse(send, 403, "Open the page from the account of this computer that runs the console.")
+            return
         if host not in self._hosts:
             await _refuse(send, 421, "This is not the console's address.")
             return
@@ -125,7 +132,11 @@ class Guard:
         headers = _headers(scope)
         host = headers.get("host", "")
         session = self._session(headers)
-        allowed = host in self._hosts and headers.get("origin") == f"{self._scheme}://{host}"
+        allowed = (
+            host in self._hosts
+            and headers.get("origin") == f"{self._scheme}://{host}"
+            and not self._is_foreign(scope.get("client"))
+        )
         if not allowed or session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
             await receive()
             await send({"type": "websocket.close", "code": 1008})  # before acceptance: answered with 403

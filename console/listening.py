@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import socket
 from typing import Any
 
@@ -12,6 +13,7 @@ from console.connection import LARGEST_HEAD_BYTES, Connection
 from console.errors import PortTaken
 from console.guard import LARGEST_BODY_BYTES, Guard
 from ronna_hw.command_line.viewers_address import ViewersAddress
+from ronna_hw.host.port_users import account_at
 
 HOST = "127.0.0.1"
 BACKLOG = 32  # also the most that the loop accepts at a time
@@ -20,28 +22,46 @@ SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of
 
 
 class Listening(socket.socket):
-    """A listening socket that drops the oldest of too many connections that have not shown the key."""
+    """A listening socket that drops the oldest of too many connections that have not shown the key.
+
+    On loopback it remembers which connections are of another account of this computer.
+    """
 
     def __init__(self, family: socket.AddressFamily) -> None:
         # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
         # an answer for 40 ms.
         super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
+        self._foreign: dict[object, socket.socket] = {}  # likewise, of other accounts
 
     def accept(self) -> tuple[socket.socket, Any]:
         """The next connection: a stranger, before any handshake of TLS."""
         connection, address = super().accept()
-        self._strangers = {peer: one for peer, one in self._strangers.items() if one.fileno() != -1}
+        self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
         if len(self._strangers) >= MOST_STRANGERS:
             oldest = self._strangers.pop(next(iter(self._strangers)))
             with contextlib.suppress(OSError):  # has just gone by itself
                 oldest.shutdown(socket.SHUT_RDWR)
         self._strangers[address[:2]] = connection
+        here = connection.getsockname()
+        if here[0] == HOST and account_at(address, here) != os.geteuid():
+            self._foreign[address[:2]] = connection
         return connection, address
+
+    def is_foreign(self, peer: object) -> bool:
+        """Whether the connection from this host and port is of another account of this computer.
+
+        Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
+        """
+        return peer in self._foreign
 
     def trust(self, peer: object) -> None:
         """The connection from this host and port has shown the key or a session."""
         self._strangers.pop(peer, None)
+
+
+def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket.socket]:
+    return {peer: one for peer, one in connections.items() if one.fileno() != -1}
 
 
 def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> Listening:

@@ -10,7 +10,9 @@ host:                      this machine itself, for the clock
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+import socket
+from dataclasses import dataclass, replace
 from ipaddress import IPv4Address
 from urllib.parse import urlsplit
 
@@ -42,6 +44,17 @@ class Endpoint:
             return f"{self.scheme}://{self.path}"
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
+
+    def resolved(self) -> Endpoint:
+        """The place itself, whatever links and names lead there; a name that nobody knows stays."""
+        if self.path:
+            return replace(self, path=os.path.realpath(self.path))
+        name = self.host.removesuffix(".")
+        try:
+            found = socket.getaddrinfo(name, None, type=socket.SOCK_STREAM) if name else []
+        except (OSError, UnicodeError):
+            found = []
+        return replace(self, host=min((str(each[4][0]) for each in found), default=name))
 
     def require(self, *schemes: str) -> Endpoint:
         """Return itself, or raise CFG-002 if its scheme is not one of `schemes`."""

@@ -115,7 +115,8 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
             temporary.unlink()
         if isinstance(problem, OSError):
             no_folder = isinstance(problem, FileNotFoundError | NotADirectoryError)
-            problem.filename, problem.filename2 = str(path.parent if no_folder else path), None
+            named = str(path.parent if no_folder else path)
+            raise OSError(problem.errno, problem.strerror, named) from problem  # not the temporary one
         raise
 
 

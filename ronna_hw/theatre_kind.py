@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ronna_hw.config import TheatreFile
 
 PSEUDO_TERMINALS = "/dev/pts/"
-LOCAL_NAME = "localhost"
 
 
 class MixedTheatre(RefusedError):
@@ -28,9 +27,13 @@ class MixedTheatre(RefusedError):
 
 
 def on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Whether only a program on this computer can be at an address; None if the address does not tell."""
+    """Whether only a program on this computer can be at an address; None if the address does not tell.
+
+    Links and names count as what they lead to.
+    """
     if endpoint.scheme == "shm":
         return True
+    endpoint = endpoint.resolved()
     if endpoint.scheme == "serial":
         return endpoint.path.startswith(PSEUDO_TERMINALS)
     if endpoint.scheme == "host":
@@ -38,7 +41,7 @@ def on_this_computer(endpoint: Endpoint) -> bool | None:
     try:
         address = ipaddress.ip_address(endpoint.host)
     except ValueError:
-        return endpoint.host == LOCAL_NAME
+        return False  # a name that nobody knows
     return None if address.is_unspecified else address.is_loopback
 
 

@@ -21,6 +21,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.host.port_users import PortUser, holder_of_lock
 
+NOTE = os.O_NOFOLLOW  # where everyone may write, a link may lead to any file of whoever opens it
 READABLE_BY_ALL = 0o444
 WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remove only their own
 
@@ -59,7 +60,7 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
     path = note_file(theatre)
     with ExitStack() as stack:
         noted = _opened_note(path)
-        for file in (_opened(path) if noted is None else noted, _opened(theatre)):
+        for file in (_opened(path, NOTE) if noted is None else noted, _opened(theatre)):
             if file is not None:
                 stack.callback(os.close, file)
                 _lock(file, path, needed=noted in (None, file))
@@ -86,8 +87,8 @@ def _opened_note(path: Path) -> int | None:
         path.parent.mkdir()
         path.parent.chmod(WRITABLE_BY_ALL)
     # Where everyone may write, a file of another user can be opened only without making it.
-    made = _opened(path, os.O_RDWR | os.O_CREAT)
-    return _opened(path, os.O_RDWR) if made is None else made
+    made = _opened(path, NOTE | os.O_RDWR | os.O_CREAT)
+    return _opened(path, NOTE | os.O_RDWR) if made is None else made
 
 
 def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
@@ -125,7 +126,7 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
     if user := _user_of_own_run(theatre):
         return user
     path = note_file(theatre)
-    for file in (_opened(path), _opened(theatre)):
+    for file in (_opened(path, NOTE), _opened(theatre)):
         if file is None:
             continue
         try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it

@@ -81,7 +81,7 @@ def _controller(theatre: Path) -> str:
     if arm is None:
         return ""
     texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
-    peers = [parse_endpoint(text) for text in texts]
+    peers = [parse_endpoint(text).resolved() for text in texts]
     if any(map(on_this_computer, peers)):
         return ""
     # At a UDP endpoint this computer listens: it says nothing about who sends there.

@@ -12,12 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from importlib.metadata import version
+from io import BytesIO
 from pathlib import Path
 
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import UID, ExplicitVRLittleEndian, generate_uid
 
 from procedures.exchange.errors import NotWritable
+from ronna_hw.records import write_whole
 
 MAKER = "ronna-hw"
 NOT_CLINICAL = "research software, not a medical device"
@@ -101,8 +103,10 @@ def decimals(values: Sequence[float]) -> list[str]:
 
 def write(made: Dataset, path: Path) -> Path:
     """Write an object as a DICOM file; raises EXC-002."""
+    content = BytesIO()
+    made.save_as(content, enforce_file_format=True)
     try:
-        made.save_as(path, enforce_file_format=True)
+        write_whole(path, content.getvalue())
     except OSError as error:
         raise NotWritable(f"cannot write {path}: {error.strerror}") from error
     return path

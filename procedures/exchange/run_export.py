@@ -39,7 +39,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.records import Record
+from ronna_hw.records import Record, write_whole
 
 R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that serves every trajectory
@@ -58,7 +58,8 @@ class Located(Protocol):
 def export_run(run: Path, out: Path) -> list[Path]:
     """Write the exportable results of a run into `out`; returns the files.
 
-    Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written.
+    Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written. EXC-002 also for a
+    folder with a registration that is not of this run: nobody would see whose it is.
     """
     folder = run_of(inspected(run).require_whole())
     imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
@@ -80,10 +81,17 @@ def export_run(run: Path, out: Path) -> list[Path]:
         "registrations.csv": registration_table(fit.result for fit in fits.values()),
         "registrations.json": _summary(fits),
     }
+    own = {_file_of(trajectory) for trajectory in fits}
+    if others := sorted(there.name for there in out.glob(_file_of("*")) if there.name not in own):
+        raise NotWritable(
+            f"{out} holds registrations that are not of this run",
+            expected="a new folder, or an earlier export of this run",
+            got=", ".join(others),
+        )
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            (out / name).write_text(text, encoding="utf-8")
+            write_whole(out / name, text.encode())
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
@@ -97,8 +105,12 @@ def export_run(run: Path, out: Path) -> list[Path]:
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
         )
-        written.append(write(only_allowed(made), out / f"registration-{trajectory}.dcm"))
+        written.append(write(only_allowed(made), out / _file_of(trajectory)))
     return written
+
+
+def _file_of(trajectory: str) -> str:
+    return f"registration-{trajectory}.dcm"
 
 
 def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:

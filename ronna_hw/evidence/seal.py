@@ -90,6 +90,11 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
             yield name, path
 
 
+def unchecked_folders(folder: Path) -> list[str]:
+    """Names of folders in a run's folder that are not part of it, and that no check looks into."""
+    return [name for name in APART if (folder / name).is_dir()]
+
+
 def hashes_at_closing(folder: Path) -> dict[str, str]:
     """Hashes of the files that are complete when a run is closed. Raises OSError."""
     return {name: sha256_of(path) for name, path in _own_files(folder) if not is_later(name)}

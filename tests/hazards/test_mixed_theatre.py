@@ -44,6 +44,15 @@ def test_a_real_device_among_simulated_ones_is_refused_and_named(clock: str, dev
 
 
 @pytest.mark.hazard(31)
+def test_a_simulated_device_behind_a_link_or_a_name_is_still_a_simulated_one(tmp_path: Path) -> None:
+    link = tmp_path / "ttyTracker"
+    link.symlink_to("/dev/pts/0")
+    for hidden in ({"polaris": f"serial://{link}"}, {"polaris": "tcp://localhost.:8765"}):
+        with pytest.raises(MixedTheatre, match=r"simulated: tracker at .*; real: "):
+            require_one_kind(theatre(HOST_CLOCK, **REAL | hidden))
+
+
+@pytest.mark.hazard(31)
 def test_real_devices_on_the_clock_of_a_simulated_theatre_are_refused() -> None:
     with pytest.raises(MixedTheatre, match="the clock at shm:"):
         require_one_kind(theatre(THEATRE_CLOCK, **REAL))

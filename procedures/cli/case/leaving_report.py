@@ -53,7 +53,8 @@ def leave_report(
 
         path = write_report(folder, truth=truth_if_any(folder) if with_truth else None, error=error)
     except Exception as problem:  # the run's own ending is what matters
-        tell(f"the report could not be written: {problem}")
+        way = f"To write it: ronna-procedure report {shlex.quote(str(folder))}"
+        tell(f"the report could not be written: {as_ronna_error(problem)} {way}")
         return None
     if name_it and on_terminal(sys.stderr):
         tell(f"report {path}")

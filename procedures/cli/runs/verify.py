@@ -9,7 +9,7 @@ from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.seal import files_of
+from ronna_hw.evidence.seal import files_of, unchecked_folders
 from ronna_hw.evidence.unsealed import told_unsealed
 
 
@@ -18,6 +18,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
     found = inspected(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
     not_vouched_for = list(told_unsealed(found.chain.lines))
+    unchecked = unchecked_folders(folder)
     checked = sum(1 for _ in files_of(folder))
     if as_json:
         print_json(
@@ -27,6 +28,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
                 "files": checked,
                 "problems": [asdict(one) for one in problems],
                 "not_vouched_for": not_vouched_for,
+                "not_checked": unchecked,
                 "raw_missing": missing,
             }
         )
@@ -37,6 +39,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(f"{folder.resolve().name}: intact, {checked} files are as the run left them")
         for sentence in not_vouched_for:
             say(sentence)
+        if unchecked:
+            say(f"not part of the run, and not checked: {', '.join(unchecked)}")
         if missing:
             say(f"{missing}; {WRITES_ALL}")
     if problems:

@@ -48,6 +48,13 @@ def test_verify_reports_that_a_run_is_intact_or_names_the_changed_files(run: Pat
     assert files == {"records/01-image.json", "note.txt"}
 
 
+def test_verify_names_the_folders_of_a_run_that_it_does_not_look_into(run: Path) -> None:
+    (run / ".raw.partial").mkdir()
+    done = in_this_process(app, "verify", run)
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1] == "not part of the run, and not checked: .raw.partial"
+
+
 def foreign_record(run: Path) -> str:
     (run / "records" / "01-image.json").write_bytes(
         (run / "records" / "02-localization-T1.json").read_bytes()

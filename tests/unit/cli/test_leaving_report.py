@@ -50,12 +50,14 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object, **__: object) -> Path:
-        raise OSError(28, "No space left on device")
+        raise OSError(28, "No space left on device", "report.html")
 
     monkeypatch.setattr(report, "write_report", full)
     with pytest.raises(GateFailed), leaving_report(tmp_path):
         raise GateFailed("too far off")
-    assert "the report could not be written: [Errno 28]" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "the report could not be written: CLI-003: report.html: " in told
+    assert f"To write it: ronna-procedure report {tmp_path}" in told
 
 
 def test_the_report_command_works_on_a_run_killed_at_its_start(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import socket
 from collections.abc import AsyncIterator
 
@@ -13,7 +14,9 @@ from console import connection, listening
 from console.guard import SESSION, Guard, Receive, Scope, Send
 from console.listening import HOST, listen, server_of
 from console.sessions import Sessions
+from ronna_hw.host.port_users import account_at
 
+NOBODY = 65534  # an account without rights
 SENT_BYTES = 30_000_000  # more than all buffers between two sockets
 PING, PONG = b"\x89\x80" + bytes(4), b"\x8a\x00"
 
@@ -28,7 +31,8 @@ class Served:
 
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Served]:
-        server = server_of(Guard(_page, self.sessions, self.port, trust=self.listening.trust))
+        trust, is_foreign = self.listening.trust, self.listening.is_foreign
+        server = server_of(Guard(_page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
         task = asyncio.create_task(server.serve(sockets=[self.listening]))
         while not server.started:
             await asyncio.sleep(0)
@@ -186,3 +190,46 @@ def test_accepted_connections_use_tcp_nodelay() -> None:
             return await asyncio.wait_for(came, 5.0)
 
     assert asyncio.run(delays()) != 0
+
+
+@pytest.mark.parametrize("source", [HOST, "127.0.0.9"])
+def test_another_account_of_this_computer_is_refused_though_it_has_the_cookie(
+    monkeypatch: pytest.MonkeyPatch, source: str
+) -> None:
+    async def heads() -> list[bytes]:
+        async with Served().serving() as console:
+            own = os.geteuid()
+            monkeypatch.setattr(listening.os, "geteuid", lambda: own + 1)  # all of ours are foreign now
+            found = []
+            for sent in (console.entered(), console.socket_opened()):
+                reader, writer = await asyncio.open_connection(HOST, console.port, local_addr=(source, 0))
+                writer.write(sent)
+                found.append(await asyncio.wait_for(reader.readuntil(b"\r\n"), 10.0))
+                writer.transport.abort()
+            return found
+
+    assert [b" 403 " in head for head in asyncio.run(heads())] == [True, True]
+
+
+def test_a_connection_whose_program_has_gone_belongs_to_no_account() -> None:
+    with listen(HOST, 0) as bound:
+        with socket.create_connection(bound.getsockname()) as client:
+            assert account_at(client.getsockname(), bound.getsockname()) == os.geteuid()
+            connection, peer = bound.accept()
+            assert not bound.is_foreign(peer)
+        with connection:
+            assert account_at(peer, bound.getsockname()) is None
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another account")
+def test_the_account_of_a_connection_is_the_one_that_made_it() -> None:
+    with listen(HOST, 0) as bound, contextlib.ExitStack() as stack:
+        os.seteuid(NOBODY)
+        try:
+            stack.enter_context(socket.create_connection(bound.getsockname()))
+        finally:
+            os.seteuid(0)
+        connection, peer = bound.accept()
+        stack.enter_context(connection)
+        assert account_at(peer, connection.getsockname()) == NOBODY
+        assert bound.is_foreign(peer)

@@ -87,6 +87,7 @@ def test_a_failed_write_names_the_missing_folder_or_the_file_never_the_temporary
         with pytest.raises(OSError) as refused:  # noqa: PT011 - which one depends on the case
             write_whole(tmp_path / path, b"{}")
         assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / named), None)
+        assert "->" not in str(refused.value)
     with pytest.raises(FileExistsError) as refused:
         write_whole(tmp_path / "file", b"{}", exclusive=True)
     assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / "file"), None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
@@ -107,6 +108,36 @@ def test_a_copy_of_a_theatre_file_is_the_same_arm(tmp_path: Path, arms_folder: P
     assert arms_folder.stat().st_mode & 0o1777 == 0o1777
     with held_theatre(with_arm(tmp_path / "c.toml", "tcp://192.168.10.3:54602"), None):
         require_free_theatre(one)
+
+
+@pytest.mark.hazard(5)
+def test_a_controller_is_the_same_under_every_name_that_leads_to_it(
+    tmp_path: Path, arms_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def found(name: str, *_: object, **__: object) -> list[tuple[object, ...]]:
+        return [(0, 0, 0, "", ("192.168.10.2" if name == "kuka.lab" else name, 0))]
+
+    monkeypatch.setattr(socket, "getaddrinfo", found)
+    endpoints = ("tcp://kuka.lab:54602", "tcp://KUKA.lab.:54602", "tcp://192.168.10.2:54602")
+    named, spelt, numbered = (
+        with_arm(tmp_path / f"{number}.toml", endpoint) for number, endpoint in enumerate(endpoints)
+    )
+    with held_theatre(named, None):
+        assert theatre_user(spelt) is not None
+        assert theatre_user(numbered) is not None
+
+
+def test_a_note_that_is_a_link_is_refused_and_what_it_leads_to_stays(
+    tmp_path: Path, arms_folder: Path
+) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("precious")
+    secret.chmod(0o600)
+    arms_folder.mkdir()
+    (arms_folder / "192.168.10.2.in-use").symlink_to(secret)
+    with pytest.raises(TheatreNotNoted):
+        held_theatre(with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602"), None).__enter__()
+    assert (secret.read_text(), secret.stat().st_mode & 0o777) == ("precious", 0o600)
 
 
 def test_simulated_arms_at_the_same_address_are_used_side_by_side(tmp_path: Path, arms_folder: Path) -> None:

@@ -142,6 +142,26 @@ def test_an_export_path_that_is_a_file_is_refused(finished: Path) -> None:
         export_run(finished, finished.parent / "export")
 
 
+def test_a_registration_of_another_run_does_not_stay_among_the_exported_ones(finished: Path) -> None:
+    out = finished.parent / "exported"
+    export_run(finished, out)
+    export_run(finished, out)
+    (out / "registration-T9.dcm").touch()
+    with pytest.raises(NotWritable, match=r"EXC-002.*registration-T9\.dcm"):
+        export_run(finished, out)
+
+
+def test_an_export_replaces_links_instead_of_writing_through_them(finished: Path) -> None:
+    out, precious = finished.parent / "exported", finished.parent / "precious"
+    names = [path.name for path in export_run(finished, out)]
+    precious.write_text("precious")
+    for name in names:
+        (out / name).unlink()
+        (out / name).symlink_to(precious)
+    export_run(finished, out)
+    assert precious.read_text() == "precious"
+
+
 def test_an_unknown_file_format_is_refused() -> None:
     with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the format of spheres.xls"):
         check_names([Path("a.csv"), Path("spheres.xls")])
