@@ -18,7 +18,7 @@ import numpy as np
 import psutil
 from bounded_cost import LIMIT_S
 from good_inputs import JOURNAL_OF_A_RUN, ORDERS, PLACE, TEMPLATE
-from painted_ct import write_series
+from painted_ct import compress_slice, write_series
 
 from drivers.basler_stereo.images import pixels_of
 from procedures.engine.orders import read_order
@@ -253,19 +253,7 @@ def _compressed(folder: Path, syntax: int) -> tuple[tuple[bytes, ...], Take]:
     where = write_series(folder, np.arange(3 * 6 * 7, dtype=np.int16).reshape(3, 6, 7) - 1000)
     path = where / "0000.dcm"
     header = next(one for one in read_headers(where, lambda _share: None) if one.path == path)
-    reader, change, writer = gdcm.ImageReader(), gdcm.ImageChangeTransferSyntax(), gdcm.ImageWriter()
-    reader.SetFileName(str(path))
-    assert reader.Read()
-    change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
-    change.SetInput(reader.GetImage())
-    assert change.Change()
-    for setting, value in (
-        (writer.SetFileName, str(path)),
-        (writer.SetFile, reader.GetFile()),
-        (writer.SetImage, change.GetOutput()),
-    ):
-        setting(value)
-    assert writer.Write()
+    compress_slice(path, syntax)
     target, decoder = np.empty((6, 7), np.int16), FrameDecoder()
     atexit.register(decoder.close)
 

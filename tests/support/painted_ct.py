@@ -212,3 +212,22 @@ def write_series(
         name = len(voxels) - number if reverse else number
         data.save_as(folder / f"{name:04d}.dcm", enforce_file_format=True)
     return folder
+
+
+def compress_slice(path: Path, syntax: int) -> None:
+    """Store the slice in another transfer syntax of gdcm's."""
+    import gdcm  # few tests need it
+
+    reader, change, writer = gdcm.ImageReader(), gdcm.ImageChangeTransferSyntax(), gdcm.ImageWriter()
+    reader.SetFileName(str(path))
+    assert reader.Read()
+    change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
+    change.SetInput(reader.GetImage())
+    assert change.Change()
+    for setting, value in (
+        (writer.SetFileName, str(path)),
+        (writer.SetFile, reader.GetFile()),
+        (writer.SetImage, change.GetOutput()),
+    ):
+        setting(value)
+    assert writer.Write()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -13,10 +12,10 @@ from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.host.finite_command import await_end
 from ronna_hw.simulation import NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
-LOOK_AGAIN_S = 0.1  # host time: at whether the theatre still starts
 
 
 class SimulatedCase:
@@ -55,20 +54,12 @@ class SimulatedCase:
         That of the theatre as soon as it is refused; PRC-001 when they are not in time.
         """
         assert self._phantom is not None, "this theatre has no patient"
-        limit_s = time.monotonic() + PHANTOM_TIMEOUT_S
-        while True:
-            try:
-                _, messages = self._phantom.communicate(timeout=LOOK_AGAIN_S)
-                break
-            except subprocess.TimeoutExpired:
-                if not self.theatre.child.alive:
-                    self.await_theatre()  # it was refused: nobody needs the patient
-                if time.monotonic() > limit_s:
-                    raise ChildNotReady(
-                        "ronna-sim phantom did not finish",
-                        expected="the phantom CT",
-                        limit=f"{PHANTOM_TIMEOUT_S:g} s",
-                    ) from None
+
+        def meanwhile() -> None:
+            if not self.theatre.child.alive:
+                self.await_theatre()  # it was refused: nobody needs the patient
+
+        _, messages = await_end("ronna-sim phantom", self._phantom, PHANTOM_TIMEOUT_S, meanwhile)
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 

@@ -2,33 +2,28 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.engine.errors import CommandRefused
-from ronna_hw.host.child_process import command
+from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.host.finite_command import finished_command
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import Truth
 
+NAME = "ronna-sim verify"
 VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
 THEATRE_FOLDER = "theatre"  # of a run that brought its theatre along
 
 
 def truth_of(folder: Path) -> Truth:
-    """What the verifier says about a run folder; raises PRO-013 with its words."""
+    """What the verifier says about a run folder; raises PRO-013 with its words, PRC-001 if it hangs."""
     from procedures.reporting.outcome import Truth
 
-    answer = subprocess.run(
-        command("sim.cli", "verify", str(folder), "--json"),
-        capture_output=True,
-        text=True,
-        timeout=VERIFY_TIMEOUT_S,
-        check=False,
-    )
+    answer = finished_command(NAME, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
     if answer.returncode != 0:
-        raise CommandRefused("ronna-sim verify", answer.stderr, answer.returncode)
+        raise CommandRefused(NAME, answer.stderr, answer.returncode)
     return Truth.model_validate_json(answer.stdout)
 
 
@@ -38,5 +33,5 @@ def truth_if_any(folder: Path) -> Truth | None:
         return None
     try:
         return truth_of(folder)
-    except (CommandRefused, subprocess.TimeoutExpired):
+    except (CommandRefused, ChildNotReady):
         return None

@@ -7,7 +7,6 @@ between, the frame is moved to positions all over the measuring volume, and each
 from __future__ import annotations
 
 import json
-import subprocess
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -30,6 +29,7 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.tracker import OpticalTracker
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ControlPortClient
+from ronna_hw.host.finite_command import finished_command
 from ronna_hw.records import write_whole
 from ronna_hw.registry import make_device
 
@@ -140,13 +140,8 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
 
 def _scene(orientation: Rotation, seed: int) -> dict[str, Any]:
     """The bench with only the frame in it, at the origin; robot and tracker frame coincide."""
-    done = subprocess.run(
-        command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed)),
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
+    words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
+    done = finished_command("ronna-sim scene", words, LIMIT_S)
     if done.returncode != 0:
         raise TrackerNotSimulated("ronna-sim scene", got=" ".join(done.stderr.split()))
     scene = parse_toml(done.stdout)

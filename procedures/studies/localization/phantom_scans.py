@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from procedures.imaging import Volume, read_series
 from procedures.studies.errors import PhantomFailed
 from ronna_hw.host.child_process import command
+from ronna_hw.host.finite_command import finished_command
 
 Array = NDArray[np.float64]
 
@@ -70,13 +70,8 @@ def scan_phantom(
     """Write a scan into the folder: its series and its truth. Raises STU-006."""
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
     arguments += [] if markers is None else ["--markers", str(markers)]
-    done = subprocess.run(
-        command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments),
-        capture_output=True,
-        text=True,
-        timeout=PHANTOM_LIMIT_S,
-        check=False,
-    )
+    words = command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments)
+    done = finished_command("ronna-sim phantom", words, PHANTOM_LIMIT_S)
     if done.returncode != 0:
         raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
     said = json.loads(done.stdout)
