@@ -45,6 +45,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
+ANSWERS_S = 0.5  # host time: a session silent for longer is reopened in a recovery
 RUNS_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 UNVERIFIED = (
     "the controller does not report which program it runs: to verify it, each axis in turn moves out and "
@@ -237,9 +238,9 @@ class KukaRsiArm:
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, re-reads everything.
 
-        Moves nothing. A broken EKI session is reopened, with retries until the time limit. While CONNECTED a
-        message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what prevents it,
-        such as EKI-007; a fault then stays latched.
+        Moves nothing. A broken or silent EKI session is reopened, with retries until the time limit. While
+        CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
+        prevents it, such as EKI-007; a fault then stays latched.
         """
         self._watch.notice()
         require_person(acknowledged_by)
@@ -249,8 +250,8 @@ class KukaRsiArm:
             stream.acknowledge(connections.eki, self._context, self._options, deadline)
             return
         self._guard.require("recover", (Lifecycle.FAULT,))
-        if connections.open_eki is None or connections.open_eki.failure is not None:
-            connections.find_controller(timeout_s, self._watch, retry=True)
+        if not connections.eki_answers(ANSWERS_S):
+            connections.find_controller(stream.rest_of(deadline), self._watch, retry=True)
         link = connections.open_link
         if link is not None:
             if link.alive and link.stalled_s < RUNS_S:

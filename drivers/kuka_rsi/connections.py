@@ -11,6 +11,7 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
 
 
@@ -47,6 +48,16 @@ class Connections:
         if self.open_link is None:
             raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
+
+    def eki_answers(self, limit_s: float) -> bool:
+        """Whether there is an EKI session that is not broken and in which the controller replies in time."""
+        if self.open_eki is None or self.open_eki.failure is not None:
+            return False
+        try:
+            self.open_eki.status(limit_s)
+        except RonnaError:
+            return False
+        return True
 
     def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
         """Open the EKI session and identify the controller; `retry`: repeatedly until the time limit.

@@ -62,6 +62,7 @@ class FakeController:
         self.adds_up = False  # corrections are relative
         self.streams = True  # otherwise somebody else sends the telegrams
         self.tells = True  # its state, though nobody asked
+        self.deaf = False  # an EKI session neither hears nor says anything more; the next one does
         self.turned_away = 0  # EKI clients to drop as soon as they come
         self.streaming = threading.Event()
         self.silent = threading.Event()  # set: telegrams are withheld
@@ -125,7 +126,7 @@ class FakeController:
                 self.turned_away -= 1
                 client.close()
                 continue
-            self._client = client
+            self._client, self.deaf = client, False
             with client:
                 buffer = b""
                 client.settimeout(STATE_PERIOD_S)
@@ -134,13 +135,13 @@ class FakeController:
                         data = client.recv(4096)
                     except TimeoutError:
                         with contextlib.suppress(OSError):
-                            client.sendall(self.state() if self.tells else b"")
+                            client.sendall(self.state() if self.tells and not self.deaf else b"")
                         continue
                     except OSError:
                         break
                     if not data:
                         break
-                    buffer += data
+                    buffer += b"" if self.deaf else data
                     while found := COMMAND.search(buffer):
                         buffer = buffer[found.end() :]
                         self._answer(client, int(found[1]), found[2].decode())

@@ -131,6 +131,18 @@ def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
     active_arm.move_joints(THERE)
 
 
+def test_a_session_that_fell_silent_is_recovered_by_a_new_one(controller: Any, make_arm: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    controller.deaf = True
+    with pytest.raises(NoAnswer):
+        arm.activate(timeout_s=0.1)
+    assert state_of(arm) is Lifecycle.FAULT
+    arm.recover("operator", 3.0)
+    arm.activate()
+
+
 def test_an_unanswered_request_times_out(controller: Any, make_arm: Any) -> None:
     arm = make_arm()
     arm.connect()
