@@ -60,7 +60,8 @@ class PairGrabber:
         self._out_of_step = False
 
     def end(self, deadline_s: float) -> None:
-        """Stop both streams."""
+        """Stop both streams; where that fails, the next grab restarts them."""
+        self._out_of_step = True
         for camera in self._cameras:
             camera.stop(deadline_s)
 

@@ -15,6 +15,7 @@ from drivers.basler_stereo import BaslerStereoPair
 from drivers.basler_stereo.errors import (
     CablesSwapped,
     CameraLost,
+    CommandRefused,
     ControlTaken,
     NoReply,
     OutOfRange,
@@ -138,6 +139,23 @@ def test_a_silent_camera_is_a_fault_during_a_setting_but_not_during_a_grab_befor
     with pytest.raises(CameraLost, match=f"GEV-014.*{cameras.addresses[1]}: no reply"):
         pair.set_exposure(500.0, 40, 0.5)  # whether it was taken is unknown
     assert pair.state is Lifecycle.FAULT
+
+
+def test_a_grab_restarts_the_streams_after_a_camera_has_refused_to_stop(
+    cameras: Cameras, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = cameras.streaming()
+
+    def refuse(name: str) -> None:
+        raise CommandRefused(f"{name} was rejected")
+
+    with monkeypatch.context() as refusing:
+        refusing.setattr(pair._pair[0].features, "execute", refuse)
+        with pytest.raises(CommandRefused, match="GEV-006: AcquisitionStop"):
+            pair.deactivate(LIMIT_S)
+    assert pair.state is Lifecycle.ACTIVE
+    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+    pair.deactivate(LIMIT_S)
 
 
 @pytest.mark.hazard(4)
