@@ -1,10 +1,13 @@
 """Every change to a run, of a byte or of a file, is found and named."""
 
+import hashlib
 import json
 import os
 import shutil
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import pytest
 from finished_runs import (
@@ -23,6 +26,7 @@ from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import SEAL_FILE
+from ronna_hw.records import canonical_json
 
 
 def test_an_unchanged_run_is_intact(finished: Path) -> None:
@@ -87,6 +91,34 @@ def test_a_record_from_another_run_is_named(run: Path, tmp_path: Path) -> None:
     what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
     assert "not the record named in the journal" in what
     assert "is of run another" in what
+
+
+def with_identifiers_exchanged(records: Sequence[dict[str, Any]]) -> None:
+    one, other = records
+    one["identifier"], other["identifier"] = other["identifier"], one["identifier"]
+
+
+def with_another_date(records: Sequence[dict[str, Any]]) -> None:
+    for record in records:
+        record["created"] = f"1999{record['created'][4:]}"
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("hashed_anew", [False, True])
+@pytest.mark.parametrize("change", [with_identifiers_exchanged, with_another_date])
+def test_a_record_with_another_identifier_or_date_is_named(
+    run: Path, change: Callable[[Sequence[dict[str, Any]]], None], hashed_anew: bool
+) -> None:
+    paths = sorted((run / "records").iterdir())[:2]
+    records = [json.loads(path.read_bytes()) for path in paths]
+    change(records)
+    for path, record in zip(paths, records, strict=True):
+        hashed = {key: value for key, value in record.items() if key not in ("sha256", "parents_sha256")}
+        hashed["parents"] = dict(zip(record["parents"], record["parents_sha256"], strict=True))
+        if hashed_anew:  # by someone who knows how
+            record["sha256"] = hashlib.sha256(canonical_json(hashed)).hexdigest()
+        path.write_text(json.dumps(record, indent=1))
+    assert changed_files(run) == {path.relative_to(run).as_posix() for path in paths}
 
 
 def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(tmp_path: Path) -> None:
