@@ -44,6 +44,7 @@ from sim.world.process import load_scene
 from sim.world.world import World
 
 LIMIT_S = 3.0  # given to each call
+RECOVERS_IN_S = 10.0  # as the drivers' own default
 STALLS_S = 2.0  # of these machines, while other programs work
 OF_ONE_DEVICE = 3  # sessions; then there is a new one
 TRACKER_CLOSES_IN_S = STEREO_CLOSES_IN_S = 3.0  # as their `close` states
@@ -62,18 +63,20 @@ pytestmark = [pytest.mark.timeout(1500), pytest.mark.hazard(16)]
 class Stand:
     """One driver before its hostile device. Each session is `calls` in turn, to the first error.
 
-    The next session recovers the same device, where it is not yet time for a new one. A call may take its
-    limit and `overtime_s`, which the driver states.
+    The next session recovers the same device, where it is not yet time for a new one, and where its malice
+    lets it. When a device has relented the driver recovers. A call may take its limit and `overtime_s`, which
+    the driver states.
     """
 
     make: Callable[[], Any]
     calls: Callable[[Any], list[Callable[[], Any]]]
     turn: Callable[[], str]  # another malice; tells which
+    relent: Callable[[], None]  # the end of all malice
     closes_in_s: float
     overtime_s: float = 0.0
     ended: Callable[[], None] = lambda: None  # after each session
     codes: Counter[str] = field(default_factory=Counter)
-    recovered: Counter[bool] = field(default_factory=Counter)
+    recovered: Counter[tuple[str, bool]] = field(default_factory=Counter)
     sessions: int = 0
 
     def sessions_of_one_device(self) -> None:
@@ -84,6 +87,10 @@ class Stand:
                 malice = self.turn()
                 self.session(device, malice)
                 self.ended()
+            self.relent()
+            if device.state is Lifecycle.FAULT:
+                device.recover("tester", RECOVERS_IN_S)
+                self.recovered["relented", True] += 1
         finally:
             with at_most(self.closes_in_s + STALLS_S, f"{malice}: close"):
                 device.close()
@@ -92,7 +99,8 @@ class Stand:
     def session(self, device: Any, malice: str) -> None:
         self.sessions += 1
         if device.state is Lifecycle.FAULT:
-            self.recovered[self.whole(lambda: device.recover("tester", LIMIT_S), malice)] += 1
+            recovered = self.whole(lambda: device.recover("tester", LIMIT_S), malice)
+            self.recovered[malice.partition(" from")[0], recovered] += 1
         for call in self.calls(device):
             if not self.whole(call, malice):
                 return
@@ -187,7 +195,7 @@ def test_the_tracker_driver_withstands_a_hostile_unit(kind: type[HostileLine], d
                 lambda: tracker.deactivate(LIMIT_S),
             ]
 
-        Stand(make, calls, turn, TRACKER_CLOSES_IN_S).last(duration_s)
+        Stand(make, calls, turn, line.relent, TRACKER_CLOSES_IN_S).last(duration_s)
 
 
 @pytest.fixture
@@ -250,7 +258,7 @@ def test_the_arm_driver_withstands_a_hostile_command_channel(
             eventually(lambda: world.arm().at_rest)
 
         make = lambda: _arm(world, endpoints["rsi"], line.endpoint)  # noqa: E731
-        Stand(make, _arm_calls, turn, ARM_CLOSES_IN_S, STOP_S, rests).last(duration_s)
+        Stand(make, _arm_calls, turn, line.relent, ARM_CLOSES_IN_S, STOP_S, rests).last(duration_s)
 
 
 @lengths
@@ -267,12 +275,15 @@ def test_the_arm_driver_withstands_a_hostile_real_time_link(
             tap.share = tap._chosen.choice(shares)
             return f"{tap.share:.1%} of the telegrams"
 
-        def rests() -> None:
+        def relent() -> None:
             tap.share = 0.0
+
+        def rests() -> None:
+            relent()
             eventually(lambda: world.arm().at_rest)
 
         make = lambda: _arm(world, behind, endpoints["eki_project"])  # noqa: E731
-        Stand(make, _arm_calls, turn, ARM_CLOSES_IN_S, STOP_S, rests).last(duration_s)
+        Stand(make, _arm_calls, turn, relent, ARM_CLOSES_IN_S, STOP_S, rests).last(duration_s)
 
 
 @lengths
@@ -292,6 +303,10 @@ def test_the_stereo_driver_withstands_hostile_cameras(duration_s: float) -> None
                 camera.share = share
             return f"{share:.1%} of the datagrams"
 
+        def relent() -> None:
+            for camera in cameras:
+                camera.share = 0.0
+
         def make() -> BaslerStereoPair:
             sides = zip(("left", "right"), ours, strict=True)
             endpoints = {side: f"gev://{address}" for side, address in sides}
@@ -308,4 +323,4 @@ def test_the_stereo_driver_withstands_hostile_cameras(duration_s: float) -> None
                 lambda: pair.deactivate(LIMIT_S),
             ]
 
-        Stand(make, calls, turn, STEREO_CLOSES_IN_S).last(duration_s)
+        Stand(make, calls, turn, relent, STEREO_CLOSES_IN_S).last(duration_s)

@@ -13,11 +13,14 @@ import re
 import select
 import socket
 import struct
+import sys
+import tempfile
 import threading
 import tty
 from collections.abc import Callable
 from enum import StrEnum
 from itertools import count
+from pathlib import Path
 
 from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.kuka.tap import RsiTap
@@ -58,6 +61,8 @@ class HostileLine(DisturbedLine):
         super().__init__(device)
         self._chosen = random.Random(seed)
         self._resets_at = count()
+        self._idle = threading.Event()  # set while there is no connection
+        self._idle.set()
         self.choose()
 
     def choose(self) -> str:
@@ -70,11 +75,22 @@ class HostileLine(DisturbedLine):
         self._passed = 0
         return f"{self.malice} from byte {self._begins_at}"
 
+    def relent(self) -> None:
+        """From now on, and from a new connection on, a line without malice."""
+        self._begins_at = sys.maxsize
+        self.silence(False)
+        self.cut()
+        assert self._idle.wait(2 * TAKES_S), "the connection that means harm is still there"
+
     def _pass_on(self, client: socket.socket, device: object) -> None:
-        client.settimeout(TAKES_S)
-        if self.malice is Malice.RESET:
-            client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
-        super()._pass_on(client, device)  # type: ignore[arg-type]
+        self._idle.clear()
+        try:
+            client.settimeout(TAKES_S)
+            if self.malice is Malice.RESET:
+                client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
+            super()._pass_on(client, device)  # type: ignore[arg-type]
+        finally:
+            self._idle.set()
 
     def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
         begin = max(self._begins_at - self._passed, 0)
@@ -114,26 +130,34 @@ class HostileLine(DisturbedLine):
 
 
 class HostileSerialLine(HostileLine):
-    """The same on a pseudo-terminal. After a reset there is another one: `endpoint` changes."""
+    """The same on a pseudo-terminal. After a reset there is another one, under the same name, as by udev."""
 
     def __init__(self, device: Endpoint, seed: int) -> None:
         super().__init__(device, seed)
-        self._path = ""
+        self._folder = tempfile.TemporaryDirectory()
+        self._name = Path(self._folder.name) / "tracker"
         self._plugged = threading.Event()
 
     @property
     def endpoint(self) -> str:
         assert self._plugged.wait(TAKES_S)
-        return f"serial://{self._path}"
+        return f"serial://{self._name}"
+
+    def relent(self) -> None:
+        self._plugged.clear()
+        super().relent()
+        assert self._plugged.wait(2 * TAKES_S), "the terminal that means harm is still there"
 
     def _serve(self) -> None:
-        while not self._ended:
-            with contextlib.closing(_Terminal()) as terminal, contextlib.suppress(OSError):
-                self._path, self._cut = terminal.path, False
-                self._plugged.set()
-                with contextlib.closing(self._open_device()) as device:
-                    DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]
-                self._plugged.clear()
+        with self._folder:
+            while not self._ended:
+                with contextlib.closing(_Terminal()) as terminal, contextlib.suppress(OSError):
+                    self._cut = False
+                    self._name.symlink_to(terminal.path)
+                    self._plugged.set()
+                    with contextlib.closing(self._open_device()) as device:
+                        DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]
+                self._name.unlink()
 
 
 class _Terminal:
