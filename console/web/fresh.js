@@ -1,6 +1,8 @@
-// Says by itself when the page is no longer kept fresh: what stands still must not look as if it rested.
+// Says by itself when the page is no longer kept fresh: what stands still must not look as if it rested. Brings what is
+// asked into view.
 (() => {
   const LOST_MS = 2000;
+  const MARGIN_PX = 8;
   const LOST = "THE CONSOLE IS NOT RESPONDING. The data shown is out of date.";
   const CLOSED = "The case and its console are closed. ronna-console opens it again.";
   let beat = "", changed = performance.now();
@@ -15,6 +17,20 @@
     lost.textContent = closed ? CLOSED : LOST;
     lost.classList.toggle("calm", closed);
     document.body.classList.toggle("past", gone || document.querySelector(".frozen") !== null);
+  }, 250);
+  // The head stays over the page: what is asked, or focused by Tab, must not lie under it.
+  let asked = "";
+  setInterval(() => {
+    const head = document.querySelector(".head")?.getBoundingClientRect();
+    if (!head) return;
+    document.documentElement.style.scrollPaddingTop = `${head.height + MARGIN_PX}px`;
+    const panel = document.querySelector("section.question:has(.answers)");
+    const number = panel?.querySelector("h2").dataset.question ?? "";
+    if (number === asked) return;
+    asked = number;
+    if (!panel) return;
+    const top = panel.getBoundingClientRect().top;
+    if (top < head.bottom || top > window.innerHeight - head.height) panel.scrollIntoView();
   }, 250);
   setInterval(() => { if (window.socket && window.socket.connected) emitEvent("alive"); }, 1000);
 })();

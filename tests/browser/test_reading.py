@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -20,10 +22,12 @@ from scripted_engine import served_at
 
 from procedures.engine.events import (
     Advisory,
+    Answered,
     CaseState,
     DeviceFact,
     DeviceState,
     Fault,
+    Happening,
     JournalLine,
     LinkHealth,
     Questioned,
@@ -34,6 +38,7 @@ from procedures.engine.events import (
 from procedures.operator.evidence import Evidence
 
 OPENED = JournalLine(line={"entry": "opened", "run": "r1", "banner": "SIMULATED THEATRE", "theatre": "mini"})
+LINK = LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0)
 EVENTFUL = (
     OPENED,
     CaseState(state="held", reason="the robot stopped"),
@@ -49,7 +54,7 @@ EVENTFUL = (
         notices=("an old firmware",),
     ),
     DeviceState(device="tracker", state="active"),
-    LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0),
+    LINK,
     Fault(code="RSI-010", what="it stopped", advice="Look."),
     Refusal(step="relocalization:T1", unmet=("the arm is in fault",)),
     Advisory(text="the wall clock jumped"),
@@ -66,6 +71,12 @@ QUESTION = Questioned(
     reads=("gap in mm",),
     deliberate=True,
 )
+CLEAR_OF_THE_HEAD = """
+which => {
+  const top = document.querySelector(which).getBoundingClientRect().top;
+  return top >= document.querySelector(".head").getBoundingClientRect().bottom && top < window.innerHeight;
+}
+"""
 WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
 
 
@@ -80,6 +91,35 @@ def test_the_console_has_readable_text_and_named_controls_reachable_by_tab_in_li
         assert low_contrast_by_scheme(page) == {}
         assert without_name(page) == []
         assert not_reached_by_tab(page) == []
+
+
+def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_lies_under_the_head(
+    page: Any, tmp_path: Path
+) -> None:
+    rows = tuple((f"source {number}", "0.1") for number in range(60))
+    longer = QUESTION.model_copy(update={"evidence": (Evidence(title="budget", head=("a", "b"), rows=rows),)})
+    shorter = QUESTION.model_copy(update={"question": 2, "subject": "park the arm", "evidence": ()})
+    answered = Event()
+
+    def content() -> Iterator[Happening]:
+        yield from (OPENED, longer)
+        while not answered.wait(0.1):
+            yield LINK  # an engine that waits is not silent
+        yield Answered(question=1, answer="yes", by="Dr Test")
+        yield shorter
+
+    with served_at(tmp_path, content=content()) as (_, addresses):
+        enter(page, addresses["url"] + "&low")
+        take_seat(page)
+        page.locator(".answers button").first.scroll_into_view_if_needed()
+        assert page.evaluate("window.scrollY") > 500
+        answered.set()
+        page.wait_for_selector("section.question >> text=park the arm")
+        page.wait_for_function(CLEAR_OF_THE_HEAD, arg="section.question")
+        page.mouse.wheel(0, 400)
+        page.wait_for_function("window.scrollY > 300")
+        page.locator(".typed input").first.focus()
+        page.wait_for_function(CLEAR_OF_THE_HEAD, arg=".typed input")
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])

@@ -46,7 +46,7 @@ LOW_CONTRAST = """
 }
 """
 PRESSABLE = """
-() => [...document.querySelectorAll("button, [role=combobox], input, summary")]
+() => [...document.querySelectorAll("button, [role=combobox], input, summary, [tabindex='0']")]
   .filter(e => e.checkVisibility({visibilityProperty: true}) && !e.disabled)
   .filter(e => !e.closest("[aria-hidden=true]"))
   .map((e, k) => {
