@@ -21,7 +21,7 @@ FAST = 10  # pixels, with Shift
 # Mouse moves are sent only while a button is held, keys only if they have a meaning here.
 MOUSE_JS = "(e) => { if (e.mouse_event_type !== 'mousemove' || e.buttons) emit(e); }"
 KEYS_JS = (
-    "(e) => { if (/^(Page(Up|Down)|Arrow(Left|Right|Up|Down)|[-+=et])$/.test(e.key) && !e.ctrlKey)"
+    "(e) => { if (/^(Page(Up|Down)|Arrow(Left|Right|Up|Down)|Enter|[-+=et])$/.test(e.key) && !e.ctrlKey)"
     " { e.preventDefault(); emit({key: e.key, shift: e.shiftKey}); } }"
 )
 TITLES = {
@@ -30,7 +30,10 @@ TITLES = {
     Plane.SAGITTAL: "Sagittal, from the left",
     Plane.ALONG: "Along the trajectory",
 }
-HOW = "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and minus magnify, e and t set"
+HOW = (
+    "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and minus magnify,"
+    " Enter does what a click at the crosshair does, e and t set entry and target."
+)
 
 Place = Callable[[Point], Awaitable[None]]
 Drag = Callable[[str, Point, bool], None]
@@ -67,7 +70,7 @@ class SlicePanel:
                     events=["mousedown", "mousemove", "mouseup", "mouseleave"], sanitize=False, size=(1, 1)
                 )
                 .classes("cut")
-                .props(f'tabindex=0 role=img aria-label="{TITLES[plane]}. {HOW} entry and target."')
+                .props(f'tabindex=0 role=img aria-label="{TITLES[plane]}. {HOW}"')
                 .props(f"data-plane={plane.value}")
             )
         self._image.on("mouse", self._mouse, js_handler=MOUSE_JS)
@@ -107,7 +110,7 @@ class SlicePanel:
             self._look.scroll(self._plane, steps)
         self._looked()
 
-    def _keyed(self, event: Any) -> None:
+    async def _keyed(self, event: Any) -> None:
         key, shift = str(event.args.get("key")), bool(event.args.get("shift"))
         if key in KEYS:
             self._look.scroll(self._plane, KEYS[key] * (FAST if shift else 1))
@@ -119,6 +122,10 @@ class SlicePanel:
             self._look.move(self._plane, right * by, down * by)
         elif key in "+=-":
             self._look.magnify(-1 if key == "-" else 1)
+        elif key == "Enter" and self._draws():
+            self._drag(STROKE, self._look.place_mm, True)
+        elif key == "Enter":
+            await self._act(self._look.place_mm)
         else:
             self._key(key)
         self._looked()

@@ -141,7 +141,7 @@ def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     assert page.complaints == []
 
 
-def test_an_end_of_a_trajectory_can_be_dragged_and_the_whole_drag_undone_also_without_webgl(
+def test_an_end_can_be_dragged_and_the_whole_drag_undone_or_set_from_the_keyboard_also_without_webgl(
     opened: Open, page: Any, plan: Path
 ) -> None:
     page.add_init_script(NO_WEBGL)
@@ -160,6 +160,11 @@ def test_an_end_of_a_trajectory_can_be_dragged_and_the_whole_drag_undone_also_wi
     page.locator("[data-do=undo]").click()
     page.wait_for_function("document.querySelector('[data-field=\"target L\"]').value === '-2.2'")
     assert page.locator("[data-do=undo]").is_disabled()
+    page.get_by_role("button", name="set the target").click()
+    page.locator("[data-plane=axial]").press("Shift+ArrowRight")
+    page.locator("[data-plane=axial]").press("Enter")
+    page.wait_for_selector("[data-do=undo]:enabled")
+    assert float(field_value(page, "target L")) > 0.0
     assert page.locator(".scenebox >> text=WebGL").count() > 0
 
 
