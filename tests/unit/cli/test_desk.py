@@ -158,6 +158,22 @@ def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Sta
     assert [(session, name) for session, name, _since_s in changes] == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
 
 
+def test_a_question_expires_unsigned_while_its_operators_page_is_suspended_and_waking_does_not_reopen_it(
+    stand: Stand,
+) -> None:
+    signatures: list[Signature] = []
+    asked = question(signed=signatures.append)
+    answers, given = stand.ask(asked), {"question": 1, "answer": "yes", "shown": shown(asked)}
+    stand.clock.now_s += LEASE_S + 1.0
+    assert stand.give("answer", **given) == "you are not in the operator's seat"
+    assert answers == []
+    stand.clock.now_s += 60.0 - LEASE_S
+    eventually(lambda: answers == ["no"])
+    assert stand.give("claim", name="Ana") == ""
+    assert stand.give("answer", **given) == "that question is no longer open"
+    assert signatures == []
+
+
 def test_of_two_simultaneous_claims_exactly_one_is_refused(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
     told: list[str] = []
