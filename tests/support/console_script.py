@@ -43,11 +43,11 @@ class ConsoleScript:
         except urllib.error.HTTPError as refusal:
             return str(json.load(refusal)["refused"])
 
-    def answer(self, question: dict[str, Any]) -> str:
+    def answer(self, question: dict[str, Any], patient: str = PATIENT, **more: Any) -> str:
         """The first answer, with what is to be read back."""
         moves = re.search(r"moves (\d+) mm", question["value"])
-        typed = {"typed": moves[1] if moves else PATIENT} if question["read_back"] else {}
+        typed = {"typed": moves[1] if moves else patient} if question["read_back"] else {}
         first = question["answers"][0]
         return self.order(
-            "answer", question=question["question"], answer=first, shown=question["shown"], **typed
+            "answer", question=question["question"], answer=first, shown=question["shown"], **typed, **more
         )

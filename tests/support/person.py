@@ -62,7 +62,7 @@ class Person:
                 if len(asked) <= answered:
                     continue
                 for hand in told[done:]:  # what stands before the question is done before it is answered
-                    read_off += self._hands(hand)
+                    read_off += self.hands(hand)
                 answered, done = len(asked), len(told)
                 os.write(primary, self._answer(asked[-1], text, read_off).encode() + b"\n")
             return process.wait(5), text
@@ -72,8 +72,8 @@ class Person:
                 process.wait()
             os.close(primary)
 
-    def _hands(self, line: str) -> list[str]:
-        """What was read off, line by line."""
+    def hands(self, line: str) -> list[str]:
+        """Do what a terminal tells; what was read off, line by line."""
         name, *words = line.split()
         done = self.commands.run(name, *words, timeout_s=HANDS_S)
         assert done.returncode == 0, f"{line}: {done.stderr}"

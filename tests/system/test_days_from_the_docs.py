@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 import re
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from threading import Thread
 
 import pytest
+from console_script import ConsoleScript
 from documented import commands_of
-from person import Person
+from person import TOLD, Person
 from run_folders import await_motion_in
 from user_commands import Commands
 
@@ -19,9 +23,12 @@ from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.host.child_process import ChildProcess, command
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+CONSOLE = re.compile(r"CONSOLE (\{.*\})")
+BETWEEN_S = 0.15  # host time between two looks at the page
 THEATRE = re.compile(r"^ronna-sim theatre (.+)$", re.MULTILINE)
 ENDED = re.compile(r"^exit code (\d+)\r?$", re.MULTILINE)
 PATIENT = "mini-4"
+SURGEON = "Dr Test"
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -43,16 +50,54 @@ class Day:
         words[out] = str(self.folder / words[out])
         return ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *words))
 
-    def to(self, beginning: str) -> tuple[int, str]:
+    def to(self, beginning: str, happens: Callable[[str], None] = lambda _text: None) -> tuple[int, str]:
         """Follow the page up to and with the next line that begins so: its exit code, and what it said."""
         while self.lines:
             line = self.lines.pop(0)
-            code, text = self.person.does(line)
+            code, text = self.person.does(line, happens=happens)
             assert code == 0, f"{line}\n{text[-3000:]}"
             if line.startswith(beginning):
                 ended = ENDED.search(text)
                 return (int(ended[1]) if ended else 0), text
         raise AssertionError(f"the page has no line {beginning}")
+
+
+class Surgeon:
+    """Answers at the console whose URL a terminal shows; the person at the terminal is the hands."""
+
+    def __init__(self, person: Person) -> None:
+        self._person = person
+        self._text = ""
+        self._answering = False
+        self.answered: set[str] = set()  # topics
+
+    def reads(self, text: str) -> None:
+        """What the terminal shows so far."""
+        self._text = text
+        found = CONSOLE.search(text)
+        if found is not None and not self._answering:
+            self._answering = True
+            Thread(target=self._answer_all, args=(json.loads(found[1])["url"],), daemon=True).start()
+
+    def _answer_all(self, address: str) -> None:
+        script, hands = ConsoleScript(address), 0
+        read_off: list[str] = []
+        assert script.order("claim", name=SURGEON) == ""
+        with contextlib.suppress(OSError):  # the console ends with the case
+            while not (state := script.state())["outcome"]:
+                told = TOLD.findall(self._text)[hands:]
+                hands += len(told)
+                read_off += [number for line in told for number in self._person.hands(line)]
+                asked = state["question"]
+                time.sleep(BETWEEN_S)
+                if asked is None and state["waiting"] and state["upcoming"]:
+                    script.order("resume", upcoming=state["upcoming"])
+                if asked is None or told:  # it may be older than what was done just now
+                    continue
+                readings = {"readings": [float(one) for one in read_off]} if asked["reads"] else {}
+                if not script.answer(asked, PATIENT, **readings):
+                    self.answered.add(asked["topic"])
+                    read_off.clear()
 
 
 @pytest.fixture
@@ -151,12 +196,15 @@ def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal:
     assert ended is not None, text[-2000:]
     assert int(ended[1]) == EXIT_SAFETY_STOP
     pressed[0].join()
-    code, text = rehearsal.to("ronna-procedure resume")
+    surgeon = Surgeon(rehearsal.person)
+    code, text = rehearsal.to("ronna-procedure resume", happens=surgeon.reads)
     assert code == 0, text[-2000:]
+    assert {"resume", "tool_check", "reading", "at_target:T1"} <= surgeon.answered
     assert rehearsal.to("ronna-procedure verify")[0] == 0
     rehearsal.to("ronna-procedure report")
     (report,) = rehearsal.folder.glob("runs/*/report.html")
-    assert "A. Nurse" in report.read_text()
+    for name in ("A. Nurse", SURGEON):
+        assert name in report.read_text()
 
 
 def test_the_doctoral_student_keeps_the_readings_of_a_theatre_that_was_not_ready(student: Day) -> None:

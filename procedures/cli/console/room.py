@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from procedures.cli.console.pilot import Pilot
 from procedures.operator.room import Room, Task
 
@@ -26,6 +28,9 @@ class ConsoleRoom:
         self._otherwise.prepare_stand(holds)
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """What was read off, typed; nothing when nobody does."""
-        readings = self._pilot.read(task) if task.reads else None
-        return self._otherwise.work(task) if readings is None else readings
+        """As `change_tool`; what is read off is typed at the console, nothing when nobody does."""
+        if task.reads and self._pilot.in_charge:
+            self._otherwise.work(replace(task, reads=()))
+            if (readings := self._pilot.read(task)) is not None:
+                return readings
+        return self._otherwise.work(task)

@@ -85,14 +85,14 @@ def stand(tmp_path: Path) -> Stand:
     return Stand(tmp_path)
 
 
-def test_the_typed_reading_is_used_and_the_journal_names_the_operator(stand: Stand) -> None:
+def test_a_task_is_told_at_the_terminal_its_reading_typed_at_the_console_and_signed(stand: Stand) -> None:
     read = stand.work(GAUGE)
     assert stand.answer("read", [0.03, -0.01]) == ""
     eventually(lambda: read == [(0.03, -0.01)])
     lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
     confirmed = [line for line in lines if line["entry"] == "confirmation"]
     assert [(line["topic"], line["by"]) for line in confirmed] == [("reading", "Ana")]
-    assert stand.terminal.asked == []
+    assert stand.terminal.asked == ["read the gauge"]
 
 
 @pytest.mark.parametrize("readings", [None, [], [0.03], [0.03, 0.01, 0.02]])
@@ -124,7 +124,7 @@ def test_the_terminal_is_asked_when_the_console_ends_meanwhile(stand: Stand) -> 
     eventually(lambda: stand.desk._standing is not None)
     stand.desk.leave()
     eventually(lambda: read == [(9.0, 9.0)])
-    assert stand.terminal.asked == ["read the gauge"]
+    assert stand.terminal.asked == ["read the gauge", "read the gauge"]
 
 
 def test_a_task_without_readings_is_shown_at_the_terminal(stand: Stand) -> None:
