@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,14 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(50_000)  # a search after every 700 objects finds next to nothing
     gc.enable()
+
+
+@pytest.fixture(scope="session")
+def hang_ups_count() -> Iterator[None]:
+    """Also where the tests themselves run under `nohup`, which a command that they start would inherit."""
+    kept = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, kept)
 
 
 @pytest.fixture

@@ -4,7 +4,6 @@ import os
 import random
 import signal
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -12,45 +11,10 @@ from run_folders import assert_nothing_half_written, await_motion_in
 from user_commands import Commands, one_error
 from waiting import HANG_LIMIT_S
 
-from ronna_hw.errors import EXIT_INTERRUPTED, EXIT_LINK_LOST
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.errors import EXIT_LINK_LOST
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "5")
 MOVING_STEP = "relocalization:T1"
-
-
-@pytest.mark.hazard(2)
-def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Commands, tmp_path: Path) -> None:
-    out = tmp_path / "runs"
-    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    await_motion_in(out, MOVING_STEP)
-    process.kill()
-    process.communicate(timeout=HANG_LIMIT_S)
-    assert commands.await_no_survivors() == []
-    assert_nothing_half_written(out)
-
-
-@pytest.fixture
-def _hang_ups_count() -> Iterator[None]:
-    """Also where the tests themselves run under `nohup`, which a command that they start would inherit."""
-    kept = signal.signal(signal.SIGHUP, signal.SIG_DFL)
-    yield
-    signal.signal(signal.SIGHUP, kept)
-
-
-@pytest.mark.hazard(4)
-@pytest.mark.usefixtures("_hang_ups_count")
-def test_a_closed_terminal_ends_the_case_in_good_order(commands: Commands, tmp_path: Path) -> None:
-    out = tmp_path / "runs"
-    process = commands.start("ronna-procedure", *CASE, "--out", str(out))
-    await_motion_in(out, MOVING_STEP)
-    process.send_signal(signal.SIGHUP)
-    _, stderr = process.communicate(timeout=HANG_LIMIT_S)
-    assert process.returncode == EXIT_INTERRUPTED, stderr
-    (run,) = out.iterdir()
-    assert "ronna-procedure resume" in stderr
-    inspected(run).require_whole()
-    assert commands.await_no_survivors() == []
 
 
 @pytest.mark.slow

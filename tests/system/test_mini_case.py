@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 from pathlib import Path
-from signal import SIGINT, SIGTERM
+from signal import SIGHUP, SIGINT, SIGTERM
 from typing import Any
 
 import numpy as np
@@ -222,9 +222,14 @@ def test_the_report_is_self_contained_and_marked_as_simulated_and_no_medical_dev
     )
 
 
-@pytest.fixture(scope="module", params=[SIGINT, pytest.param(SIGTERM, marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=[SIGINT, *(pytest.param(one, marks=pytest.mark.slow) for one in (SIGTERM, SIGHUP))]
+)
 def interrupted(
-    request: pytest.FixtureRequest, shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory
+    request: pytest.FixtureRequest,
+    shared_commands: Commands,
+    tmp_path_factory: pytest.TempPathFactory,
+    hang_ups_count: None,
 ) -> Path:
     """Folder of a run of the same case that a signal ended when the arm was on its way to the target."""
 
@@ -234,6 +239,7 @@ def interrupted(
         process.send_signal(request.param)
         _, stderr = process.communicate(timeout=HANG_LIMIT_S)
         assert process.returncode == 130, stderr
+        assert "ronna-procedure resume" in stderr
         assert shared_commands.await_no_survivors() == []
         assert_nothing_half_written(out)
         return str(run_folder(out))
@@ -241,7 +247,9 @@ def interrupted(
     return Path(made_once(tmp_path_factory, f"interrupted-{request.param.name}", interrupt)[1])
 
 
+@pytest.mark.hazard(4)
 def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(interrupted: Path) -> None:
+    inspected(interrupted).require_whole()
     lines = list(read_journal(interrupted / JOURNAL_FILE))
     assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
 

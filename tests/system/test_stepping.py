@@ -7,14 +7,17 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from run_folders import await_motion_in
+from run_folders import assert_nothing_half_written, await_motion_in, run_folder
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
+from waiting import HANG_LIMIT_S
 
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+
+MOVING = "relocalization:T1"
 
 
 def _step(
@@ -34,39 +37,56 @@ def _step(
 
 
 @pytest.fixture(scope="module")
-def stepped(
-    shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[subprocess.CompletedProcess[str], Path]:
-    """A case stepped to its CT with every option that only some cases have, and its folder."""
+def stepped(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str, Path]:
+    """What a case said that was stepped with every option that only some cases have, and its folder.
+
+    It is killed when its arm moves.
+    """
 
     def step(out: Path) -> str:
-        lines = ("list", "run to ct_import", "why positioning:T1", "run positioning:T1", "quit")
-        options = ("--calibrated", "--measure-targets", "--keep-raw")
-        done = _step(shared_commands, out, *lines, options=options)
+        options = (
+            "--sim",
+            "--scene",
+            "mini",
+            "--seed",
+            "3",
+            "--calibrated",
+            "--measure-targets",
+            "--keep-raw",
+        )
+        line = ("ronna-procedure", "step", *options, "--out", str(out))
+        process = shared_commands.start(*line, stdin=subprocess.PIPE)
+        assert process.stdin is not None
+        for order in ("list", "run to ct_import", "why positioning:T1", "run positioning:T1", f"to {MOVING}"):
+            process.stdin.write(f"{order}\n")
+        process.stdin.flush()
+        await_motion_in(out, MOVING)
+        process.kill()
+        said = process.communicate(timeout=HANG_LIMIT_S)
         assert shared_commands.await_no_survivors() == []
-        return json.dumps([done.returncode, done.stdout, done.stderr])
+        return json.dumps(said)
 
     out, said = made_once(tmp_path_factory, "stepped", step)
-    (run,) = out.iterdir()
-    return subprocess.CompletedProcess((), *json.loads(said)), run
+    return (*json.loads(said), run_folder(out))
 
 
-def test_steps_can_be_listed_run_and_refused_with_reasons(
-    stepped: tuple[subprocess.CompletedProcess[str], Path],
-) -> None:
-    done, _ = stepped
-    assert done.returncode == 0, done.stderr
-    assert "next  ct_import" in done.stdout
-    assert "done ct_import: " in done.stdout
-    assert "positioning:T1: refused: fiducial_localization comes first" in done.stdout
-    assert "PRO-001" in done.stderr
+def test_steps_can_be_listed_run_and_refused_with_reasons(stepped: tuple[str, str, Path]) -> None:
+    said, errors, _ = stepped
+    assert "next  ct_import" in said
+    assert "done ct_import: " in said
+    assert "positioning:T1: refused: fiducial_localization comes first" in said
+    assert "PRO-001" in errors
 
 
-def test_a_stepped_case_has_every_option_of_a_case(
-    stepped: tuple[subprocess.CompletedProcess[str], Path],
-) -> None:
-    done, run = stepped
-    assert "target_measurement:T1" in done.stdout
+@pytest.mark.hazard(2)
+def test_killing_the_command_leaves_no_process_and_no_torn_record(stepped: tuple[str, str, Path]) -> None:
+    _, _, run = stepped
+    assert_nothing_half_written(run.parent)
+
+
+def test_a_stepped_case_has_every_option_of_a_case(stepped: tuple[str, str, Path]) -> None:
+    said, _, run = stepped
+    assert "target_measurement:T1" in said
     asked = read_request(run)
     assert isinstance(asked, CaseRequest)
     assert asked.keep_raw

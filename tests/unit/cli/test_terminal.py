@@ -28,6 +28,7 @@ from ronna_hw.command_line.errors import (
     UsageMistake,
 )
 from ronna_hw.errors import LimitError, RonnaError
+from ronna_hw.host.interruption import ENDING_SIGNALS
 from ronna_hw.logs import PARTS, is_known
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -198,7 +199,8 @@ def test_a_closed_output_pipe_prints_no_error_message(script: list[str]) -> None
     assert child.returncode == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
+@pytest.mark.usefixtures("hang_ups_count")
 def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals) -> None:
     with subprocess.Popen([*script, "--wait"], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None

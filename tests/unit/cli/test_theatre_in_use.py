@@ -20,14 +20,20 @@ from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.errors import EXIT_REFUSED
 
+RUN_NAME = "20261121T180000-ab12"
 
-@pytest.fixture
-def theatre(tmp_path: Path) -> Path:
-    path = tmp_path / "theatre.toml"
+
+def theatre_in(folder: Path) -> Path:
+    path = folder / "theatre.toml"
     path.write_text(
         'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\nendpoint = "tcp://127.0.0.1:1"\n'
     )
     return path
+
+
+@pytest.fixture(scope="module")
+def theatre(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return theatre_in(tmp_path_factory.mktemp("theatre"))
 
 
 @contextmanager
@@ -43,10 +49,17 @@ def run_on(theatre: Path, folder: Path) -> Iterator[int]:
         run.communicate("")
 
 
+@pytest.fixture(scope="module")
+def using(theatre: Path) -> Iterator[str]:
+    """How the run on the theatre is named."""
+    with run_on(theatre, theatre.with_name(RUN_NAME)) as number:
+        yield f"PRO-043: {RUN_NAME} (pid {number}) is using this theatre"
+
+
 def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
-    theatre: Path, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
-    folder = tmp_path / "runs" / "20261121T180000-ab12"
+    theatre, folder = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
     with run_on(theatre, folder) as number:
         report = examine(theatre)
     assert report.devices == ()
@@ -59,32 +72,32 @@ def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
 
 @pytest.mark.hazard(34)
 def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
-    theatre: Path, tmp_path: Path
+    tmp_path: Path,
 ) -> None:
+    theatre = theatre_in(tmp_path)
     with socket.create_server(("127.0.0.1", 0)) as unit:
         endpoint = f"tcp://127.0.0.1:{unit.getsockname()[1]}"
         theatre.write_text(theatre.read_text().replace("tcp://127.0.0.1:1", endpoint))
-        with run_on(theatre, tmp_path / "runs" / "20261121T180000-ab12"):
+        with run_on(theatre, tmp_path / "runs" / RUN_NAME):
             done = in_this_process(ronna_procedure, "doctor", "--config", theatre, "--endpoint", endpoint)
         unit.setblocking(False)
         with pytest.raises(BlockingIOError):
             unit.accept()
     assert done.returncode == EXIT_REFUSED
-    assert "PRO-043: 20261121T180000-ab12" in done.stderr
+    assert f"PRO-043: {RUN_NAME}" in done.stderr
 
 
 @pytest.mark.parametrize(
     "command", [("calibrate", "tool-tip"), ("calibrate", "tracker-frame"), ("run", "--case", ".")]
 )
 def test_calibrate_and_run_are_refused_while_a_run_uses_the_theatre(
-    theatre: Path, tmp_path: Path, command: tuple[str, ...]
+    theatre: Path, using: str, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
-    folder, out = tmp_path / "runs" / "20261121T180000-ab12", tmp_path / "other"
-    with run_on(theatre, folder) as number:
-        done = in_this_process(ronna_procedure, *command, "--config", theatre, "--out", out)
+    out = tmp_path / "other"
+    done = in_this_process(ronna_procedure, *command, "--config", theatre, "--out", out)
     assert done.returncode == EXIT_REFUSED
-    assert f"PRO-043: {folder.name} (pid {number}) is using this theatre" in done.stderr
-    assert f"ronna-procedure watch {folder}" in done.stderr
+    assert using in done.stderr
+    assert f"ronna-procedure watch {theatre.with_name(RUN_NAME)}" in done.stderr
     assert not out.exists()
 
 
@@ -107,23 +120,19 @@ def left_run(theatre: Path, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize("command", [("resume",), ("home",), ("acknowledge", "--by", "A. Person")])
 def test_resume_home_and_acknowledge_of_another_run_are_refused_while_a_run_uses_the_theatre(
-    theatre: Path, left_run: Path, tmp_path: Path, command: tuple[str, ...]
+    left_run: Path, using: str, command: tuple[str, ...]
 ) -> None:
     before = read_files(left_run)
-    with run_on(theatre, tmp_path / "runs" / "20261121T180000-ab12") as number:
-        done = in_this_process(ronna_procedure, *command, left_run)
+    done = in_this_process(ronna_procedure, *command, left_run)
     assert done.returncode == EXIT_REFUSED
-    assert f"PRO-043: 20261121T180000-ab12 (pid {number}) is using this theatre" in done.stderr
+    assert using in done.stderr
     assert read_files(left_run) == before
 
 
-def test_acknowledge_with_a_config_is_refused_while_a_run_uses_the_theatre(
-    theatre: Path, tmp_path: Path
-) -> None:
-    with run_on(theatre, tmp_path / "runs" / "20261121T180000-ab12") as number:
-        done = in_this_process(ronna_procedure, "acknowledge", "--config", theatre, "--by", "A. Person")
+def test_acknowledge_with_a_config_is_refused_while_a_run_uses_the_theatre(theatre: Path, using: str) -> None:
+    done = in_this_process(ronna_procedure, "acknowledge", "--config", theatre, "--by", "A. Person")
     assert done.returncode == EXIT_REFUSED
-    assert f"PRO-043: 20261121T180000-ab12 (pid {number}) is using this theatre" in done.stderr
+    assert using in done.stderr
 
 
 def read_files(folder: Path) -> dict[Path, bytes]:
