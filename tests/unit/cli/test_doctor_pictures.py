@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any, cast
 
 import numpy as np
@@ -21,6 +22,7 @@ SIZE_PX, RADIUS_PX = 700, 261
 DARK_GREY = 6.0
 
 
+@cache
 def image(sphere_grey: float, blur_px: float = 1.0, radius_px: float = RADIUS_PX) -> CameraImage:
     y, x = np.mgrid[0:SIZE_PX, 0:SIZE_PX]
     disc = np.clip(radius_px - np.hypot(x - 350.3, y - 348.6) + 0.5, 0.0, 1.0)
@@ -30,13 +32,15 @@ def image(sphere_grey: float, blur_px: float = 1.0, radius_px: float = RADIUS_PX
     return CameraImage(STAMP, Validity.OK, "1", pixels, AreaOfInterest(0, 0, SIZE_PX, SIZE_PX))
 
 
-GOOD, NOTHING = image(150.0), image(0.0)
+Shown = tuple[float, ...]  # arguments of `image`: nothing is drawn before a test runs
+GOOD: Shown = (150.0,)
+NOTHING: Shown = (0.0,)
 
 
-def judged(left: CameraImage, right: CameraImage, *, calibrated: bool = True) -> tuple[Diagnostic, ...]:
+def judged(left: Shown, right: Shown, *, calibrated: bool = True) -> tuple[Diagnostic, ...]:
     calibration = mini_theatre().calibration
     assert calibration is not None
-    pair = StereoReading(STAMP, Validity.OK, left, right)
+    pair = StereoReading(STAMP, Validity.OK, image(*left), image(*right))
     return tuple(pair_diagnostics("stereo: ", pair, calibration.stereo_head if calibrated else None))
 
 
@@ -45,16 +49,14 @@ def judged(left: CameraImage, right: CameraImage, *, calibrated: bool = True) ->
     [
         (GOOD, True, "a sphere to 0.0"),
         (NOTHING, False, "too dark"),  # the other camera sees the sphere
-        (image(6.0), False, "too dark"),
-        (image(150.0, blur_px=16.0), False, "not sharp"),
-        (image(400.0), False, "too bright"),
-        (image(150.0, radius_px=120.0), True, "exposure and focus were not judged: no sphere near the tool"),
+        ((6.0,), False, "too dark"),
+        ((150.0, 16.0), False, "not sharp"),
+        ((400.0,), False, "too bright"),
+        ((150.0, 1.0, 120.0), True, "exposure and focus were not judged: no sphere near the tool"),
     ],
     ids=["good", "dark", "faint", "out of focus", "saturated", "a sphere elsewhere"],
 )
-def test_a_camera_is_judged_by_a_sphere_near_the_tool_centre(
-    left: CameraImage, well: bool, said: str
-) -> None:
+def test_a_camera_is_judged_by_a_sphere_near_the_tool_centre(left: Shown, well: bool, said: str) -> None:
     of_left, of_right = judged(left, GOOD)
     assert (of_left.well, said in of_left.seen) == (well, True), of_left
     assert bool(of_left.advice) is (left is not GOOD)
