@@ -7,7 +7,9 @@ from typing import Any
 
 HOLD_MS = 1150  # the page asks for a second
 ARMED_MS = 750
+MOST_TRIES, AGAIN_MS = 4, 10_000
 SEAT_IS_FREE = "document.querySelector('[data-do=claim]').checkVisibility()"
+IS_SETTLED = "number => document.querySelector('section.question h2')?.dataset.question !== number"
 PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed 3
 
 
@@ -49,26 +51,39 @@ def hold(page: Any, button: Any) -> None:
 
 
 def answer(page: Any, patient: str = PATIENT) -> str:
-    """Give the question that stands its first answer; returns its subject."""
+    """Give the question that stands its first answer; returns its subject.
+
+    Given again where the page of a busy computer was grey for a moment, which empties what was typed.
+    """
+    from playwright.sync_api import Error
+
+    heading = page.locator("section.question h2")
+    subject, number = str(heading.inner_text()), heading.get_attribute("data-question")
+    for tries_left in reversed(range(MOST_TRIES)):
+        try:
+            if not page.evaluate(IS_SETTLED, number):
+                _give(page, patient)
+            page.wait_for_function(IS_SETTLED, arg=number, timeout=AGAIN_MS if tries_left else None)
+            break
+        except Error:
+            if not tries_left:
+                raise
+    return subject
+
+
+def _give(page: Any, patient: str) -> None:
     question = page.locator("section.question")
-    subject = str(question.locator("h2").inner_text())
-    number = question.locator("h2").get_attribute("data-question")
+    page.wait_for_function(f"document.querySelector('section.question .answers button') || {SEAT_IS_FREE}")
+    keep_seat(page)
     typed = question.locator(".typed input")
     if typed.count():
         moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
         typed.fill(moves[1] if moves else patient)
-    page.wait_for_function(f"document.querySelector('section.question .answers button') || {SEAT_IS_FREE}")
-    keep_seat(page)
     button = question.locator(".answers button").first
     if "(hold)" in button.inner_text():
         hold(page, button)
     else:
         button.click()
-    page.wait_for_function(
-        "number => document.querySelector('section.question h2')?.dataset.question !== number",
-        arg=number,
-    )
-    return subject
 
 
 def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) -> list[str]:
