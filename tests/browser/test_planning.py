@@ -134,6 +134,8 @@ def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     assert "no surface" in said(page, "CT-019")
     page.locator("[data-do=propose]").click()
     page.wait_for_selector("[data-proposed='5']", timeout=60_000)
+    page.locator("[data-do=further]").click()
+    page.wait_for_selector("[data-proposed='1'] >> text=with it mm", timeout=60_000)
     type_number(page, "depth", "200")
     page.wait_for_selector(".verdictbox >> text=PLAN-004")
     type_number(page, "depth", "many")

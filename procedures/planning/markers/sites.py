@@ -8,6 +8,7 @@ The arm's own errors are not included: they depend on the pose of the head.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -63,6 +64,14 @@ class ProposedMarkers(Strict):
         return tuple(one.centre_mm for one in self.markers)
 
 
+@dataclass(frozen=True)
+class FurtherMarker:
+    """Where one more marker helps most, and for each target the rms error now and with it, mm."""
+
+    centre_mm: Numbers3
+    targets: tuple[tuple[str, float, float], ...]
+
+
 def propose_markers(
     head: HeadEllipsoid,
     trajectories: Sequence[Trajectory],
@@ -78,9 +87,7 @@ def propose_markers(
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
-    centres, posts = sites_on(head, volume, random)
-    free = np.array([clear_of(trajectories, one) for one in centres], dtype=bool)
-    centres, posts = centres[free], posts[free]
+    centres, posts = _free_sites(head, trajectories, volume, random)
     targets = np.array([one.target_mm for one in trajectories])
     sets = (
         random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
@@ -109,6 +116,47 @@ def propose_markers(
             for one, error_mm, middle in zip(trajectories, expected, usual, strict=True)
         ),
     )
+
+
+def propose_further(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    present_mm: Array,
+    marker_error_mm: float,
+    *,
+    volume: Volume | None = None,
+    seed: int = 0,
+) -> FurtherMarker:
+    """Where one more marker besides those (n, 3) helps the targets most. Raises PLAN-021."""
+    centres, _ = _free_sites(head, trajectories, volume, np.random.default_rng(seed))
+    apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
+    if not apart.any():
+        raise NoMarkerSites("there is no room for one more marker clear of the trajectories and the others")
+    centres = centres[apart]
+    targets = np.array([one.target_mm for one in trajectories])
+    sets = np.concatenate(
+        [np.broadcast_to(present_mm, (len(centres), *present_mm.shape)), centres[:, None]], axis=1
+    )
+    with_it = tre_principal_axes_mm(targets, sets, marker_error_mm)
+    best = int(np.square(with_it).sum(axis=1).argmin())
+    now = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
+    names = (one.identifier for one in trajectories)
+    return FurtherMarker(
+        centre_mm=_three(centres[best]),
+        targets=tuple(zip(names, now.tolist(), with_it[best].tolist(), strict=True)),
+    )
+
+
+def _free_sites(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    volume: Volume | None,
+    random: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Positions on the skin clear of the trajectories, and directions of their posts."""
+    centres, posts = sites_on(head, volume, random)
+    free = np.array([clear_of(trajectories, one) for one in centres], dtype=bool)
+    return centres[free], posts[free]
 
 
 def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -7,7 +7,13 @@ import pytest
 
 from procedures.planning.errors import NoMarkerSites
 from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import APART_MM, CLEAR_OF_WAY_MM, propose_markers
+from procedures.planning.markers.sites import (
+    APART_MM,
+    CLEAR_OF_WAY_MM,
+    propose_further,
+    propose_markers,
+)
+from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.reporting.marker_picture import marker_picture
 from procedures.strategies.trajectory import Trajectory
@@ -36,6 +42,17 @@ def test_markers_keep_apart_clear_of_the_paths_and_serve_every_target_better_tha
     assert all(target.expected_mm < target.usual_mm for target in found.targets)
 
 
+def test_one_more_marker_helps_every_target_more_than_a_proposed_one_that_is_elsewhere() -> None:
+    every = np.array(propose_markers(HEAD, TRAJECTORIES, 5, ERROR_MM).centres_mm)
+    present = every[:4]
+    found = propose_further(HEAD, TRAJECTORIES, present, ERROR_MM)
+    assert np.linalg.norm(present - found.centre_mm, axis=1).min() >= APART_MM - 0.01
+    assert [name for name, _, _ in found.targets] == ["T1", "T2"]
+    assert all(after < now for _, now, after in found.targets)
+    fifth = tre_principal_axes_mm(np.array([one.target_mm for one in TRAJECTORIES]), every, ERROR_MM)
+    assert sum(after**2 for _, _, after in found.targets) <= np.square(fifth).sum() + 1e-6
+
+
 def test_the_claimed_errors_match_random_trials() -> None:
     found = propose_markers(HEAD, TRAJECTORIES, 5, ERROR_MM)
     centres, random = np.array(found.centres_mm), np.random.default_rng(0)
@@ -51,6 +68,9 @@ def test_a_head_without_room_for_the_markers_is_refused() -> None:
     small = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(25.0, 25.0, 25.0))
     with pytest.raises(NoMarkerSites, match=r"PLAN-021.*8 markers"):
         propose_markers(small, (Trajectory("T1", (0.0, -25.0, 25.0), (0.0, 0.0, 0.0)),), 8, ERROR_MM)
+    around = np.random.default_rng(0).normal(0.0, 25.0, (200, 3))
+    with pytest.raises(NoMarkerSites, match=r"PLAN-021.*one more marker"):
+        propose_further(small, TRAJECTORIES, around, ERROR_MM)
 
 
 def test_the_marker_picture_is_a_png() -> None:
