@@ -53,7 +53,7 @@ class BadTheatreFile(ConfigurationError):
     """The theatre file is missing, not TOML, or has mistakes; all of them are listed."""
 
     code = "CFG-001"
-    action = "Correct the file; the reference page lists every key."
+    action = "Correct the file; docs/reference/theatre-file.md lists every key."
 
 
 class ClockConfig(Strict):
@@ -270,7 +270,8 @@ def read_theatre_file(path: Path) -> TheatreFile:
     except OSError as error:
         raise BadTheatreFile(
             f"cannot read {path}: {error.strerror}",
-            action="Give the path of a theatre file; ronna-sim theatre writes one to start from.",
+            action="Give the path of a theatre file; ronna-procedure new-theatre --hardware writes one, "
+            "ronna-sim theatre that of a simulated theatre.",
         ) from error
     theatre = parse_theatre(content, path.name)
     folder = path.resolve().parent

@@ -38,7 +38,7 @@ def changed(
     for assignment in assignments:
         name, _, text = assignment.partition("=")
         if name not in kinds:
-            alike = " or ".join(get_close_matches(name, kinds)) or None
+            alike = " or ".join(get_close_matches(name, kinds)) or f"one of {len(kinds)} names"
             raise refusal(f"unknown parameter {name!r}", expected=alike)
         kind, _, *most = kinds[name]
         value, expected = _value(kind, text, getattr(defaults, name), most)

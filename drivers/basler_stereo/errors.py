@@ -123,7 +123,7 @@ class BadOptions(ConfigurationError):
     """The stereo options in the theatre file have mistakes; all are listed."""
 
     code = "GEV-016"
-    action = "Correct the options; the reference lists every key."
+    action = "Correct the options; docs/reference/stereo-options.md lists every key."
 
 
 class ReceiverEnded(DeviceError):

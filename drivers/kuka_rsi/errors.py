@@ -123,7 +123,7 @@ class BadOptions(ConfigurationError):
     """The driver's options in the theatre file are wrong."""
 
     code = "RSI-013"
-    action = "Correct the listed options; the driver's page describes them."
+    action = "Correct the listed options; docs/reference/robot-options.md describes them."
 
 
 class BadTelegram(ProtocolError):

@@ -13,6 +13,7 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_folder_of
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
@@ -54,6 +55,7 @@ def make(
     from drivers.ndi_polaris.tools.geometry import alike_segments_mm, find_alike
     from ronna_hw.records import write_whole
 
+    require_folder_of(out)
     block = encode_definition(read_description(description).definition())
     tool = decode_definition(block)
     write_whole(out, block)

@@ -246,6 +246,10 @@ def _layout_mm(layout: str) -> Any:
 
     if layout == X_FRAME:
         return SPHERE_CENTRES_MM
+    if not Path(layout).exists():
+        raise PicksUnreadable(
+            f"--layout: there is no file {layout}", expected=f"{X_FRAME} or a file of points"
+        )
     spheres_mm = read_picks(Path(layout))
     if len(spheres_mm) < FEWEST_PAIRS:
         raise PicksUnreadable(

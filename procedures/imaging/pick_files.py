@@ -26,7 +26,7 @@ def read_picks(path: Path) -> Array:
     try:
         content = read_bounded(path, LARGEST_FILE_BYTES)
     except OSError as error:
-        raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
+        raise PicksUnreadable(f"cannot read {path.name}: {error.strerror}") from error
     except InputRefused as error:
         raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
     return parse_points(content, path.name)

@@ -26,7 +26,7 @@ class PlanMistakes(PlanError):
     """The plan has wrong keys or values, or several kinds of mistakes; all are listed."""
 
     code = "PLAN-002"
-    action = "Correct every line listed; the reference describes every key."
+    action = "Correct every line listed; docs/reference/plan-file.md describes every key."
 
 
 class WrongSeries(PlanError):

@@ -18,6 +18,12 @@ def require_folder_of(*files: Path) -> None:
             )
 
 
+def require_folder(out: Path) -> None:
+    """Raise CLI-005 where `--out` names a file in place of a folder."""
+    if out.exists() and not out.is_dir():
+        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
+
+
 def require_new(*files: Path) -> None:
     """Raise CLI-001 for a file that exists, CLI-005 for one whose folder does not."""
     for file in files:

@@ -66,8 +66,9 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
 
 def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
     known = [] if context is None else [option for one in context.command.params for option in one.opts]
-    alike = get_close_matches(name, [option for option in known if option.startswith("--")], n=MOST_ALIKE)
-    meant = f"Did you mean {' or '.join(alike)}? " if alike else ""
+    words = [option.removeprefix("--") for option in known if option.startswith("--")]
+    alike = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
+    meant = f"Did you mean {' or '.join(f'--{word}' for word in alike)}? " if alike else ""
     return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 
 

@@ -32,8 +32,14 @@ class Choice:
 
     def check(self) -> None:
         """Raise CNF-001 unless exactly one device is named and every permission is known."""
-        if (self.sim, self.config is not None, bool(self.endpoints)).count(True) != 1:
-            raise NoDeviceChosen("expected exactly one of --sim, --config and --endpoint")
+        given = {"--sim": self.sim, "--config": self.config is not None, "--endpoint": bool(self.endpoints)}
+        named = [option for option, is_given in given.items() if is_given]
+        if len(named) != 1:
+            raise NoDeviceChosen(
+                "no single device is named",
+                expected="exactly one of --sim, --config and --endpoint",
+                got=" and ".join(named) or "none",
+            )
         if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
             raise NoDeviceChosen(
                 f"--allow does not accept {', '.join(unknown)}",

@@ -254,6 +254,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
         refused(tracker.read_frame, StateError, "read_frame in fault")
         check(observe(tracker, Lifecycle.FAULT).fault is not None, "the fault observed")
         tracker.recover("conformance suite")
+        check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
 
 

@@ -37,6 +37,11 @@ class Lifecycle(StrEnum):
     CLOSED = "closed"
 
 
+_NEXT = {  # the call that leads on; from the others there is a choice, or none
+    Lifecycle.DISCONNECTED: "connect",
+    Lifecycle.CONNECTED: "configure",
+    Lifecycle.CONFIGURED: "activate",
+}
 RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
 READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
 
@@ -136,7 +141,10 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Clear FAULT once the device has been re-read; moves nothing. Raises DEV-006 without a name."""
+        """FAULT -> CONFIGURED once the device has been re-read and configured again: `activate` comes next.
+
+        Moves nothing. Raises DEV-006 without a name.
+        """
         ...
 
     def close(self) -> None:
@@ -184,11 +192,12 @@ class LifecycleGuard:
         state, fault = self._now
         if state in states:
             return
-        cause = f" ({fault})" if fault else ""
+        cause, following = f" ({fault})" if fault else "", _NEXT.get(state)
         raise WrongState(
             f"{self._device}: {call} is not allowed now",
             expected=" or ".join(sorted(states)),
             got=f"{state}{cause}",
+            action=f"Once {state}, `{following}` comes next." if following else None,
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import typer
 
+from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
@@ -115,6 +116,7 @@ def phantom(
 
     if with_parent:
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
+    require_folder(out)
     if out.is_dir() and any(out.iterdir()):
         raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
     if postoperative is not None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from sim.world.on_stand import OnStand
 from sim.world.scene.carrier import Carrier
@@ -98,6 +99,7 @@ def theatre(
     from sim.world.process import end_with_parent, fail, load_scene
     from sim.world.truth import SCENE_FILE
 
+    require_folder(out)
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
     truth = load_scene(
@@ -160,7 +162,10 @@ def _serve(running: Theatre, ended: threading.Event) -> list[str]:
 
 
 def mount(
-    number: Annotated[int, typer.Argument(min=0, help="Tool to mount; 0 removes it.")],
+    number: Annotated[
+        int,
+        typer.Argument(min=0, help="Tool to mount: usually 1 the stereo head, 2 the guide; 0 removes it."),
+    ],
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
     """Mount another tool in a running theatre, as the staff would."""

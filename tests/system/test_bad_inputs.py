@@ -61,5 +61,8 @@ def test_a_bad_input_gets_a_message_with_the_value_the_expectation_and_the_actio
     assert sorted(bench.rglob("*")) == before
 
 
-def test_the_table_has_enough_distinct_bad_inputs() -> None:
+def test_the_table_has_enough_distinct_bad_inputs_with_four_words_each() -> None:
+    assert [
+        bad.command for bad in BAD_INPUTS if len(bad.words) > len(set(filter(str.strip, bad.words)))
+    ] == []
     assert len({bad.command for bad in BAD_INPUTS}) == len(BAD_INPUTS) >= FEWEST

@@ -293,7 +293,7 @@ def test_the_doctor_predicts_each_refusal_of_set_up(name: str, room: Room, tmp_p
         assert done.returncode == EXIT_DONE
         return
     assert refused is not None
-    assert refused.code == trouble.code
+    assert refused.code == trouble.code, refused
     assert not case["ready"]
     told = " ".join(finding["seen"] for finding in report["findings"] if not finding["well"])
     if trouble.named:

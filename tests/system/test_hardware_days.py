@@ -38,7 +38,7 @@ def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.mark.parametrize(
-    ("page", "statements"), [("first-hardware-day", 60), ("first-tracker-day", 15), ("first-camera-day", 13)]
+    ("page", "statements"), [("first-hardware-day", 60), ("first-tracker-day", 18), ("first-camera-day", 19)]
 )
 def test_a_hardware_day_is_rehearsed_from_its_text(
     page: str, statements: int, cell: Path, commands: Commands

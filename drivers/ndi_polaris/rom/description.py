@@ -129,7 +129,8 @@ def read_description(path: Path) -> ToolDescription:
     try:
         content = read_toml(path, partial(BadToolFile, action="Correct the description."))
     except OSError as error:
-        raise BadToolFile(f"cannot read {path}: {error.strerror}") from error
+        what = f"cannot read {path}: {error.strerror}"
+        raise BadToolFile(what, action="Give the path of a description; ronna-rom make --help.") from error
     try:
         # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))

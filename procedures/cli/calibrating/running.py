@@ -17,11 +17,11 @@ from procedures.cli.case.request import (
     TheatreRequest,
     forget_if_empty,
     forget_if_refused,
-    require_folder,
 )
 from procedures.cli.case.request_file import write_request
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.events import Event, Progress
+from ronna_hw.command_line.new_files import require_folder
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

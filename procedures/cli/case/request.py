@@ -17,6 +17,7 @@ from procedures.engine.errors import CommandRefused, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.host.folder_walk import walk
 from ronna_hw.log_output import LOG_FILE
@@ -114,12 +115,6 @@ def check_request(request: CaseRequest) -> None:
         check_fault_script(
             request.faults, [step.name for step in clinical_steps(measure_targets=request.measure_targets)]
         )
-
-
-def require_folder(out: Path) -> None:
-    """Raise CLI-005 where runs are to be kept in what is a file."""
-    if out.exists() and not out.is_dir():
-        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
 def new_run_folder(request: CaseRequest) -> Path:

@@ -36,10 +36,10 @@ def chosen_methods(
         if ":" not in name and name not in (there := installed()):
             known = [*NAMES, *there]
             near = get_close_matches(name, known, n=1)
-            meant = f": {near[0]}?" if near else ""
             raise MethodRefused(
-                f"--method: there is no method {name!r}{meant}",
+                f"--method: there is no method {name!r}",
                 expected=f"{', '.join(known)} or module:function",
+                action=f"Did you mean {near[0]}? {MethodRefused.action}" if near else None,
             )
     own = tuple(tried_apart(MethodKind.PAIRING, name, tell) for name in unknown)
     return tuple(NAMES[name] for name in wanted if name in NAMES), own

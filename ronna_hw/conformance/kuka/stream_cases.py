@@ -164,7 +164,7 @@ def late_reply_shifts_nothing(dut: DeviceUnderTest) -> None:
     check(after.late - before.late < FEW, "one late reply, not one each cycle", after.late - before.late)
 
 
-@case("K16", "HOLDON 1 keeps the correction while replies are missing", needs=(MOTION,))
+@case("K16", "HOLDON 1 keeps the correction while replies are missing", needs=(MOTION, HOST_TIME))
 def correction_is_held(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
@@ -178,7 +178,7 @@ def correction_is_held(dut: DeviceUnderTest) -> None:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
 
-@case("K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE,))
+@case("K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE, HOST_TIME))
 def timeout_ends_the_run(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         line.cycles(FEW)

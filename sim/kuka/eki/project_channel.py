@@ -112,8 +112,8 @@ class ProjectChannel:
 
     def tick(self, now_s: float) -> float:
         """Send the state when it has changed or its period is over; returns when to call again."""
-        if self._server.connected and now_s > self._idle_until_s:
-            self._server.drop()
+        if self._server.connected and now_s > self._idle_until_s and not self._server.silent:
+            self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:
             return inf
         facts = self._facts()

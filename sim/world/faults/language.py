@@ -159,7 +159,11 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> s
         raise BadFaultScript(f"cannot read the fault script {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise BadFaultScript(f"{path.name} is not UTF-8 text: {error.reason}") from error
-    check_faults(parse_faults(text), scene, devices)
+    try:
+        check_faults(parse_faults(text), scene, devices)
+    except BadFaultScript as error:
+        what = f"{path.name}, {error.what}"
+        raise BadFaultScript(what, limit=error.limit, action=error.advice) from error
     return text
 
 

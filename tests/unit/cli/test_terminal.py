@@ -120,6 +120,16 @@ def test_an_invalid_command_line_is_a_usage_mistake(
     assert err.count("\n") == 1
 
 
+@pytest.mark.parametrize(("typed", "meant"), [("--house", ""), ("--cont", " Did you mean --count?")])
+def test_only_an_option_that_resembles_an_unknown_one_is_suggested(
+    typed: str, meant: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert terminal.exit_code_of(app_that(lambda: None), [typed]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(f"{UsageMistake.code}: unknown option {typed}.{meant} ")
+    assert ("Did you mean" in err) == bool(meant)
+
+
 def test_a_command_without_arguments_shows_its_help_unchanged(capsys: pytest.CaptureFixture[str]) -> None:
     app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
     for name in ("make", "show"):

@@ -33,6 +33,16 @@ def test_a_fault_can_only_be_left_for_the_connected_state() -> None:
     assert guard.fault is None
 
 
+def test_a_recovered_device_is_configured_already_and_says_what_comes_next() -> None:
+    guard = LifecycleGuard("arm")
+    guard.latch(LinkTimeout("silence"))
+    guard.enter(Lifecycle.CONFIGURED)  # as every driver's `recover` does
+    with pytest.raises(
+        WrongState, match=r"DEV-001: .*got configured\. Once configured, `activate` comes next"
+    ):
+        guard.require("configure", [Lifecycle.CONNECTED])
+
+
 def test_the_closed_state_is_final() -> None:
     guard = LifecycleGuard("stereo")
     guard.enter(Lifecycle.CLOSED)

@@ -283,6 +283,7 @@ class Heard:
     def __init__(self) -> None:
         self.texts: list[str] = []
         self.connected = True
+        self.silent = False
 
     def attach(self, _peer: object) -> None:
         pass
@@ -313,6 +314,10 @@ def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Callable[.
     now_s = time.monotonic()
     channel.tick(now_s + 2.0)
     assert heard.connected
+    heard.silent = True  # a program that hangs reads no request, and disconnects nobody
+    channel.tick(now_s + 4.0)
+    assert heard.connected
+    heard.silent = False
     channel.tick(now_s + 4.0)
     assert heard.connected is asks
 

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis
+from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis, read_series
 from procedures.imaging.thesis.circles import Circles
 from procedures.imaging.thesis.clusters import Cluster, cluster_circles
 from procedures.imaging.thesis.fits import fit_lines, fit_sphere
+from sim.phantom.case import write_case
+from sim.world.scene.named_scenes import named_scene
 
 CENTRES = np.array([[30.2, 19.7, 17.4], [31.1, 20.3, 50.6]])
 
@@ -35,6 +38,14 @@ def test_both_fits_find_the_markers_and_nothing_else(volume: Volume, fit: Thesis
     assert distance.min(axis=0).max() < 0.3
     assert all("covariance_assumed" in marker.flags for marker in result.markers)
     np.testing.assert_array_equal(localize_as_thesis(volume, fit).centres_mm, result.centres_mm)
+
+
+def test_the_third_of_exactly_three_spheres_is_not_lost(tmp_path: Path) -> None:
+    scene = named_scene("mini", seed=4)
+    result = localize_as_thesis(read_series(write_case(scene, tmp_path).series), ThesisFit.LINE, expected=3)
+    true = np.array([fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
+    distance = np.linalg.norm(result.centres_mm[:, None] - true[None], axis=2)
+    assert distance.min(axis=0).max() < 0.3
 
 
 def test_the_covariance_is_the_error_reported_in_the_thesis(volume: Volume) -> None:
