@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 import tomli_w
 
-from benchmarks.head_looks import ENDPOINTS
+from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.planning.cart.judging import judging
 from procedures.planning.cart.place import CartCase, CartMove
 from procedures.planning.cart.place_map import map_places

@@ -33,20 +33,20 @@ from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 RESULTS = ROOT / "benchmarks" / "results"
 LIMIT_S = 400.0  # per measurement; the robot link paces 100,000 telegrams and takes four minutes
 MEASUREMENTS = {
-    "robot-link": "robot_link",
-    "set-points": "set_points",
-    "tracker": "tracker",
-    "stereo": "stereo",
-    "stereo-calibration": "stereo_calibration",
-    "stereo-rate": "stereo_rate",
-    "tracker-frame": "tracker_frame_calibration",
-    "tool-tip": "tool_tip_calibration",
-    "ct": "ct",
+    "robot-link": "robot.robot_link",
+    "set-points": "robot.set_points",
+    "tracker": "tracker_unit.tracker",
+    "stereo": "stereo_head.stereo",
+    "stereo-calibration": "stereo_head.stereo_calibration",
+    "stereo-rate": "stereo_head.stereo_rate",
+    "tracker-frame": "mount.tracker_frame_calibration",
+    "tool-tip": "mount.tool_tip_calibration",
+    "ct": "scans.ct",
     "registration": "registration",
     "mini-case": "mini_case",
     "recording": "recording",
-    "console": "console_page",
-    "planner": "planner_page",
+    "console": "pages.console_page",
+    "planner": "pages.planner_page",
 }
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",

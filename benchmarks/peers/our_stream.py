@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path[:0] = [str(Path(__file__).resolve().parents[2])]
 
-from tests.support.camera_stream import stream_pairs  # noqa: E402
+from tests.support.devices.camera_stream import stream_pairs  # noqa: E402
 
 
 def main(job: dict[str, object]) -> None:

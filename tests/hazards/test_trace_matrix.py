@@ -51,7 +51,8 @@ def test_a_hazard_without_a_passing_test_fails_the_run(tmp_path: Path) -> None:
     sample.write_text(SAMPLE)
     program = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "hazard_ledger")
     line = (*program, "-c", str(PROJECT), "--rootdir", str(tmp_path), "-m", "not soak", str(sample))
-    paths = os.pathsep.join(str(PROJECT.parent / folder) for folder in ("tests/support", "tools/docs"))
+    folders = ("tests/support/command", "tools/docs")
+    paths = os.pathsep.join(str(PROJECT.parent / folder) for folder in folders)
     environment = {**os.environ, "PYTHONPATH": paths}
     done = subprocess.run((*line, OPTION), env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == pytest.ExitCode.TESTS_FAILED, done.stdout + done.stderr

@@ -10,8 +10,8 @@ from clinical_case import SPHERES_MM, ClinicalCell
 from prepared_results import checked_paths, checked_plan, coarse
 from prepared_results import localized_fiducials as fiducials
 
-from benchmarks.head_looks import ENDPOINTS
-from benchmarks.stereo_cell import StereoCell
+from benchmarks.stereo_head.head_looks import ENDPOINTS
+from benchmarks.stereo_head.stereo_cell import StereoCell
 from procedures.relocalization.errors import HeadTurned
 from procedures.relocalization.head_watch import check_head
 from procedures.steps.clinical.relocalization import STEP

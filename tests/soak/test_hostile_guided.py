@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 from good_inputs import PARSER_NAMES
 from memory_folder import memory_folder
 
-PROGRAM = Path(__file__).parents[1] / "support" / "guided_program.py"
+PROGRAM = Path(__file__).parents[1] / "support" / "hostile" / "guided_program.py"
 LIMIT_S = 7000.0
 pytestmark = [
     pytest.mark.soak,
@@ -28,6 +29,9 @@ TOLD = 3000  # characters of what went wrong
 def test_a_million_coverage_guided_inputs_cost_a_bounded_amount(tmp_path: Path, name: str) -> None:
     with memory_folder(tmp_path) as folder:
         words = [sys.executable, str(PROGRAM), name, str(folder), str(tmp_path), str(MILLION), str(SEED)]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+        done = subprocess.run(
+            words, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+        )
     assert done.returncode == 0, done.stderr[-TOLD:]
     assert f"number_of_executed_units: {MILLION}" in done.stderr

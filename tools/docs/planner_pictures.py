@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "support"))
+sys.path += map(str, (ROOT / "tests" / "support").iterdir())
 
-# These stand beside the tests, whose folder is on the path only now.
+# These stand beside the tests, whose folders are on the path only now.
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
 

@@ -1,4 +1,4 @@
-"""What faults of a scanner cost, from the figures that `benchmarks/scanner_faults.py` wrote."""
+"""What faults of a scanner cost, from the figures that `benchmarks/scans/scanner_faults.py` wrote."""
 
 from __future__ import annotations
 

@@ -54,8 +54,8 @@ _REMARKS: dict[int, str] = {
     14: "other clients' commands: covered by G15, where another client keeps polling",
     27: "the wrap-around needs 65,535 images: tests/unit/sim_basler/test_camera_stream.py",
     29: "the time of exposure needs a stopped clock: tests/unit/sim_basler/test_camera_stream.py",
-    36: "the rate needs minutes: tests/soak/test_camera_stream.py, benchmarks/stereo_rate.py",
-    40: "covers a client that falls silent; for a killed one see tests/system/test_basler_driver_sim.py",
+    36: "the rate needs minutes: tests/soak/test_camera_stream.py, benchmarks/stereo_head/stereo_rate.py",
+    40: "a silent client is covered; for a killed one see tests/system/cameras/test_basler_driver_sim.py",
 }
 
 GIGE_CHECKLIST = Checklist(letters="G", lines=_LINES, remarks=_REMARKS, also={40: ("G15",)})

@@ -53,30 +53,30 @@ _LINES: dict[int, str] = {
     43: "S: every fault can be injected by name and at a given cycle, and is logged with IPOC",
     44: "D: no start outside EXT (or T1, confirmed), nor with emergency stop, guard or a message",
 }
-_SDK_CHANNEL = "a channel not used by any driver here: tests/system/kuka_sim/test_eki_channels.py"
+_SDK_CHANNEL = "a channel not used by any driver here: tests/system/robot/kuka_sim/test_eki_channels.py"
 _ELSEWHERE: dict[int, str] = {
     18: "needs a dedicated context: tests/unit/sim_kuka",
-    19: "needs dedicated contexts: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
+    19: "needs dedicated contexts: tests/unit/sim_kuka, tests/system/robot/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_axis_limits.py",
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
-    32: "needs RSIPI: tests/system/test_kuka_link_rsipi.py",
-    33: "needs RSIPI: tests/system/test_kuka_sim_rsipi.py; the C++ clients are not on the Python index",
+    32: "needs RSIPI: tests/system/robot/test_kuka_link_rsipi.py",
+    33: "needs RSIPI: tests/system/robot/test_kuka_sim_rsipi.py; the C++ clients are not on the Python index",
     36: _SDK_CHANNEL,
     37: _SDK_CHANNEL,
     39: _SDK_CHANNEL,
-    41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
-    42: "the suite cannot open the guard: tests/system/kuka_sim/test_cell_faults.py",
-    43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
+    41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/robot/kuka_sim",
+    42: "the suite cannot open the guard: tests/system/robot/kuka_sim/test_cell_faults.py",
+    43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/robot/kuka_sim",
     44: "the suite cannot open the guard: tests/unit/kuka_rsi",
 }
 # Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {
     16: "HOLDON 0 needs a dedicated context: tests/unit/sim_kuka",
     17: "needs --allow destructive; the second counting mode: tests/unit/sim_kuka",
-    20: "RELATIVE needs a dedicated program: tests/system/test_kuka_sim_rsipi.py",
-    21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
+    20: "RELATIVE needs a dedicated program: tests/system/robot/test_kuka_sim_rsipi.py",
+    21: "our context sends neither: tests/unit/sim_kuka, tests/system/robot/test_kuka_sim_rsipi.py",
     30: "needs --allow destructive: the controller ends the run as well",
 }
 

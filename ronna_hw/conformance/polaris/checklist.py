@@ -72,9 +72,9 @@ _ALSO: dict[int, tuple[str, ...]] = {
     41: ("T14", "T19"),
 }
 _ELSEWHERE: dict[int, str] = {
-    48: "one client cannot represent others: tests/system/test_polaris_sim_strangers.py drives "
+    48: "one client cannot represent others: tests/system/tracker/test_polaris_sim_strangers.py drives "
     "the simulator with both packages, each in its own process",
-    50: "simulator only: tests/unit/sim_polaris, tests/system/test_live_faults.py",
+    50: "simulator only: tests/unit/sim_polaris, tests/system/case/test_live_faults.py",
 }
 # Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import contest, figures, robot_link, run
+from benchmarks import contest, figures, run
+from benchmarks.robot import robot_link
 from drivers.kuka_rsi.errors import RecordedCycle
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -88,7 +89,7 @@ def test_the_processor_time_of_a_process_grows_with_its_work() -> None:
 
 def test_every_listed_measurement_exists() -> None:
     for module in run.MEASUREMENTS.values():
-        assert (ROOT / "benchmarks" / f"{module}.py").exists()
+        assert (ROOT / "benchmarks" / f"{module.replace('.', '/')}.py").exists()
 
 
 @pytest.mark.slow

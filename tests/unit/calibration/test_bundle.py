@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.head_looks import TrueHead, observation_set, true_head
+from benchmarks.stereo_head.head_looks import TrueHead, observation_set, true_head
 from procedures.calibration import Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.head_looks import TrueHead, check_looks, observation_set, true_head
+from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, CheckResult, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
 from procedures.calibration.pose_set import calibration_looks

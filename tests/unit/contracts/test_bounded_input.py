@@ -219,7 +219,7 @@ def test_inflated_data_must_be_complete_and_within_the_limit() -> None:
     assert inflate(zlib.compress(b"whole"), 5) == b"whole"
 
 
-SUPPORT = Path(__file__).parents[2] / "support"
+SUPPORT = Path(__file__).parents[2] / "support" / "command"
 LARGE_XML = """
 from bounded_cost import bounded_cost
 from ronna_hw.bounded_input import parse_xml

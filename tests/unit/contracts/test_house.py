@@ -14,6 +14,7 @@ PACKAGES = ("ronna_hw", "drivers", "sim", "procedures", "console")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 LONGEST_LINES = 400
 LARGEST_MEDIAN_LINES = 130
+MOST_MODULES = 30  # in one folder
 # Modules, and commands that show their help, with what they must not import: in this order in one process, as
 # what is imported stays.
 LIGHT = (
@@ -42,6 +43,12 @@ def test_modules_stay_short() -> None:
     lengths = sorted(len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES)
     assert lengths[-1] <= LONGEST_LINES
     assert lengths[len(lengths) // 2] <= LARGEST_MEDIAN_LINES
+
+
+def test_folders_stay_small() -> None:
+    for package in (*PACKAGES, "tests", "benchmarks", "tools"):
+        for folder in {path.parent for path in (ROOT / package).rglob("*.py")}:
+            assert len(list(folder.glob("*.py"))) <= MOST_MODULES, folder.relative_to(ROOT)
 
 
 # Names that say something only to who wrote them, or that have meant several things.

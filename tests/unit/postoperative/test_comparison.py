@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.postoperative import after, before, errors_of, misplaced, plan_of
+from benchmarks.scans.postoperative import after, before, errors_of, misplaced, plan_of
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
 from procedures.postoperative.assignment import FoundKind

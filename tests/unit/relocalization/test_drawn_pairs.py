@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive
-from benchmarks.sphere_campaign import (
+from benchmarks.stereo_head.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive
+from benchmarks.stereo_head.sphere_campaign import (
     CENTRED,
     DEFOCUSED,
     HALF_HIDDEN,
@@ -16,7 +16,7 @@ from benchmarks.sphere_campaign import (
     OFF_AXIS,
     campaign,
 )
-from benchmarks.stereo_pictures import Studio
+from benchmarks.stereo_head.stereo_pictures import Studio
 
 
 @pytest.mark.parametrize(

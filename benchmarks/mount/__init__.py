@@ -1,0 +1,1 @@
+"""Looks for the calibrations of reference frame and tool tip."""

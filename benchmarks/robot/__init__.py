@@ -1,0 +1,1 @@
+"""The robot link and its set-points."""

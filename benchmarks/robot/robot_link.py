@@ -1,0 +1,198 @@
+"""The robot link against bare exchanges and peers, idle and with the machine's other processor busy.
+
+Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record;
+and of whole moves, including planning, during which there are no telegrams. Turnaround: telegram sent to
+matching reply read, as seen by a controller, 1 ms and 4 ms apart. Goals are compared with an echo measured
+in the same minutes.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+from benchmarks.contest import contest, family_cpu_s, process_cpu_s
+from benchmarks.figures import Figure, compared
+from benchmarks.robot.controller_probe import ControllerProbe, bare_telegram
+from benchmarks.robot.robot_cell import RobotCell, peer
+from drivers.kuka_rsi.errors import RecordedCycle
+from ronna_hw.devices.readings import JointVector
+
+ETHERNET_FILE = (
+    Path(__file__).parents[2] / "drivers" / "kuka_rsi" / "controller" / "files" / "ronna_rsi_eth.xml"
+)
+LOCK_STEP_ROUNDS = 20
+LOADED_ROUNDS = 8
+SWING_RAD = 0.6
+BARE_EXCHANGES = 1000
+TELEGRAMS_PER_BLOCK = 500
+FAST_S, FAST_TELEGRAMS = 0.001, 20_000
+CYCLE_S, CYCLE_TELEGRAMS = 0.004, 2_000
+LOADED_TELEGRAMS, LOADED_CYCLE_TELEGRAMS = 5_000, 1_500
+LOCK_STEP_GOAL_HZ, LOADED_LOCK_STEP_GOAL_HZ = 8_000.0, 4_000.0
+MEDIAN_ABOVE_ECHO_GOAL_S = 15e-6
+P99_OVER_ECHO_GOAL = 3.0
+ECHO, LINK_AT_REST, LINK_MOVING, RSIPI = "bare UDP echo", "driver at rest", "driver moving", "RSIPI"
+BUSY_PARENT = "driver moving, its program busy"
+UNREHEARSED = "driver moving, without rehearsal"
+
+
+def measure() -> list[Figure]:
+    """All measurements."""
+    figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
+    figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
+    at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
+    figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
+    with _image_load():
+        name = "lock-step cycles per second under an image load"
+        figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
+        name = "turnaround at 1 ms under an image load"
+        figures += _turnaround(name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT))
+        name = "turnaround at 4 ms under an image load"
+        figures += _turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
+    return figures
+
+
+@contextmanager
+def _image_load() -> Iterator[None]:
+    """Another process decodes images as fast as it can."""
+    with peer("image_load"):
+        yield
+
+
+def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
+    with RobotCell() as cell, peer("udp_echo") as echo:
+        home = cell.arm.read_state().joints_rad
+        away: JointVector = (home[0] + SWING_RAD, *home[1:])
+        ends = [away, home]
+        link = cell.arm._connections.link
+        pids = {"simulator": cell.controller.process.pid, "driver's process": link._process.pid}
+        spent = {name: 0.0 for name in pids}
+        cycles_seen = 0
+        whole_moves_hz: list[float] = []
+
+        def move() -> float:
+            nonlocal cycles_seen
+            before = {name: process_cpu_s(pid) for name, pid in pids.items()}
+            cycles, began = cell.arm.link_statistics().cycles, time.perf_counter()
+            cell.arm.move_joints(ends[0])
+            ends.reverse()
+            elapsed = time.perf_counter() - began
+            cycles = cell.arm.link_statistics().cycles - cycles
+            for name, pid in pids.items():
+                spent[name] += process_cpu_s(pid) - before[name]
+            cycles_seen += cycles
+            whole_moves_hz.append(cycles / elapsed)
+            return rate_in_motion(link.recorded_cycles())
+
+        probe = ControllerProbe(echo.ready["endpoint"])
+
+        def exchange() -> float:
+            began = time.perf_counter()
+            for _ in range(BARE_EXCHANGES):
+                probe.exchange(bare_telegram())
+            return BARE_EXCHANGES / (time.perf_counter() - began)
+
+        baseline = "bare UDP exchange"
+        samples = contest({"simulator and driver": move, baseline: exchange}, rounds)
+        probe.close()
+        figures = compared(measure, "1/s", samples, baseline)
+        figures[0] = figures[0].at_least(goal_hz)
+        figures.append(Figure(f"{measure}, planning included", figures[0].who, median(whole_moves_hz), "1/s"))
+        for name, cpu_s in spent.items():
+            figures.append(Figure(f"CPU per cycle of {measure}", name, cpu_s / cycles_seen * 1e6, "µs"))
+        return figures
+
+
+def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
+    """Cycles per second of host time among those with a changed set-point; 0 if there were none."""
+    gaps_ns = [
+        later.received_ns - earlier.received_ns
+        for earlier, later in pairwise(cycles)
+        if later.cycle == earlier.cycle + 1 and later.sent_rad != earlier.sent_rad
+    ]
+    return len(gaps_ns) / sum(gaps_ns) * 1e9 if gaps_ns else 0.0
+
+
+def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]) -> list[Figure]:
+    """This many telegrams to each contestant and to an echo, in alternating blocks."""
+    arguments = {
+        ECHO: ("udp_echo",),
+        LINK_AT_REST: ("rsi_link", "rest"),
+        LINK_MOVING: ("rsi_link", "move"),
+        BUSY_PARENT: ("rsi_link", "move", "busy"),
+        UNREHEARSED: ("rsi_link", "move", "unrehearsed"),
+        RSIPI: ("rsipi_client", str(ETHERNET_FILE)),
+    }
+    with ExitStack() as stack:
+        peers = {name: stack.enter_context(peer(*arguments[name])) for name in (ECHO, *contestants)}
+        probes = {
+            name: stack.enter_context(ControllerProbe(child.ready["endpoint"]))
+            for name, child in peers.items()
+        }
+        cpu_s = dict.fromkeys(peers, 0.0)
+
+        def block(name: str) -> float:
+            pid = peers[name].process.pid
+            before_s = family_cpu_s(pid)
+            found = median(probes[name].block(TELEGRAMS_PER_BLOCK, pace_s))
+            cpu_s[name] += family_cpu_s(pid) - before_s
+            return found
+
+        rounds = telegrams // TELEGRAMS_PER_BLOCK
+        samples = contest({name: partial(block, name) for name in peers}, rounds)
+        figures = compared(measure, "µs", samples, ECHO, scale=1e6)
+        sent = {name: len(probe.turnarounds_s) + probe.unanswered for name, probe in probes.items()}
+        per_telegram = {name: [cpu_s[name] / sent[name]] for name in peers}
+        share = {name: [cpu_s[name] / (sent[name] * pace_s)] for name in peers}
+        figures = [_with_tail(figure, probes[figure.who]) for figure in figures]
+        return [
+            *figures,
+            *_held_against_echo(measure, probes),
+            *compared(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
+            *(
+                Figure(f"share of one processor, {measure}", who, of[0] * 100.0, "%")
+                for who, of in share.items()
+            ),
+        ]
+
+
+def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
+    """Median and tail over all telegrams, missed cycles and lost replies of each contestant."""
+    echo = probes[ECHO]
+    echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
+    for who, probe in probes.items():
+        above_s, p99_s = probe.share(0.5) - echo_median_s, probe.share(0.99)
+        ours = who not in (ECHO, RSIPI, UNREHEARSED)
+        median_met = above_s <= MEDIAN_ABOVE_ECHO_GOAL_S if ours else None
+        tail_met = p99_s <= P99_OVER_ECHO_GOAL * echo_p99_s if ours else None
+        if who != ECHO:
+            goal = "value ≤ 15" if ours else ""
+            yield Figure(f"median above echo, {measure}", who, above_s * 1e6, "µs", goal=goal, met=median_met)
+        goal = "ratio ≤ 3" if ours else ""
+        ratio, base = (None, "") if who == ECHO else (p99_s / echo_p99_s, ECHO)
+        yield Figure(
+            f"99th percentile, {measure}", who, p99_s * 1e6, "µs", ratio, base, goal=goal, met=tail_met
+        )
+        missed = sum(turnaround > CYCLE_S for turnaround in probe.turnarounds_s)
+        yield Figure(f"longer than a cycle of 4 ms, {measure}", who, float(missed), "")
+        goal, met = ("value = 0", probe.unanswered == 0) if ours else ("", None)
+        yield Figure(f"replies lost, {measure}", who, float(probe.unanswered), "", goal=goal, met=met)
+
+
+def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
+    """More of the distribution for the JSON output: the far tail is due to the machine."""
+    tail = {
+        "median_us": probe.share(0.5) * 1e6,
+        "p90_us": probe.share(0.9) * 1e6,
+        "p99_us": probe.share(0.99) * 1e6,
+        "telegrams": float(len(probe.turnarounds_s)),
+        "moved_deg": probe.moved_deg,
+    }
+    return replace(figure, more=tail)

@@ -1,0 +1,1 @@
+"""Sphere localization in CT, and the check after the operation."""

@@ -1,0 +1,190 @@
+"""What faults of real scanners cost: each option of `ronna-sim phantom`, on the same markers.
+
+Errors are those of the centres directly, and after a rigid fit to the truth, which is what remains in a
+registration. `--write` stores the figures for the reference page.
+
+    python -m benchmarks.scans.scanner_faults --volumes 4 --seed 9000 --write
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import tomli_w
+from numpy.typing import NDArray
+
+from benchmarks.scans.look_alikes import SAME_SPHERE_MM, Painted, paint
+from procedures.imaging import Localization, localize, read_series
+from procedures.imaging.slice_motion import motion_warnings
+from procedures.registration.point_registration import register
+from ronna_hw.errors import RonnaError
+from sim.phantom.case import write_case
+from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.scan import Scan, plain_scan
+from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
+from sim.world.scene.named_scenes import named_scene
+
+Array = NDArray[np.float64]
+
+FAMILY, PROTOCOL = "plain", "good"
+DATA = Path(__file__).parents[2] / "docs" / "reference" / "scanner-faults.toml"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A fault in words and as options; `slice_mm` is a slice spacing other than the protocol's."""
+
+    words: str
+    faults: ScannerFaults = NO_FAULTS
+    slice_mm: float | None = None
+    noise_hu: float | None = None
+
+
+CASES = (
+    Case("none: 0.5 x 0.5 x 1.0 mm, 20 HU"),
+    Case("table feeds 0.1 % more than stated", ScannerFaults(table_scale=0.001)),
+    Case("table feeds 0.5 % more", ScannerFaults(table_scale=0.005)),
+    Case("table feeds 2 % more", ScannerFaults(table_scale=0.02)),
+    Case("overlap: slices of 2 mm every 1 mm", ScannerFaults(thickness_mm=2.0)),
+    Case("overlap: slices of 3 mm every 1 mm", ScannerFaults(thickness_mm=3.0)),
+    Case("thick: slices of 2 mm every 2 mm", slice_mm=2.0),
+    Case("thick: slices of 3 mm every 3 mm", slice_mm=3.0),
+    Case("thick: slices of 5 mm every 5 mm", slice_mm=5.0),
+    Case("beam hardening, usual", ScannerFaults(beam_hardening=1.0)),
+    Case("beam hardening, three times as much", ScannerFaults(beam_hardening=3.0)),
+    Case("the patient moves by 0.3 mm", ScannerFaults(motion_mm=0.3)),
+    Case("the patient moves by 1 mm", ScannerFaults(motion_mm=1.0)),
+    Case("the patient moves by 3 mm", ScannerFaults(motion_mm=3.0)),
+    Case("smooth kernel", ScannerFaults(kernel="smooth")),
+    Case("sharp kernel", ScannerFaults(kernel="sharp")),
+    Case("sharp kernel, 60 HU", ScannerFaults(kernel="sharp"), noise_hu=60.0),
+    Case("metal stored beyond 3071 HU", ScannerFaults(extended_range=True)),
+)
+TILTS = tuple(Case(f"gantry tilt of {tilt:g}°", ScannerFaults(tilt_deg=tilt)) for tilt in (0.5, 5.0, 20.0))
+
+
+@dataclass
+class Cost:
+    """Outcomes for the markers of some volumes."""
+
+    markers: int = 0
+    missed: int = 0
+    false: int = 0
+    squares_mm2: list[float] = field(default_factory=list)
+    fitted_mm2: list[float] = field(default_factory=list)  # after a rigid fit
+    chi2: list[float] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)  # refusals and warnings
+
+    def add(self, painted: Painted) -> None:
+        """Localize without the expected count."""
+        self.said += motion_warnings(painted.volume.voxels, painted.volume.geometry)
+        self.markers += len(painted.centres_mm)
+        try:
+            found = localize(painted.volume)
+        except RonnaError as error:
+            self.missed += len(painted.centres_mm)
+            self.said.append(f"{error.code}: {error.summary.partition(';')[0]}")
+            return
+        self._compare(found, painted.centres_mm)
+
+    def _compare(self, found: Localization, centres_mm: Array) -> None:
+        distance = np.linalg.norm(centres_mm[:, None] - found.centres_mm[None], axis=2)
+        near = distance < SAME_SPHERE_MM
+        self.missed += int((~near.any(axis=1)).sum())
+        self.false += int((~near.any(axis=0)).sum())
+        pairs = [(number, int(distance[number].argmin())) for number in np.flatnonzero(near.any(axis=1))]
+        errors = [found.markers[k].centre_mm - centres_mm[number] for number, k in pairs]
+        self.squares_mm2 += [float(error @ error) for error in errors]
+        self.chi2 += [
+            float(error @ np.linalg.solve(found.markers[k].covariance_mm2, error)) / 3.0
+            for error, (_, k) in zip(errors, pairs, strict=True)
+        ]
+        if len(pairs) > 3:
+            there = centres_mm[[number for number, _ in pairs]]
+            fit = register(found.centres_mm[[k for _, k in pairs]], there)
+            self.fitted_mm2 += [fit.fre_mm**2] * len(pairs)
+
+    def row(self, case: Case) -> dict[str, object]:
+        """For the data file; lengths in µm."""
+        said = sorted(set(self.said))
+        if not self.squares_mm2:
+            return {"fault": case.words, "options": _options(case), "told": " / ".join(said) or "refused"}
+        return {
+            "fault": case.words,
+            "options": _options(case),
+            "markers": self.markers,
+            "missed": self.missed,
+            "false": self.false,
+            "error_um": round(1e3 * float(np.sqrt(np.mean(self.squares_mm2))), 1),
+            "largest_um": round(1e3 * float(np.sqrt(np.max(self.squares_mm2))), 1),
+            "fitted_um": round(1e3 * float(np.sqrt(np.mean(self.fitted_mm2))), 1),
+            "chi2": round(float(np.mean(self.chi2)), 2),
+            "told": " / ".join(said),
+        }
+
+
+def _options(case: Case) -> str:
+    words = [
+        f"--{name.replace('_', '-')}"
+        + ("" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}")
+        for name, value in case.faults.said().items()
+    ]
+    return " ".join(words)
+
+
+def _scan(case: Case, seed: int) -> Scan:
+    scan = replace(family_scan(FAMILY, PROTOCOL, seed=seed), faults=case.faults)
+    if case.slice_mm is not None:
+        slices = int(scan.grid.slices * scan.grid.slice_mm / case.slice_mm)
+        scan = replace(scan, grid=replace(scan.grid, slice_mm=case.slice_mm, slices=slices))
+    if case.noise_hu is not None:
+        protocol = scan.scene.ct.model_copy(update={"noise_HU": case.noise_hu})
+        scan = replace(scan, scene=scan.scene.model_copy(update={"ct": protocol}))
+    return scan
+
+
+def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
+    """The same markers for every case."""
+    cost = Cost()
+    whole = case.faults.beam_hardening > 0.0  # beam hardening is slow to paint: one volume
+    for number in range(1 if whole else volumes):
+        cost.add(paint(_scan(case, seed + number), whole_slices=whole))
+    return cost.row(case)
+
+
+def refused(case: Case, seed: int) -> dict[str, object]:
+    """The result of reading the series."""
+    scan = replace(plain_scan(named_scene("mini", seed=seed)), faults=case.faults)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            read_series(write_case(scan.scene, Path(folder), scan=scan).series)
+            said = "read without a warning"
+        except RonnaError as error:
+            said = f"{error.code}: {error.summary}"
+    return {"fault": case.words, "options": _options(case), "told": said}
+
+
+def main() -> None:
+    """Print one line per fault."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--volumes", type=int, default=4, help="of each fault")
+    parser.add_argument("--seed", type=int, default=9000)
+    parser.add_argument("--write", action="store_true", help="into docs/reference/scanner-faults.toml")
+    arguments = parser.parse_args()
+    rows = []
+    for case in CASES:
+        rows.append(measure(case, arguments.volumes, arguments.seed))
+        print(rows[-1], flush=True)
+    for case in TILTS:
+        rows.append(refused(case, arguments.seed))
+        print(rows[-1], flush=True)
+    if arguments.write:
+        DATA.write_text(tomli_w.dumps({"fault": rows}), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

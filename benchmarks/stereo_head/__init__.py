@@ -1,0 +1,1 @@
+"""The stereo head: sphere centres, pictures, calibration, rate."""

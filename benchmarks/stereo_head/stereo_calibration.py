@@ -1,0 +1,135 @@
+"""Calibration of the stereo head from views of one ball, and its self-check, over many random heads and arms.
+
+The views come from the scenes' truth as numbers, without images. `plain adjustment` is the same bundle
+adjustment with every error of the arm treated as random, the usual approach.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from benchmarks.figures import Figure
+from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation_set, true_head
+from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
+from procedures.calibration.errors import DoesNotFit
+from procedures.calibration.pose_set import calibration_looks
+from ronna_hw.arm.errors import LimitError
+from sim.world.rigid import rotation_towards
+
+Array = NDArray[np.float64]
+
+OURS, PLAIN = "ronna-stereo calibrate", "plain adjustment"
+HEADS, ARMS, CHECKS = 10, 12, 50
+LOOKS, PLANNED = 64, 96  # some of the planned ones are out of reach
+VISITS = 3
+BALL_MM = np.array([650.0, 20.0, 250.0])
+TOOL_DOWN = Rotation.from_matrix(rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
+TWIST_RAD = radians(0.01)
+BALL_PUT_DOWN_MM = 0.3  # repeatability of replacing the ball on its stand, per axis
+IDEAL_UM = 30.0
+HONEST = (0.7, 1.4)  # actual error over stated one, rms
+FALSE_ALARMS_PERCENT = 2.0
+
+
+def measure() -> list[Figure]:
+    """Tool centre with a perfect arm but for its repeatability, and with an uncalibrated one; the check."""
+    return [*_tool_centre(), *_check()]
+
+
+def _tool_centre() -> list[Figure]:
+    ideal = [_calibrated(true_head(seed=seed), seed) for seed in range(HEADS)]
+    drawn = [_calibrated(true_head(seed=seed, with_arm=True), seed) for seed in range(ARMS)]
+    outlines_px, errors_mm, stated_mm, _ = zip(*ideal, strict=True)
+    _, arm_errors_mm, arm_stated_mm, plain = zip(*drawn, strict=True)
+    plain_mm = [error for error in plain if error is not None]
+    of_plain = {"largest_um": 1e3 * max(plain_mm), "refused": float(len(plain) - len(plain_mm))}
+    what = "calibration: tool centre's error rms, uncalibrated arm"
+    return [
+        Figure("calibration: error of one outline", OURS, float(np.mean(outlines_px)), "px"),
+        Figure("calibration: tool centre's error rms, exact arm", OURS, 1e3 * _rms(errors_mm), "µm").at_most(
+            IDEAL_UM
+        ),
+        _honest("calibration: made over stated error, exact arm", errors_mm, stated_mm),
+        Figure(what, OURS, 1e3 * _rms(arm_errors_mm), "µm", more={"largest_um": 1e3 * max(arm_errors_mm)}),
+        Figure(what, PLAIN, 1e3 * _rms(plain_mm), "µm", more=of_plain),
+        _honest("calibration: made over stated error, uncalibrated arm", arm_errors_mm, arm_stated_mm),
+    ]
+
+
+def _calibrated(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
+    """Outline error (px); error of the tool centre, actual and stated; that of the plain adjustment (mm)
+
+    The latter is None if it does not converge, or was not needed.
+    """
+    generator = np.random.default_rng(seed)
+    seen: list[Observation] = []
+    for look in calibration_looks(TOOL_DOWN, BALL_MM, PLANNED):
+        try:
+            seen.append(head.observe(look, BALL_MM, generator))
+        except LimitError:
+            continue
+    observed = observation_set(head, seen[:LOOKS])
+    result = calibrate_head(observed)
+    plain_mm = None
+    if head.with_arm:
+        with suppress(DoesNotFit):
+            plain_mm = head.tool_centre_error_mm(calibrate_head(observed, arm_geometry=False).stereo_head)
+    return (
+        result.fit.image_sigma_px,
+        head.tool_centre_error_mm(result.stereo_head),
+        result.tool_error_mm,
+        plain_mm,
+    )
+
+
+def _check() -> list[Figure]:
+    head = true_head()
+    sound = sum(not _passes(head, head, seed) for seed in range(CHECKS))
+    found = sum(not _passes(head, _twisted(head, seed), seed) for seed in range(CHECKS))
+    who, more = "ronna-stereo check", {"checks": float(CHECKS)}
+    return [
+        Figure("camera turned by 0.01° found", who, 100.0 * found / CHECKS, "%", more=more).at_least(100.0),
+        Figure("sound head refused", who, 100.0 * sound / CHECKS, "%", more=more).at_most(
+            FALSE_ALARMS_PERCENT
+        ),
+    ]
+
+
+def _twisted(head: TrueHead, seed: int) -> TrueHead:
+    """One camera rotated about an axis perpendicular to its line of sight, a different one each time."""
+    angle = 2.0 * np.pi * seed / CHECKS
+    turn = (TWIST_RAD * float(np.cos(angle)), TWIST_RAD * float(np.sin(angle)), 0.0)
+    return head.twisted(("left", "right")[seed % 2], turn)
+
+
+def _passes(before: TrueHead, now: TrueHead, seed: int) -> bool:
+    generator = np.random.default_rng([seed, 1])
+
+    def visited(head: TrueHead, ball_mm: Array) -> tuple[Observation, ...]:
+        looks = check_looks(TOOL_DOWN, BALL_MM)
+        return tuple(head.observe(look, ball_mm, generator) for look in looks for _ in range(VISITS))
+
+    baseline = Baseline(
+        created=datetime.now(UTC),
+        stereo_head=before.record,
+        arm_variant="kr6_r900_sixx",
+        looks=visited(before, BALL_MM),
+    )
+    ball = BALL_MM + generator.normal(0.0, BALL_PUT_DOWN_MM, 3)
+    return compare_with_baseline(visited(now, ball), baseline).passed
+
+
+def _rms(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _honest(what: str, made_mm: Sequence[float], stated_mm: Sequence[float]) -> Figure:
+    ratio = _rms([made / stated for made, stated in zip(made_mm, stated_mm, strict=True)])
+    return Figure(what, OURS, ratio, "").within(*HONEST)

@@ -1,0 +1,1 @@
+"""The tracker against other clients."""

@@ -1,0 +1,178 @@
+"""Readings of the tracker over a case, in this process: the scene's true arm, bias and noise.
+
+A case visits poses in order. At each the tracker reads the frame on the arm and the patient's spheres,
+averaged over as many frames as the steps take. Spheres count as visible everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.stereo_head.head_looks import ENDPOINTS
+from procedures.guards.room_reading import FRAMES
+from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.target import target_pose
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import Pose
+from ronna_hw.config import Calibrations, parse_theatre
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, Transform
+from sim.polaris.measurement.rigid_fit import fit_rigid_body
+from sim.polaris.optics.marker_noise import Optics
+from sim.polaris.unit.model import SPECTRA
+from sim.theatre.theatre_file import theatre_content
+from sim.world.arm.true_arm import TrueArm
+from sim.world.rigid import apply, inverse, matrix_from, matrix_of
+from sim.world.scene.named_scenes import named_scene
+
+Array = NDArray[np.float64]
+
+STANDOFF_MM = 60.0
+FLANKS = (1.0,) * 6
+STILL = np.zeros(3)
+GLOBAL_FRAMES = 60
+
+
+@dataclass
+class TrackedCase:
+    """One scene: the poses that a case rests in, and what the tracker reads there."""
+
+    seed: int
+    generator: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.scene = named_scene("default", seed=self.seed)
+        self.generator = np.random.default_rng([self.seed, 26])
+        truth = self.scene
+        self.kinematics = kr6_r900(truth.arm.variant)
+        self._arm = TrueArm(truth.arm, self.seed)
+        self._optics = Optics(truth.tracker, self.seed, SPECTRA.volumes)
+        self.tracker_from_robot = inverse(matrix_of(truth.tracker.robot_from_tracker))
+        self._flange_from_marker = matrix_of(truth.mount.flange_from_tool_true) @ matrix_of(
+            truth.mount.tool_from_marker_true
+        )
+        self._body_mm = np.array(truth.tracker.tools[0].markers_mm)
+        robot_from_ct = matrix_of(truth.head.robot_from_ct)
+        self.spheres_mm = apply(robot_from_ct, [each.centre_ct_mm for each in truth.head.fiducials])
+        theatre = parse_theatre(theatre_content(truth, ENDPOINTS, "host:", {}, 1.0))
+        assert theatre.calibration is not None
+        self.records: Calibrations = theatre.calibration
+        self._poses: dict[JointVector, tuple[Transform, Array]] = {}  # nominal and true flange
+
+    @cached_property
+    def home_rad(self) -> JointVector:
+        a, b, c, d, e, f = (math.radians(angle) for angle in self.scene.arm.home_deg)
+        return (a, b, c, d, e, f)
+
+    @cached_property
+    def rests(self) -> list[JointVector]:
+        """Home, over the last sphere of each trajectory, home, then over and at each target."""
+        strategy = strategy_named("ocs")
+        tool = self.scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
+        branch = self.kinematics.branch_of(self.home_rad)
+        arm = ArmInBranch(self.kinematics, tool, tool, branch, self.home_rad)
+        head = self.scene.head
+        robot_from_ct = head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
+        centres = np.array([each.centre_ct_mm for each in head.fiducials])
+        localizing, targeting = [], []
+        for target in head.targets:
+            one = Trajectory(
+                target.identifier, np.array(target.entry_ct_mm), np.array(target.target_ct_mm),
+                math.radians(target.free_angle_deg),
+            )  # fmt: skip
+            sphere = strategy.localization_poses(one, centres, robot_from_ct, arm)[-1]
+            goal = target_pose(one, robot_from_ct)
+            try:
+                over = self._joints(back_along_axis(sphere, STANDOFF_MM))
+                standoff = self._joints(back_along_axis(goal, one.depth_mm + STANDOFF_MM))
+                at = self._joints(goal)
+            except RonnaError:
+                continue
+            localizing.append(over)
+            targeting += [standoff, at, standoff]
+        return [self.home_rad, *localizing, self.home_rad, *targeting]
+
+    def begin(self) -> RoomWatch:
+        """The watch after a global localization at home."""
+        spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
+        flange = self.kinematics.flange_pose(self.home_rad)
+        robot_from_tracker = self._frame_by_arm(flange) @ frame.inverse()
+        reading = RoomReading(flange, np.zeros(3), spheres)
+        return RoomWatch("trial", robot_from_tracker, spheres, [reading])
+
+    def reading(
+        self, watch: RoomWatch, joints: JointVector, head_mm: Array = STILL, cart_mm: Array = STILL
+    ) -> RoomReading:
+        """What the tracker reads with head and cart moved so far, in the robot's first axes."""
+        spheres, frame = self._seen(joints, head_mm, cart_mm, FRAMES)
+        flange, _ = self._at(joints)
+        seen = watch.robot_from_tracker @ frame
+        way_mm = seen.translation_mm - self._frame_by_arm(flange).translation_mm
+        return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm))
+
+    def measured(self, spheres_mm: Array) -> Array:
+        """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""
+        return self._measured(apply(self.tracker_from_robot, spheres_mm), 1)
+
+    def true_flange(self, joints: JointVector) -> Array:
+        """Where the arm truly is (4, 4) with its encoders at these joints."""
+        return self._at(joints)[1]
+
+    def frame_noise_mm(self, joints: JointVector) -> Array:
+        """Of the place of the frame on the arm in one frame, (3, 3) mm for each of three standard normals."""
+        flange = self.true_flange(joints)
+        sight = self._optics.sight(
+            apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        )
+        step = 1e-3  # the fit is linear in noise as small as this
+        still = fit_rigid_body(self._body_mm, sight.mean_mm).translation_mm
+        drawn = step * np.eye(sight.mean_mm.size).reshape(-1, *sight.mean_mm.shape)
+        fits = [fit_rigid_body(self._body_mm, sight.measured(one)).translation_mm for one in drawn]
+        each = np.array([(fit - still) / step for fit in fits])
+        return np.asarray(np.linalg.cholesky(each.T @ each))
+
+    def direction(self) -> Array:
+        """A random unit vector."""
+        way = self.generator.standard_normal(3)
+        return np.asarray(way / np.linalg.norm(way))
+
+    def _seen(
+        self, joints: JointVector, head_mm: Array, cart_mm: Array, frames: int
+    ) -> tuple[Array, Transform]:
+        flange = matrix_from(cart_mm, np.eye(3)) @ self._at(joints)[1]
+        markers = apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        spheres = apply(self.tracker_from_robot, self.spheres_mm + head_mm)
+        points = self._measured(np.vstack([markers, spheres]), frames)
+        fit = fit_rigid_body(self._body_mm, points[: len(markers)])
+        pose = matrix_from(fit.translation_mm, fit.rotation)
+        return points[len(markers) :], Transform.from_matrix(Frame.TRACKER, Frame.MARKER, pose)
+
+    def _at(self, joints: JointVector) -> tuple[Transform, Array]:
+        if joints not in self._poses:
+            true = self._arm.moving(joints, FLANKS)
+            self._poses[joints] = (self.kinematics.flange_pose(joints), true)
+        return self._poses[joints]
+
+    def _measured(self, points_mm: Array, frames: int) -> Array:
+        sight = self._optics.sight(points_mm)
+        return sight.measured(self.generator.standard_normal(points_mm.shape) / math.sqrt(frames))
+
+    def _frame_by_arm(self, flange: Transform) -> Transform:
+        records = self.records
+        tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        return flange @ tool @ records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+
+    def _joints(self, pose: Transform) -> JointVector:
+        tool = self.records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        flange = Pose.from_transform(pose @ tool.inverse())
+        return self.kinematics.solve_branch(flange, self.kinematics.branch_of(self.home_rad), self.home_rad)
