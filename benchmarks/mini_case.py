@@ -1,4 +1,4 @@
-"""The whole case on the small scene, from the command line: wall time against theatre time."""
+"""The whole case on the small scene, from the command line: wall time against theatre time. And the demo."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 ROUNDS = 3
 SEED = 7
-CASE_LIMIT_S = 50.0
+CASE_LIMIT_S, DEMO_LIMIT_S = 50.0, 60.0  # the latter is a goal as well
 COMMAND, THEATRE = "ronna-procedure run", "ronna-sim theatre, start to READY"
 
 
@@ -34,11 +34,15 @@ def measure() -> list[Figure]:
                 start_s.append(time.perf_counter() - began)
         with tempfile.TemporaryDirectory() as folder:
             before_s, began = _children_cpu_s(), time.perf_counter()
-            outcome = _case(folder)
+            outcome = _case(folder, "mini", CASE_LIMIT_S)
             wall_s.append(time.perf_counter() - began)
             cpu_s.append(_children_cpu_s() - before_s)
             theatre_s.append(float(outcome["sim_s"]))
             error_mm.append(float(outcome["max_application_error_mm"]))
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        _case(folder, "default", 2 * DEMO_LIMIT_S)
+        demo_s = time.perf_counter() - began
     speed = median(theatre / wall for theatre, wall in zip(theatre_s, wall_s, strict=True))
     starts = median(wall / start for wall, start in zip(wall_s, start_s, strict=True))
     return [
@@ -47,6 +51,7 @@ def measure() -> list[Figure]:
         Figure("mini case, CPU of all processes", COMMAND, median(cpu_s), "s"),
         Figure("mini case, theatre time", COMMAND, median(theatre_s), "s", speed, "wall time"),
         Figure("mini case, largest error at a target", COMMAND, median(error_mm), "mm"),
+        Figure("case of `make demo`, wall", COMMAND, demo_s, "s").at_most(DEMO_LIMIT_S),
     ]
 
 
@@ -56,12 +61,10 @@ def _theatre(folder: str) -> list[str]:
     )
 
 
-def _case(folder: str) -> dict[str, float]:
+def _case(folder: str, scene: str, limit_s: float) -> dict[str, float]:
     program = str(Path(sys.executable).parent / "ronna-procedure")
-    arguments = ["run", "--sim", "--scene", "mini", "--seed", str(SEED), "--out", folder, "--json"]
-    done = subprocess.run(
-        [program, *arguments], capture_output=True, text=True, timeout=CASE_LIMIT_S, check=False
-    )
+    arguments = ["run", "--sim", "--scene", scene, "--seed", str(SEED), "--out", folder, "--json"]
+    done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=limit_s, check=False)
     if done.returncode:
         raise RuntimeError(" ".join(done.stderr.split()))
     return dict(json.loads(done.stdout))
