@@ -42,7 +42,7 @@ def place(
         SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C",
-            help="Likewise for the tracker: the arm at home must not hide the markers from it.",
+            help="Likewise for the tracker: past the arm at home it must see the markers and its frame.",
         ),
     ] = None,
     strategy: Annotated[
@@ -100,10 +100,11 @@ def place(
     volume, fiducials_mm, _ = read_ct(series_dir, True)
     check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
     assert fiducials_mm is not None
-    setting = theatre.in_its_scene(volume, plan.fiducials, tuple(fiducials_mm))
+    marks = tuple(fiducials_mm)
+    setting = theatre.in_its_scene(volume, plan.fiducials, marks)
     tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
     trajectories = held_trajectories(plan, theatre.bore)
-    case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)
+    case = CartCase(setting, trajectories, marks, theatre.sight, tracker, theatre.stereo_from_marker)
     with terminal.progress_bar("mapping cart positions") as advance, judging(case) as judge:
         found = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
     payload = {
@@ -117,9 +118,7 @@ def place(
     if out is not None:
         _write(out, payload, found, case)
     if tracker is None:
-        terminal.tell(
-            "sight not judged: without --robot-from-tracker the arm at home may hide markers from it"
-        )
+        terminal.tell("sight not judged: without --robot-from-tracker markers or arm may be out of its sight")
     if as_json:
         terminal.print_json(payload)
         return

@@ -20,7 +20,7 @@ from procedures.planning.path_check.visits import (
     target_visit,
 )
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.sight.tracker import TrackerSight
+from procedures.planning.sight.tracker import TrackerSight, frame_unseen
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
@@ -73,7 +73,8 @@ class Verdict:
 class CartCase:
     """The arm at its assumed position, with its scene and its task.
 
-    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter.
+    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
+    `stereo_from_marker` that of the frame on the arm.
     Whatever the cell describes in the robot frame is assumed to move with the cart.
     """
 
@@ -82,11 +83,12 @@ class CartCase:
     fiducials_mm: tuple[tuple[float, float, float], ...]
     sight: StereoSight
     robot_from_tracker: Transform | None = None
+    stereo_from_marker: Transform | None = None
 
     def judged(self, move: CartMove, known: Sequence[Found] = (), *, search: bool = True) -> Verdict:
         """Whether a position serves. Solutions from elsewhere are tried first; then, with `search`, all."""
         setting = self.setting_at(move)
-        hidden = self._hidden_from_tracker(setting, move)
+        hidden = self._unseen_by_tracker(setting, move)
         if hidden:
             return Verdict(None, "home", hidden)
         for unmet in gauge_unmet(setting):
@@ -160,8 +162,8 @@ class CartCase:
             for pose in (visit.pose, visit.approach):
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
-    def _hidden_from_tracker(self, setting: ArmSetting, move: CartMove) -> str:
-        """Which spheres the arm at home hides from the tracker; empty if none."""
+    def _unseen_by_tracker(self, setting: ArmSetting, move: CartMove) -> str:
+        """What the tracker cannot see with the arm at home: its frame, or spheres; empty if none."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
@@ -169,6 +171,10 @@ class CartCase:
         tracker = Transform(Frame.ROBOT, Frame.TRACKER, move.seen_from_cart(self.robot_from_tracker.rigid))
         spheres = tracker.inverse().apply(setting.robot_from_ct.apply(np.array(self.fiducials_mm)))
         stereo = setting.flange_from_stereo or setting.flange_from_tool
+        if self.stereo_from_marker is not None:
+            marker = setting.kinematics.flange_pose(setting.start_rad) @ stereo @ self.stereo_from_marker
+            if unseen := frame_unseen(tracker, marker, setting.kinematics, setting.start_rad):
+                return unseen
         around = scene.with_stereo_head(setting.robot_from_ct, stereo)
         seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)
         numbers = [str(number) for number, one in enumerate(seen, start=1) if not one]

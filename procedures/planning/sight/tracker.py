@@ -1,4 +1,4 @@
-"""Which spheres the tracker sees past the arm, using the bodies of the path check.
+"""Which spheres the tracker sees past the arm, using the bodies of the path check, and the frame on the arm.
 
 An estimate that can explain why nothing is seen, but never proves that something is: only a reading does.
 """
@@ -22,6 +22,9 @@ Array = NDArray[np.float64]
 # The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
 # if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
 SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
+# The pyramid of a Polaris Spectra, as published: z, half x, half y of faces and knee, tracker frame, mm.
+VOLUME_MM = ((-2400.0, 656.4, 783.0), (-1532.0, 398.0, 572.0), (-950.0, 224.7, 240.6))
+FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its origin
 
 
 @dataclass(frozen=True)
@@ -46,3 +49,23 @@ class TrackerSight:
         radii = np.array(bodies.moving_radii_mm)[:, None, None]
         hidden: NDArray[np.bool_] = np.asarray(segment_distances(starts, stops, eyes, spheres) < radii)
         return np.asarray(~hidden.any(axis=(0, 1)))
+
+
+def frame_unseen(
+    robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
+) -> str:
+    """Why the tracker cannot see the frame on the arm, which faces along its z axis; empty if it may."""
+    marker = robot_from_tracker.inverse() @ robot_from_marker
+    x_mm, y_mm, z_mm = marker.translation_mm.tolist()
+    depths_mm, *halves_mm = np.transpose(VOLUME_MM)
+    half_x_mm, half_y_mm = (float(np.interp(z_mm, depths_mm, half)) for half in halves_mm)
+    beyond_mm = max(abs(x_mm) - half_x_mm, abs(y_mm) - half_y_mm, depths_mm[0] - z_mm, z_mm - depths_mm[-1])
+    if beyond_mm > -FRAME_MM:
+        return "the frame on the arm at home is outside the measuring volume of the tracker"
+    if ((np.array(SENSORS_MM) - marker.translation_mm) @ marker.rotation_matrix[:, 2]).min() <= 0.0:
+        return "the frame on the arm at home faces away from the tracker"
+    if not TrackerSight(robot_from_tracker, marker.translation_mm[None]).seen(
+        arm, Surroundings(), joints_rad
+    ):
+        return "the arm at home hides the frame on it from the tracker"
+    return ""

@@ -42,6 +42,7 @@ class TheatreArm:
     arm: ArmSetting
     cell: CollisionConfig
     sight: StereoSight
+    stereo_from_marker: Transform  # the frame on the arm that the tracker sees
     bore: GuideBore
     reserve_mm: float  # extra clearance for the stereo head's error: the servo leaves the path
     seating_error_mm: float  # per axis
@@ -90,6 +91,7 @@ def theatre_arm(
         arm=arm,
         cell=theatre.cell_with_tools,
         sight=StereoSight.of(calibration.stereo_head),
+        stereo_from_marker=calibration.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER),
         bore=guide.bore,
         reserve_mm=sizes.tool_mm,
         seating_error_mm=theatre.procedure.seating_error_mm,

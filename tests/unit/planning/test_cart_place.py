@@ -32,6 +32,11 @@ RECLINED = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT),
 HERE, PLANNED = CartMove(0.0, 0.0), (("T1", 0.0),)
 CAMERA_MM = 250.0 * np.array([0.0, math.sin(math.radians(27.5)), -math.cos(math.radians(27.5))])
 SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
+# The frame on the arm, which faces up at home, and a usual direction from there to the tracker.
+ON_ARM = Transform.of(
+    Frame.TOOL, Frame.MARKER, translation_mm=(-150.0, 0.0, -140.0), quaternion_wxyz=(0.0, 1.0, 0.0, 0.0)
+)
+ABOVE = (500.0, 900.0, 1300.0)
 
 
 def _setting(*bodies: RoomBody) -> ArmSetting:
@@ -48,7 +53,17 @@ def _setting(*bodies: RoomBody) -> ArmSetting:
 
 
 def _case(setting: ArmSetting, sight: StereoSight = SIGHT, tracker: Transform | None = None) -> CartCase:
-    return CartCase(setting, (ALONG,), FIDUCIALS, sight, tracker)
+    return CartCase(setting, (ALONG,), FIDUCIALS, sight, tracker, ON_ARM)
+
+
+def _looking_at_the_arm(setting: ArmSetting, way: tuple[float, float, float], far_mm: float) -> Transform:
+    """A tracker so far from the frame on the arm at home, in that direction, turned to it."""
+    home = setting.kinematics.flange_pose(setting.start_rad)
+    z = np.array(way) / np.linalg.norm(way)
+    x = np.cross([0.0, 1.0, 0.0], z) / np.linalg.norm(np.cross([0.0, 1.0, 0.0], z))
+    turned = Rotation.from_matrix(np.column_stack([x, np.cross(z, x), z]))
+    place_mm = (home @ setting.flange_from_tool @ ON_ARM).translation_mm + far_mm * z
+    return Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.from_components(place_mm, turned))
 
 
 def _known() -> Found:
@@ -133,8 +148,27 @@ def test_a_position_at_which_the_arm_at_home_hides_a_sphere_from_the_tracker_is_
     sensor_mm = sphere_mm + 5.0 * (wrist_mm - sphere_mm)  # one of both, behind the wrist
     middle_mm = sensor_mm - np.array(SENSORS_MM[0])
     tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=middle_mm)
-    case = _case(setting, tracker=tracker)
+    case = replace(_case(setting, tracker=tracker), stereo_from_marker=None)
     hidden = case.judged(HERE, (_known(),))
     assert not hidden.serves
     assert hidden.reason.startswith("the arm at home hides fiducial 1")
     assert case.judged(CartMove(0.0, 400.0), (_known(),)).serves  # it stays where it is in the room
+
+
+@pytest.mark.hazard(48)
+@pytest.mark.parametrize(
+    ("way", "far_mm", "told"),
+    [
+        (ABOVE, 1900.0, ""),
+        (ABOVE, 2400.0, "the frame on the arm at home is outside the measuring volume of the tracker"),
+        (ABOVE, 1000.0, "the frame on the arm at home is outside the measuring volume of the tracker"),
+        ((500.0, 900.0, -100.0), 1900.0, "the frame on the arm at home faces away from the tracker"),
+        ((-900.0, 0.0, 300.0), 1900.0, "the arm at home hides the frame on it from the tracker"),
+    ],
+)
+def test_a_position_from_which_the_tracker_cannot_see_the_frame_on_the_arm_is_refused(
+    way: tuple[float, float, float], far_mm: float, told: str
+) -> None:
+    setting = _setting()
+    judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judged(HERE, (_known(),))
+    assert (judged.serves, judged.reason) == (not told, told)
