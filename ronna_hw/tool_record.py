@@ -107,7 +107,7 @@ class ToolFrame(Strict):
     """A frame of spheres on the tool itself, by which the tracker identifies it."""
 
     tool: Words = Field(description="Name of the frame among the tracker's tools.")
-    tip_from_frame: OnTheMount = Field(description="Pose of the frame in the tool's tip frame.")
+    mount_from_frame: OnTheMount = Field(description="Pose of the frame in that on the arm's mount.")
 
 
 class TipInHead(Strict):

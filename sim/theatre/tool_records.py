@@ -10,8 +10,9 @@ import numpy as np
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
 from sim.world.noise import noise
+from sim.world.rigid import inverse, matrix_of, pose_of
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
-from sim.world.scene.model import Scene
+from sim.world.scene.model import Mount, Scene
 
 STEREO_HEAD_KG = 2.1
 CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame
@@ -59,7 +60,7 @@ def tool_records(
                 "length_mm": guide.bore_mm,
                 "play_mm": guide.play_mm,
             },
-            **_frame(guide.tip_from_frame),
+            **_frame(mount),
             "gauge": {
                 "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
                 "base_mm": GAUGE_BASE_MM,
@@ -85,8 +86,10 @@ def gauge_read(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]
     }
 
 
-def _frame(tip_from_frame: PoseRecord | None) -> dict[str, Any]:
+def _frame(mount: Mount) -> dict[str, Any]:
     """How the tracker sees the guide, if it has a frame."""
-    if tip_from_frame is None:
+    if mount.guide.tip_from_frame is None:
         return {}
-    return {"frame": {"tool": GUIDE_FRAME, "tip_from_frame": tip_from_frame.model_dump(mode="json")}}
+    mount_from_tip = inverse(matrix_of(mount.tool_from_marker_true)) @ matrix_of(mount.tool_from_tip_true)
+    pose = pose_of(mount_from_tip @ matrix_of(mount.guide.tip_from_frame))
+    return {"frame": {"tool": GUIDE_FRAME, "mount_from_frame": pose.model_dump(mode="json")}}

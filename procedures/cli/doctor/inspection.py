@@ -57,7 +57,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
         for notice in device.notices:
             yield Diagnostic(f"{subject}notice", True, notice)
         if isinstance(device, OpticalTracker):
-            yield from _seen_by_tracker(subject, device, calibrations)
+            yield from _seen_by_tracker(subject, device, theatre)
         elif isinstance(device, StereoPair):
             head = None if calibrations is None else calibrations.stereo_head
             judged = partial(pair_diagnostics, subject, head=head)
@@ -99,9 +99,7 @@ def _matching(
         yield _checked(f"{subject}mounted tool", str(MountedTool.STEREO_HEAD), refused)
 
 
-def _seen_by_tracker(
-    subject: str, tracker: OpticalTracker, calibrations: Calibrations | None
-) -> Iterator[Diagnostic]:
+def _seen_by_tracker(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Tools and spheres in sight now, after the unit has let its poses out."""
     try:
         with tracker.active():
@@ -109,6 +107,8 @@ def _seen_by_tracker(
     except RonnaError as error:  # too cold, bumped, an alert
         yield refusal(f"{subject}tracking", error)
         return
+    calibrations = theatre.calibration
+    mounted_later = {record.frame.tool for record in theatre.tools.values() if record.frame is not None}
     for tool in tracker.tools:
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
         needed = calibrations is not None and tool == calibrations.tracker_frame.tool
@@ -117,7 +117,7 @@ def _seen_by_tracker(
             seen > len(frames) // 2 or not needed,
             f"in {seen} of {len(frames)} frames",
             ""
-            if seen == len(frames)
+            if seen == len(frames) or tool in mounted_later
             else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
         )
     spheres = _usual_count(frames)

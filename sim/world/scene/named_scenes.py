@@ -17,7 +17,9 @@ from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BadScene
 from sim.world.noise import noise
 from sim.world.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.world.scene import guide_frame
 from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.guide import Guide
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
 from sim.world.scene.stereo_head import draw_cameras, draw_mount
@@ -69,19 +71,23 @@ def named_scene(
         x_frame=x_frame,
     )
     left, right = draw_cameras(generator)
+    arm, mount = draw_arm(generator), draw_mount(generator)
+    on_bench = name in BENCH_DISTANCES_MM
+    if not on_bench:
+        mount = mount.model_copy(update={"guide": Guide(tip_from_frame=guide_frame.IN_TIP)})
     return Scene(
         name=name,
         seed=seed,
         head=head,
         ct=MINI_CT if mini else CtProtocol(),
-        arm=draw_arm(generator),
-        mount=draw_mount(generator),
+        arm=arm,
+        mount=mount,
         tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
-        if name in BENCH_DISTANCES_MM
+        if on_bench
         else _tracker(
             apply(matrix_of(head.robot_from_ct), head.centre_ct_mm),
             0 if mini else USUAL_REFLECTIONS,
-            (robot_frame(), frame_on_head()) if x_frame else (robot_frame(),),
+            (robot_frame(), *((frame_on_head(),) if x_frame else ()), frame_on_guide()),
         ),
         left=left,
         right=right,
@@ -114,6 +120,13 @@ def frame_on_head() -> TrackerTool:
     """The x-shaped frame as a tool."""
     return TrackerTool(
         name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
+    )
+
+
+def frame_on_guide() -> TrackerTool:
+    """The frame on the guide, by which the tracker checks what is mounted."""
+    return TrackerTool(
+        name=guide_frame.NAME, part_number=guide_frame.PART_NUMBER, markers_mm=guide_frame.MARKERS_MM
     )
 
 

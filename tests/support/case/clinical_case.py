@@ -39,6 +39,7 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.frames import Frame, Transform
+from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
@@ -93,6 +94,7 @@ class SeeingTracker(RecordingTracker):
     spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
     hidden: bool = False  # the frame
+    guide_shift_mm: Numbers3 | None = (0.0, 0.0, 0.0)  # of the frame on the guide; None: not seen
     frames_read: int = 0
     replies_s: tuple[float, ...] = ()
 
@@ -116,7 +118,23 @@ class SeeingTracker(RecordingTracker):
             )
             reading = ToolReading(records.tracker_frame.tool, Validity.OK, *pose, 0.1)
         strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
-        return TrackerFrame(STAMP, Validity.OK, (reading,), strays)
+        return TrackerFrame(STAMP, Validity.OK, (reading, self._on_guide(self.cell)), strays)
+
+    def _on_guide(self, cell: ClinicalCell) -> ToolReading:
+        """The frame on the guide, while that is mounted."""
+        frame, records = cell.workcell.tools.guide.record.frame, cell.calibrations
+        assert frame is not None
+        if self.guide_shift_mm is None or cell.arm.mounted != GUIDE:
+            return ToolReading(GUIDE_FRAME, Validity.MISSING, None, None, None)
+        pose = _frame_on_the_arm(
+            cell.arm.kinematics,
+            cell.arm.joints_rad,
+            records.stereo_head.flange_from_tool,
+            records.tracker_frame.tool_from_marker,
+            self.guide_shift_mm,
+            frame.mount_from_frame,
+        )
+        return ToolReading(GUIDE_FRAME, Validity.OK, *pose, 0.1)
 
 
 @lru_cache(maxsize=4)  # an arm at rest is seen in one frame after the other
@@ -126,10 +144,13 @@ def _frame_on_the_arm(
     flange_from_tool: PoseRecord,
     tool_from_marker: PoseRecord,
     shift_mm: Numbers3,
+    mount_from_frame: PoseRecord | None = None,
 ) -> tuple[Numbers4, Numbers3]:
-    """Rotation and place of the tracked frame, in mm."""
+    """Rotation and place of the tracked frame on the mount, or of one that is fixed to it, in mm."""
     tool = flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     marker = tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    if mount_from_frame is not None:
+        marker = marker @ mount_from_frame.transform(Frame.MARKER, Frame.MARKER)
     pose = shifted(kinematics.flange_pose(joints_rad) @ tool @ marker, shift_mm)
     w, qx, qy, qz = pose.quaternion_wxyz.tolist()
     x, y, z = pose.translation_mm.tolist()

@@ -307,7 +307,9 @@ class RecordingCell:
         head = self.calibrations.stereo_head
         self.arm = RecordingArm("arm")
         self.stereo = RecordingStereo("stereo", serials=(head.left.serial, head.right.serial))
-        self.tracker = RecordingTracker("tracker", tools=(self.calibrations.tracker_frame.tool,))
+        on_tools = (tool.frame.tool for tool in self.theatre.tools.values() if tool.frame is not None)
+        frames = (self.calibrations.tracker_frame.tool, *on_tools)
+        self.tracker = RecordingTracker("tracker", tools=frames)
         self.journal = Journal(self.folder)
         self.room = RecordingRoom(self.arm)
         self.case = Case(self.folder)

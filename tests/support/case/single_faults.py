@@ -399,7 +399,7 @@ ROWS = (
         for fault in (
             "bent tip 0.3 0 0 mm",
             "wrong mandrel 1 mm",
-            "bad seat 0.3 mm 0.2 deg",
+            "bad seat 0.3 mm 0.1 deg",
             "wrong load 2 kg",
         )
     ),

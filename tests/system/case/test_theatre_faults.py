@@ -10,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import tomli_w
-from guide_frames import with_guide_frame
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
@@ -19,7 +17,6 @@ from procedures.steps.clinical.tool_check import APPROACHES
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
-from sim.world.scene.named_scenes import named_scene
 from sim.world.truth import THEATRE_FOLDER, read_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -138,16 +135,14 @@ def test_a_live_fault_ends_as_promised(
 
 
 @pytest.mark.hazard(47)
-@pytest.mark.parametrize(("seat", "code"), [("1.5 mm 0 deg", "TOOL-006"), ("0.1 mm 0 deg", "TOOL-005")])
-def test_a_guide_with_a_frame_is_measured_before_it_goes_to_the_gauge(
+@pytest.mark.parametrize(("seat", "code"), [("2 mm 0 deg", "TOOL-006"), ("0.1 mm 0 deg", "TOOL-005")])
+def test_the_tracker_measures_the_guide_before_it_goes_to_the_gauge(
     commands: Commands, tmp_path: Path, seat: str, code: str
 ) -> None:
-    scene, faults = tmp_path / "scene.toml", tmp_path / "faults.txt"
-    with_frame = with_guide_frame(named_scene("mini", seed=3))
-    scene.write_text(tomli_w.dumps(with_frame.model_dump(mode="json", by_alias=True, exclude_none=True)))
+    faults = tmp_path / "faults.txt"
     faults.write_text(f"when step == tool_check: room bad seat {seat}\n")
-    options = ("--sim", "--scene", str(scene), "--faults", str(faults), "--out", str(tmp_path / "runs"))
-    ran = commands.run("ronna-procedure", "run", *options, timeout_s=200)
+    options = ("--faults", str(faults), "--out", str(tmp_path / "runs"))
+    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=200)
     assert ran.returncode == EXIT_REFUSED
     assert code in ran.stderr
     (folder,) = (tmp_path / "runs").iterdir()

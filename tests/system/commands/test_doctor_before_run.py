@@ -110,11 +110,6 @@ def _optioned(table: str, line: str) -> Change:
     return _replaced(tools or header, f"{header}{line}\n{tools}")
 
 
-def _with_an_untracked_frame_on_the_guide(text: str) -> str:
-    pose = "translation_mm = [0.0, 0.0, -265.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0]"
-    return f'{text}\n[tools.guide.frame]\ntool = "guide_frame"\ntip_from_frame = {{ {pose} }}\n'
-
-
 @dataclass(frozen=True)
 class Trouble:
     """Something that `set_up` refuses with `code`: a fault, another tool, or a change of the theatre file."""
@@ -141,7 +136,9 @@ TROUBLES = {
     "cameras swapped": Trouble("GEV-004", change=_swapped),
     "tools of another flange": Trouble("TOOL-003", change=lambda text: text.replace("flange =", "#", 1)),
     "no record of the guide": Trouble("TOOL-002", change=_without("tools.guide")),
-    "frame on the guide not tracked": Trouble("DEV-003", change=_with_an_untracked_frame_on_the_guide),
+    "frame on the guide not tracked": Trouble(
+        "DEV-003", change=_replaced('tool = "guide_frame"', 'tool = "pointer"')
+    ),
     "no cameras": Trouble("DEV-007", "without stereo", EXIT_REFUSED, change=_without("stereo")),
     "clock gone": Trouble("CLK-001", change=_replaced("shm:///proc/", "shm:///proc/0")),
     "no banner": Trouble("CFG-004", exit_code=EXIT_REFUSED, change=_replaced("banner = ", 'banner = "" # ')),
@@ -291,6 +288,8 @@ def test_the_doctor_predicts_each_refusal_of_set_up(name: str, room: Room, tmp_p
         assert refused is None
         assert case == {"of": "case", "ready": True, "because": []}
         assert done.returncode == EXIT_DONE
+        (guide,) = (one for one in report["findings"] if one["subject"].endswith("visibility of guide_frame"))
+        assert (guide["well"], guide["advice"]) == (True, "")  # it comes with the guide
         return
     assert refused is not None
     assert refused.code == trouble.code, refused

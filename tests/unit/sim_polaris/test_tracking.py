@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from guide_frames import with_guide_frame
 
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.robot_description import description
@@ -271,7 +270,7 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(
 def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(
     make_bench: Callable[..., Bench],
 ) -> None:
-    scene = with_guide_frame(named_scene("mini", seed=3))
+    scene = named_scene("mini", seed=3)
     place = scene.mount.guide.tip_from_frame
     assert place is not None
     bench = make_bench(scene)

@@ -117,7 +117,7 @@ def test_every_wrong_line_is_reported() -> None:
     ("line", "said"),
     [
         ("at 1 s: tracker occlude marker 99 for 1 s", "expected marker 1, 2 or 3, got 99"),
-        ("at 1 s: tracker occlude tool spoon for 1 s", "expected tool robot_frame, got spoon"),
+        ("at 1 s: tracker occlude tool spoon for 1 s", "expected tool robot_frame or guide_frame, got spoon"),
         ("at 3 s: robot drop 500 % for 1 s", "expected at most 100 %, got 500"),
         ("at cycle 5: tracker cold", "expected a time: only the robot counts cycles"),
     ],

@@ -1,8 +1,8 @@
 """Gross check of a mounted tool: the tracker sees the frame on it where the tool's record says, to 1 mm.
 
-The frame on the tool is compared with frame M on the mount, in the same readings. So neither the arm nor the
-place of the tracker comes in. It is done before the tool is moved anywhere: a longer one would run into the
-gauge.
+The frame on the tool is compared with frame M on the mount, in the same readings. So neither the arm, nor the
+place of the tracker, nor any calibration comes in. It is done before the tool is moved anywhere: a longer one
+would run into the gauge.
 """
 
 from __future__ import annotations
@@ -11,9 +11,8 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.steps.errors import ToolSeenElsewhere
-from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
 
@@ -37,7 +36,8 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
             f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"
         )
     seen_mm = (on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
-    expected_mm = _mount_from(context, frame).apply(workcell.tracker.markers_mm[frame.tool])
+    recorded = frame.mount_from_frame.transform(Frame.MARKER, Frame.MARKER)
+    expected_mm = recorded.apply(workcell.tracker.markers_mm[frame.tool])
     off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
     if off_mm > SEEN_LIMIT_MM:
         raise ToolSeenElsewhere(
@@ -46,14 +46,3 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
             got=f"{beyond(off_mm, SEEN_LIMIT_MM, 2)} mm",
         )
     return off_mm
-
-
-def _mount_from(context: StepContext, frame: ToolFrame) -> Transform:
-    """Pose of the frame on the tool in that on the mount, by the records."""
-    workcell = context.workcell
-    head_from_mount = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    flange_from_mount = workcell.flange_from(MountedTool.STEREO_HEAD) @ head_from_mount
-    on_tool = workcell.flange_from(MountedTool.GUIDE) @ frame.tip_from_frame.transform(
-        Frame.TOOL, Frame.MARKER
-    )
-    return flange_from_mount.inverse() @ on_tool
