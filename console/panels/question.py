@@ -162,12 +162,14 @@ class QuestionPanel:
                     return
             await self._give(order)
 
-        if goes_on and question.deliberate:
+        if (
+            question.deliberate and answer != question.answers[-1]
+        ):  # the last, which silence means, changes nothing
             held = HeldButton(f"{answer} (hold)", act, self._tell)
-            held.button.classes("go").props(f'data-answer="{answer}"')
+            button = held.button
         else:
             button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
-            button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')
+        button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')
 
 
 def _left(question: Questioned, view: CaseView) -> str:

@@ -11,7 +11,7 @@ from nicegui import Client, ui
 
 from console.feed.view import CaseView
 from console.panels.orders import OrderPanel
-from console.panels.question import ARMED_S, HeldButton
+from console.panels.question import ARMED_S, HeldButton, QuestionPanel
 from procedures.engine.events import Questioned, Waiting
 
 
@@ -71,3 +71,27 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
 
     asyncio.run(hold())
     assert (len(done), len(told)) == (acted, 1 - acted)
+
+
+def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_means() -> None:
+    async def give(_order: dict[str, Any]) -> None:
+        pass
+
+    asked = Questioned(
+        question=1,
+        topic="head_unseen",
+        subject="",
+        value="",
+        answers=("wait", "continue", "leave"),
+        timeout_s=None,
+        deliberate=True,
+    )
+
+    async def labels() -> list[str]:
+        with Client(ui.page("/of-a-test"), request=None) as client:
+            QuestionPanel(give, lambda _words: None).show(
+                CaseView(question=asked), is_mine=True, has_seat=True
+            )
+            return [one.text for one in client.elements.values() if isinstance(one, ui.button)]
+
+    assert asyncio.run(labels()) == ["wait (hold)", "continue (hold)", "leave"]
