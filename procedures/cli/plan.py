@@ -29,6 +29,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.new_files import require_new
 
 if TYPE_CHECKING:
+    from procedures.planning.head.shape import HeadEllipsoid
     from procedures.planning.path_check.motions import PreviewedMotion
     from procedures.planning.plan.check import PlanCheck
 
@@ -87,6 +88,7 @@ def check(
     """
     began_s = time.perf_counter()
     theatre = theatre_of(config, robot_from_ct, home, strategy)
+    from procedures.planning.head.shape import head_shape
     from procedures.planning.plan.check import check_plan
     from procedures.planning.plan.file import read_plan
 
@@ -101,13 +103,14 @@ def check(
         sight=theatre.sight if theatre else None,
         bore=theatre.bore if theatre else None,
     )
-    result = replace(result, warnings=(*result.warnings, *uncounted))
+    head = head_shape(volume) if result.passed else None
+    result = replace(result, warnings=(*result.warnings, *uncounted), head=head)
     for sentence in (*volume.warnings, *result.warnings):
         terminal.tell(f"warning: {sentence}")
     if as_json:
         terminal.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
-    elif result.passed:
-        _print_trajectories(result)
+    elif head is not None:
+        _print_trajectories(result, head)
         if result.distances:
             _print_distances(result)
         if result.motions:
@@ -197,10 +200,11 @@ def marker_places(
     propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
 
 
-def _print_trajectories(result: PlanCheck) -> None:
+def _print_trajectories(result: PlanCheck, head: HeadEllipsoid) -> None:
     rows = [
         [
             one.id,
+            head.side_of(one.entry_mm, one.target_mm),
             " ".join(f"{value:.1f}" for value in one.entry_mm),
             " ".join(f"{value:.1f}" for value in one.target_mm),
             f"{one.depth_mm:.1f}",
@@ -211,7 +215,7 @@ def _print_trajectories(result: PlanCheck) -> None:
     ]
     terminal.print_table(
         f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}",
-        ["trajectory", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
+        ["trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
         rows,
     )
 

@@ -32,6 +32,16 @@ class HeadEllipsoid(Strict):
     centre_mm: Numbers3 = Field(description="Its centre, LPS.")
     semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
 
+    def side_of(self, entry_mm: Numbers3, target_mm: Numbers3) -> str:
+        """The patient's side of a trajectory in this head: `right`, or `left to right` if it crosses over."""
+        return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
+
+    def _side(self, x_mm: float) -> str:
+        beyond_mm = x_mm - self.centre_mm[0]
+        if abs(beyond_mm) < GRID_MM:  # the head's middle is not known better
+            return "middle"
+        return "left" if beyond_mm > 0.0 else "right"
+
 
 def head_shape(volume: Volume) -> HeadEllipsoid:
     """The smallest ellipsoid along the CT's axes that contains the whole head. Raises PLAN-014.

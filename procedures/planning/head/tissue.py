@@ -26,19 +26,21 @@ SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
 SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
 AIR_RUN_MM = 5.0  # that is the room outside, not a fold of the skin
+SKIN_RUN_MM = 5.0  # and that is the head, not a cover on it
+OFF_SKIN_MM = 10.0  # more than a coarse slice or thick hair
 
 
 def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
     """The finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
     What is beyond the CT is unknown and refuses nothing, but if the line before the entry is entirely outside
-    the CT, a warning says so.
+    the CT, a warning says so, as it does of an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
     wrong, unseen = _wrong(volume, entry, target)
     warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
     if not wrong:
-        return None, warning if unseen else ""
+        return None, _in_the_air(volume, trajectory) or (warning if unseen else "")
     swapped = not _wrong(volume, target, entry)[0]
     hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
     return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
@@ -65,6 +67,19 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
     return wrong, len(before) == 0
 
 
+def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
+    """A warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
+    steps = _steps(0.0, trajectory.depth_mm)
+    places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
+    off_mm = _first_run_mm(steps, sampled_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
+    if off_mm is None or off_mm <= OFF_SKIN_MM:
+        return ""
+    return (
+        f"the entry of trajectory {trajectory.id} is {off_mm:.0f} mm in front of the skin: "
+        "depth and stand-off count from it"
+    )
+
+
 def standoff_in_skin(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
@@ -76,9 +91,7 @@ def standoff_in_skin(
     outwards = (entry - target) / np.linalg.norm(entry - target)
     steps = _steps(0.0, SKIN_WITHIN_MM)
     in_air = sampled_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
-    run = round(AIR_RUN_MM / SAMPLING_MM)
-    outside = (k for k in range(len(in_air) - run + 1) if in_air[k : k + run].all())
-    skin_mm = max(0.0, float(steps[next(outside, 0)]) - SAMPLING_MM)
+    skin_mm = max(0.0, (_first_run_mm(steps, in_air, AIR_RUN_MM) or 0.0) - SAMPLING_MM)
     if standoff_mm > skin_mm:
         return None
     return StandoffInsideSkin(
@@ -97,6 +110,12 @@ def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:
 
 def _steps(first_mm: float, last_mm: float) -> Array:
     return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
+
+
+def _first_run_mm(steps_mm: Array, held: NDArray[np.bool_], length_mm: float) -> float | None:
+    """Where it holds for the first time over this length; None if nowhere."""
+    run = round(length_mm / SAMPLING_MM)
+    return next((float(steps_mm[k]) for k in range(len(held) - run + 1) if held[k : k + run].all()), None)
 
 
 def _ball() -> Array:

@@ -37,6 +37,7 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
+    from procedures.planning.head.shape import HeadEllipsoid
     from procedures.planning.path_check.motions import PreviewedMotion
     from procedures.planning.path_check.visits import ArmSetting, PathCheck
     from procedures.planning.sight.stereo_head import StereoSight
@@ -48,6 +49,8 @@ Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
 
 WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be told from the others
+# Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
+WIDE_MARGIN_MM, USUAL_MARGIN_MM = 5.0, 2.0
 KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 
@@ -57,7 +60,7 @@ class PlanCheck:
 
     `motions` are those of the whole procedure as the arm would execute them, if an arm was given and reaches
     everything; `turns_rad` gives each trajectory's turn about its axis, `paths` the joints. `distances` are
-    those from every trajectory to every structure.
+    those from every trajectory to every structure; the `head` tells their sides.
     """
 
     plan: Plan
@@ -67,6 +70,7 @@ class PlanCheck:
     turns_rad: tuple[tuple[str, float], ...] = ()
     paths: PathCheck | None = None
     distances: tuple[StructureDistance, ...] = ()
+    head: HeadEllipsoid | None = None
 
     @property
     def passed(self) -> bool:
@@ -83,7 +87,12 @@ class PlanCheck:
             "passed": self.passed,
             "series_instance_uid": self.plan.series_instance_uid,
             "trajectories": [
-                {"id": one.id, "depth_mm": round(one.depth_mm, 3), "margin_mm": one.margin_mm}
+                {
+                    "id": one.id,
+                    "side": self.head and self.head.side_of(one.entry_mm, one.target_mm),
+                    "depth_mm": round(one.depth_mm, 3),
+                    "margin_mm": one.margin_mm,
+                }
                 for one in self.plan.trajectories
             ],
             "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
@@ -131,7 +140,12 @@ def check_plan(
     Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
     findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
-    warnings: list[str] = []
+    warnings = [
+        f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm would accept a bad registration; "
+        f"{USUAL_MARGIN_MM:.1f} is usual"
+        for one in plan.trajectories
+        if one.margin_mm > WIDE_MARGIN_MM
+    ]
     distances = structure_distances(plan)
     for found, warned in (
         _in_this_series(plan, volume),

@@ -66,7 +66,8 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check, spheres = _counted(context, check, localization)
     check.require()
     _keep_cuts(context, volume, plan)
-    _confirm_patient(context, plan)
+    head = head_shape(volume)
+    _confirm_patient(context, plan, head)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
     context.setting.memory.drop(Volume)  # the largest input is not needed after this
@@ -74,7 +75,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         CheckedPlan(
             plan=plan,
             implanted=spheres,
-            head=head_shape(volume),
+            head=head,
             warnings=tuple(check.warnings),
         ),
         summary="; ".join((summary, *check.warnings)),
@@ -104,7 +105,7 @@ def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
         context.keep_picture(f"plan-{name}.png", trajectory_cuts(volume, ways, name))
 
 
-def _confirm_patient(context: StepContext, plan: Plan) -> None:
+def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> None:
     """Raises PRO-002 unless the operator confirms, and reads the patient's identifier back.
 
     The CT has it, and the wristband; neither the question nor any record does.
@@ -118,13 +119,16 @@ def _confirm_patient(context: StepContext, plan: Plan) -> None:
         identifier,
         wrong="is not the identifier in this CT (PatientID). Stop if that is what the wristband says.",
     )
-    context.confirm(Topic.PATIENT, subject, _shown(plan), read_back=wristband if identifier else None)
+    context.confirm(Topic.PATIENT, subject, _shown(plan, head), read_back=wristband if identifier else None)
 
 
-def _shown(plan: Plan) -> str:
+def _shown(plan: Plan, head: HeadEllipsoid) -> str:
     """What is confirmed, without a name: the series is identified by a hash of its UID."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
-    ways = ", ".join(f"{one.id} {one.depth_mm:.1f} mm deep" for one in plan.trajectories)
+    ways = "; ".join(
+        f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
+        for one in plan.trajectories
+    )
     instrument = f"instrument {plan.instrument_length_mm:g} mm, stand-off {plan.standoff_mm:g} mm"
     return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {instrument}; {ways}"
 

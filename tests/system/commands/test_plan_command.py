@@ -94,6 +94,7 @@ def test_a_good_plan_is_accepted_with_a_table(case):
     assert done.returncode == 0, done.stderr
     assert "T1" in done.stdout
     assert "50.2" in done.stdout  # depth in mm
+    assert "left" in done.stdout
     assert "Secret" not in done.stdout + done.stderr
 
 
@@ -102,7 +103,7 @@ def test_json_output_is_one_object_on_standard_output(case):
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
     assert document["passed"] is True
-    assert document["trajectories"] == [{"id": "T1", "depth_mm": 50.249, "margin_mm": 1.5}]
+    assert document["trajectories"] == [{"id": "T1", "side": "left", "depth_mm": 50.249, "margin_mm": 1.5}]
     assert document["findings"] == []
     (uncounted,) = document["warnings"]
     assert uncounted.startswith("the fiducials in the CT were not counted: CT-")

@@ -167,6 +167,22 @@ def test_an_entry_in_the_outermost_voxels_passes_with_a_warning(plan_text, plan_
     assert any("entry of trajectory T1" in one for one in result.warnings)
 
 
+def test_an_entry_out_in_the_air_is_warned_about_with_its_distance_from_the_skin(
+    plan_text, plan_path, make_volume
+):
+    farther = plan_text.replace("[10.0, -50.0, 60.0]", "[12.0, -60.0, 76.0]")
+    result = check_plan(read_plan(plan_path(farther)), make_volume())
+    assert result.passed
+    (warning,) = result.warnings
+    assert re.match(r"the entry of trajectory T1 is 20 mm in front of the skin", warning), warning
+
+
+def test_a_margin_that_accepts_a_bad_registration_is_warned_about(plan_text, plan_path, make_volume):
+    slipped = plan_text.replace("margin_mm = 2.0", "margin_mm = 20.0")
+    (warning,) = check_plan(read_plan(plan_path(slipped)), make_volume()).warnings
+    assert warning == "trajectory T2.margin_mm: 20 mm would accept a bad registration; 2.0 is usual"
+
+
 BORE = GuideBore(reach_mm=85.0, length_mm=90.0, play_mm=0.05)
 
 

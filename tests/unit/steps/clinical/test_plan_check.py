@@ -154,8 +154,25 @@ def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: Cl
     checked(cell)
     (question,) = cell.operator.asked
     assert question.topic is Topic.PATIENT
-    assert all(f"{one.id} {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
+    assert all(f", {one.depth_mm:.1f} mm deep" in question.value for one in plan().trajectories)
     assert SERIES not in question.value
+
+
+@pytest.mark.hazard(7)
+@pytest.mark.parametrize(("sign", "side"), [(1.0, "left to right"), (-1.0, "right to left")])
+def test_the_side_of_each_trajectory_is_confirmed(cell: ClinicalCell, sign: float, side: str) -> None:
+    middle_mm = SCENE.head.centre_ct_mm[0]
+
+    def seen(point_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+        return (middle_mm + sign * (point_mm[0] - middle_mm), *point_mm[1:])
+
+    first, second = (
+        one.model_copy(update={"entry_mm": seen(one.entry_mm), "target_mm": seen(one.target_mm)})
+        for one in plan().trajectories
+    )
+    checked(cell, plan().model_copy(update={"trajectories": (first, second)}))
+    (question,) = cell.operator.asked
+    assert f"; {first.id} middle, {first.depth_mm:.1f} mm deep; {second.id} {side}, " in question.value
 
 
 @pytest.mark.hazard(9)
