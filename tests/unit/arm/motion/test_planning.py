@@ -32,6 +32,13 @@ def test_a_joint_target_out_of_range_names_the_axis_and_the_limit() -> None:
         plan_joint_move(MODEL, START, radians6(0, -90, 90, 0, 121, 0), LIMITS)
 
 
+def test_a_joint_target_in_degrees_is_suspected() -> None:
+    with pytest.raises(OutOfJointRange, match=r"A2 would leave its range.*were these degrees"):
+        plan_joint_move(MODEL, START, (0.0, -75.0, 99.0, 0.0, 66.0, 180.0), LIMITS)
+    with pytest.raises(OutOfJointRange, match="Choose another branch"):
+        plan_joint_move(MODEL, START, radians6(0, 60, 90, 0, 45, 0), LIMITS)
+
+
 def test_motions_keep_a_margin_from_the_ends_of_the_ranges() -> None:
     inside, beyond = radians6(0, -90, 90, 0, 119.4, 0), radians6(0, -90, 90, 0, 119.6, 0)
     plan_joint_move(MODEL, START, inside, LIMITS)
