@@ -5,7 +5,7 @@ Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import date
 from difflib import get_close_matches
 from enum import StrEnum
@@ -39,6 +39,7 @@ from ronna_hw.plausible import (
 )
 from ronna_hw.record_checks import require_expiry, require_outside_hand
 from ronna_hw.text.counting import counted
+from ronna_hw.text.validation import in_words
 from ronna_hw.tool_record import TipInHead, ToolRecord
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
@@ -310,16 +311,10 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
         where = _place(item["loc"])
-        message = item["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
-        if item["type"] == "missing":
-            message = "is missing"
-        if item["type"] == "model_type":
-            message = "expected a table"
+        message = in_words(item)
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
             message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
-        if item["type"] in ("too_long", "too_short") and "actual_length" in item.get("ctx", {}):
-            message = _count_wrong(item["ctx"])
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
@@ -341,13 +336,6 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
         and isinstance(given, Sequence)
         and len(given) >= item.get("ctx", {}).get("min_length", 0)
     )
-
-
-def _count_wrong(limits: Mapping[str, Any]) -> str:
-    """The number of values, and the expected number."""
-    if "max_length" in limits:
-        return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
-    return f"{limits['actual_length']} values, expected {limits['min_length']} or more"
 
 
 def _place(parts: tuple[int | str, ...]) -> str:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from ipaddress import IPv4Address
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, Field, ValidationError
 
 from drivers.kuka_rsi.errors import BadOptions
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
+from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.text.counting import counted
 
@@ -30,10 +32,8 @@ def _ip_address(text: str) -> str:
 ControllerHost = Annotated[str, AfterValidator(_ip_address)]
 
 
-class KukaOptions(BaseModel):
+class KukaOptions(Strict):
     """`[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
@@ -94,7 +94,8 @@ class KukaOptions(BaseModel):
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     """Check the options; raises RSI-013 with every mistake."""
     try:
-        return KukaOptions.model_validate(options)
+        # via JSON: strict types, but text is accepted for a path and for a variant
+        return KukaOptions.model_validate_json(json.dumps(options, default=str))
     except ValidationError as error:
         mistakes = describe_mistakes(error, KukaOptions)
         raise BadOptions(

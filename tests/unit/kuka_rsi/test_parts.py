@@ -150,6 +150,10 @@ def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
         read_options("arm", {"variant": "kr16", "speed_fraction": 0.5, "speed": 1})
     assert caught.value.code == "RSI-013"
     assert caught.value.exit_code == 2
+    with pytest.raises(BadOptions, match="silence_limit_s: expected a valid number without quotes"):
+        read_options("arm", {"silence_limit_s": "5"})
+    with pytest.raises(BadOptions, match="accept_unverified: expected a valid boolean without quotes"):
+        read_options("arm", {"accept_unverified": "true"})
 
 
 # Faults
