@@ -93,14 +93,18 @@ def check_request(request: CaseRequest) -> None:
     check_theatre(request)
     if request.config is not None:
         require_one_kind(read_theatre_file(request.config))
+        case = request.case or Path()
+        around = case.resolve().parent
+        if case.resolve() == around / "ct" and (around / "plan.toml").exists():
+            raise PathProblem(f"{case} is the ct folder of a case", action=f"Give the case folder, {around}.")
         for part in ("ct", "plan.toml"):
-            path = (request.case or Path()) / part
+            path = case / part
             if not path.exists():
                 raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
         if request.answers is not None:
             from procedures.planning.plan.file import read_plan
 
-            plan = read_plan((request.case or Path()) / "plan.toml")
+            plan = read_plan(case / "plan.toml")
             request.answers.check_trajectories([one.id for one in plan.trajectories])
     if request.plan is not None:
         from procedures.planning.plan.file import read_plan
