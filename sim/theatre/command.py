@@ -213,9 +213,9 @@ def fault(
     control: Annotated[
         str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
     ] = None,
-    clear: Annotated[bool, typer.Option("--clear", help="End all faults first.")] = False,
+    clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:
-    """Inject a fault into a running theatre or simulator; without one, list all faults."""
+    """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
     from ronna_hw.host.control_port import ask_control_port
     from sim.world.faults import FAULT_KINDS
 
@@ -231,9 +231,9 @@ def fault(
             "line.",
         )
     if clear:
-        ask_control_port(control, "clear_faults")
-        say("all faults cleared")
-    if line is not None:
+        ask_control_port(control, "clear_faults", **({} if line is None else {"line": line}))
+        say("all faults cleared" if line is None else f"cleared: {line}")
+    elif line is not None:
         say(ask_control_port(control, "fault", line=line)["effect"])
 
 

@@ -1,8 +1,9 @@
 """Requests accepted at the control port, the scripted operator's only access to the simulated room.
 
 `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`, `{"do":
-"fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and `{"do": "work", "task": "insert", "trajectory":
-"T1", "numbers": []}`, whose answer has `readings`. Inserting an instrument samples the truth at that target.
+"fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, with a `line` only that fault, and `{"do": "work",
+"task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`. Inserting an instrument
+samples the truth at that target.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from sim.world.faults import (
     check_faults,
     parse_faults,
     parse_request,
+    without_fault,
 )
 from sim.world.faults.room import DEVICE, WRONG_TOOL, tool_numbers
 from sim.world.hands import Hands, NoSuchTask, WrongNumbers
@@ -132,8 +134,10 @@ class Room:
         self._world.set_fault_script(f"{text}\n{line}" if text else line)
         return {"effect": parse_faults(line)[0].effect}
 
-    def _clear_faults(self, _request: dict[str, Any]) -> None:
-        self._world.set_fault_script("")
+    def _clear_faults(self, request: dict[str, Any]) -> None:
+        line = request.get("line")
+        _, text = self._world.fault_script()
+        self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
 
 
 def _refused(reason: object, advice: str) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from sim.world.faults.language import (
     parse_faults,
     parse_request,
     read_faults,
+    without_fault,
 )
 
 __all__ = [
@@ -29,4 +30,5 @@ __all__ = [
     "parse_faults",
     "parse_request",
     "read_faults",
+    "without_fault",
 ]

@@ -145,6 +145,21 @@ def begin_with_step(text: str, step: str, now_s: float) -> str:
     return "\n".join(lines)
 
 
+def without_fault(text: str, line: str) -> str:
+    """The script without this fault, whenever it begins. Raises SIM-003 when it has none such."""
+    phrase = parse_request(line).phrase
+    faults = parse_faults(text)
+    ended = {fault.line for fault in faults if fault.phrase == phrase}
+    if not ended:
+        others = sorted({repr(fault.phrase) for fault in faults})
+        raise BadFaultScript(
+            f"there is no fault {phrase!r} to clear",
+            expected=", ".join(others) or "one that was injected",
+            action="`ronna-sim fault --clear` clears all.",
+        )
+    return "\n".join(one for number, one in enumerate(text.split("\n"), 1) if number not in ended)
+
+
 def _begins(line: str) -> bool:
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 

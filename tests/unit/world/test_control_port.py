@@ -21,6 +21,7 @@ from ronna_hw.host.control_port import (
 from sim.cli import app as ronna_sim
 from sim.world.control import Room
 from sim.world.control_port import MOST_CONNECTIONS, ControlPort
+from sim.world.faults import parse_faults
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
@@ -221,6 +222,21 @@ def test_the_endpoint_is_read_from_the_environment(
     monkeypatch.delenv("RONNA_CONTROL")
     for words in (("mount", GUIDE), ("stand", "ball"), ("work", "insert"), ("fault", "tea")):
         assert "RONNA_CONTROL" in " ".join(one_error(in_this_process(ronna_sim, *words).stderr))
+
+
+def test_one_fault_is_cleared_and_one_that_was_not_injected_is_refused(
+    port: ControlPort, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
+    for line in ("tracker hot", "robot mode T1", "tracker hot for 2 s"):
+        assert in_this_process(ronna_sim, "fault", line).returncode == 0
+    assert in_this_process(ronna_sim, "fault", "--clear", "tracker hot").returncode == 0
+    (left,) = parse_faults(world.fault_script()[1])
+    assert left.phrase == "robot mode T1"
+    (refused, *_) = one_error(in_this_process(ronna_sim, "fault", "--clear", "tracker hot").stderr)
+    assert "SIM-003: there is no fault 'tracker hot' to clear; expected 'robot mode T1'" in refused
+    assert in_this_process(ronna_sim, "fault", "--clear").returncode == 0
+    assert world.fault_script()[1] == ""
 
 
 @pytest.mark.parametrize(
