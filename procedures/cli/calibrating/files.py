@@ -6,6 +6,7 @@ OUT/<id>/result.json         what `--json` prints
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable
 from datetime import datetime
 from pathlib import Path
@@ -76,7 +77,8 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
         if tip is not None and tool.get("tip", tip) != tip:
             terminal.tell(
                 f"record {tool['identifier']} refers to the former tip, so no case can start with it: "
-                f"read the gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
+                f"read the gauge with this {name}, then ronna-tool renew {name} "
+                f"--config {shlex.quote(str(target))} "
                 "--write FILE --by NAME --gauge-mm FILE"
             )
 
