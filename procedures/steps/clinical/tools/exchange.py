@@ -12,7 +12,7 @@ from ronna_hw.calibration import STEREO_HEAD_NUMBER
 
 
 def exchange_for(context: StepContext, tool: MountedTool) -> int:
-    """End the correction stream and have a tool mounted until it is; its number.
+    """End the correction stream and have a tool mounted until it is; its number. One already there stays on.
 
     Raises PRO-002, or PRO-009 when it is not mounted.
     """
@@ -22,8 +22,11 @@ def exchange_for(context: StepContext, tool: MountedTool) -> int:
     if tool is MountedTool.GUIDE:
         number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
     value = f"{name}, tool {number}"
-    context.setting.room.change_tool(number, name)
-    context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
+    if workcell.tool is tool:  # of an exchange that was interrupted: mounted again, it would lose its seat
+        context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
+    else:
+        context.setting.room.change_tool(number, name)
+        context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
     for mounting in range(1, MOUNTINGS + 1):
         try:
             return workcell.check_mounted(tool)

@@ -115,8 +115,12 @@ def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(
     with pytest.raises(NotConfirmed):
         engine.run_to()
     cell.operator.refusing = ()
+    cell.operator.asked.clear()
     engine.run_to()
     assert cell.workcell.tool is MountedTool.GUIDE
+    assert len(cell.room.changed) == 1  # it is not to be mounted twice
+    (still,) = (one for one in cell.operator.asked if one.topic is Topic.TOOL_CHANGE)
+    assert still.subject == "the tool is still mounted; leave it on"
 
 
 def test_after_an_arm_fault_the_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
