@@ -11,12 +11,14 @@ from pathlib import Path
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.operators import TerminalOperator
+from procedures.cli.case.operators import TerminalOperator, TerminalRoom
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.question import Question, ReadBack
+from procedures.operator.room import Task
 from procedures.operator.topic import Topic
+from ronna_hw.wire.room_tasks import DIALS
 
 READ_BACK = ReadBack("how many mm it moves first", "62")
 VALUE = "predicted target error 0.21 mm rms"
@@ -135,15 +137,27 @@ def test_a_read_back_that_is_not_typed_in_time_confirms_nothing(
 def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     keyboard: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n", b"63\n", b"no\n"))
+    typed = (b"YES\n", b"63\n", b"Case 62\n", b"no\n")
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *typed))
     cell = RecordingCell(tmp_path)
     events = EventStream(lambda: 0.0)
     questions = Questions(TerminalOperator(), cell.journal, lambda: 0.0, events)
     assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)) == "no"
-    assert f"'63' {READ_BACK.wrong}" in screen.getvalue()
+    assert f"'63' {READ_BACK.wrong}. Answer from the start.\n" in screen.getvalue()
+    assert "'Case 62' is not an answer: type yes or no in full." in screen.getvalue()
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
     assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
     assert "63" not in misread.values()
+
+
+def test_lines_that_were_pasted_are_the_readings_in_turn_until_one_is_refused(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dials = Task(DIALS, "read the dials", reads=("x in mm", "y in mm"), plausible_mm=(-10.0, 10.0))
+    at_x_y_and_back = (b"0.1\n0.2\nyes\n", b"", b"again\n")  # the yes was pasted before it was asked for
+    once_more = (b"11\n0.3\n", b"0.4\n0.5\n", b"", b"yes\n")
+    monkeypatch.setattr("sys.stderr", Screen(keyboard, *at_x_y_and_back, *once_more))
+    assert TerminalRoom().work(dials) == (0.4, 0.5)
 
 
 @pytest.mark.hazard(9)

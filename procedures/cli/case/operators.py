@@ -118,8 +118,8 @@ class TerminalOperator:
         read_back = question.read_back
         with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
-            while typed := _typed(write, words(question.answers), ends_s).lower():
-                if (answer := typed.strip("'")) not in question.answers:
+            while typed := _typed(write, words(question.answers), ends_s):
+                if (answer := typed.lower().strip("'")) not in question.answers:
                     _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if answer != question.answers[0] or read_back is None:
@@ -129,7 +129,7 @@ class TerminalOperator:
                 if read_back.fits(typed):
                     return answer
                 question.misread()
-                _say(f"{typed!r} {read_back.wrong}")
+                _say(f"{typed!r} {read_back.wrong.rstrip('.')}. Answer from the start.")
             if ends_s is not None and time.monotonic() >= ends_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 _say(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
@@ -186,7 +186,7 @@ def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
     while True:
         readings: list[float] = []
         for what in task.reads:
-            if (number := _typed_number(write, what, task.plausible_mm)) is None:
+            if (number := _typed_number(write, what, task.plausible_mm, bool(readings))) is None:
                 return ()
             readings.append(number)
         if len(readings) == 1:
@@ -202,9 +202,15 @@ def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
             )
 
 
-def _typed_number(write: WritePrompt, what: str, plausible: tuple[float, float] | None) -> float | None:
-    """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends."""
-    while (typed := _typed(write, what, None)) and typed.lower() != NOBODY_READS:
+def _typed_number(
+    write: WritePrompt, what: str, plausible: tuple[float, float] | None, ahead: bool
+) -> float | None:
+    """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends.
+
+    `ahead` takes one of several lines that were pasted; after one that is refused, the others are lost.
+    """
+    while (typed := _typed(write, what, None, ahead)) and typed.lower() != NOBODY_READS:
+        ahead = False
         with suppress(ValueError):
             number = typed_number(typed, UNIT)
             if plausible is None or plausible[0] <= number <= plausible[1]:
@@ -227,14 +233,16 @@ def _emphasized(question: Question) -> str:
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
-def _typed(write: WritePrompt, what: str, ends_s: float | None) -> str:
+def _typed(write: WritePrompt, what: str, ends_s: float | None, ahead: bool = False) -> str:
     """What is typed, without the space around it; a blank line is asked again.
 
-    Empty when it is out of time or the terminal is gone. What was typed before it was asked for is lost.
+    Empty when it is out of time or the terminal is gone. What was typed before it was asked for is lost,
+    unless it may be typed `ahead`.
     """
     import select
 
-    termios.tcflush(sys.stdin, termios.TCIFLUSH)
+    if not ahead:
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
     while True:
         write(f"Type {what}: ")
         remaining_s = None if ends_s is None else max(0.0, ends_s - time.monotonic())
