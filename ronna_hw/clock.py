@@ -28,7 +28,10 @@ class ClockUnavailable(ConnectError):
     """The shared clock named by the theatre file cannot be opened."""
 
     code = "CLK-001"
-    action = "Start the theatre again and use the file it writes; a clock ends with its theatre."
+    action = (
+        "A clock ends with its theatre. Start the theatre again, with --continue where a run is to go on, "
+        "and use the file it writes."
+    )
 
 
 class Clock(Protocol):
