@@ -5,6 +5,7 @@ Typer reports half of that; the other half is in the option and in its validatio
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
@@ -52,6 +53,9 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
         return UsageMistake(text, action=f"{meant}{see}")
     message = getattr(mistake, "message", "") or _formatted(mistake)
     if found := _EXTRA.match(message):
+        if any(map(os.path.exists, found[1].split())):
+            repeat = "A pattern such as * may stand for several files or folders: name one. "
+            return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
         repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
         repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")

@@ -130,6 +130,15 @@ def test_only_an_option_that_resembles_an_unknown_one_is_suggested(
     assert ("Did you mean" in err) == bool(meant)
 
 
+def test_a_pattern_that_stood_for_several_folders_is_named_as_the_cause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("second").mkdir()
+    assert terminal.exit_code_of(app_that(lambda: None), ["second"]) == 2
+    assert "'second'. A pattern such as * may stand for several" in capsys.readouterr().err
+
+
 def test_a_command_without_arguments_shows_its_help_unchanged(capsys: pytest.CaptureFixture[str]) -> None:
     app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
     for name in ("make", "show"):
