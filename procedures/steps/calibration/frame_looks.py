@@ -92,7 +92,8 @@ class FrameTurning:
             arm_record=calibrations.arm,
             looks=tuple(turning.looks),
         )
-        remarks = (f"{turning.rejected.total()} poses left out: {turning.why_rejected}",)
+        missed = turning.rejected.total()
+        remarks = (f"{missed} of {missed + turning.taken} poses not measured: {turning.why_rejected}",)
         return Outcome(
             ObservedFrame(observed=observed, remarks=remarks if turning.rejected else ()),
             f"{turning.taken} poses",

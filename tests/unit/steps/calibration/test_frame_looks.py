@@ -15,8 +15,11 @@ from procedures.calibration.tracker_frame.record import calibrate_frame
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed, StepRefused
+from procedures.steps.calibration import frame_looks
 from procedures.steps.calibration.frame_looks import turning_step
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, tracker_look
+from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.frames import Transform
 
 COUNT, VALIDATION = 15, 5
 
@@ -48,6 +51,24 @@ def test_a_reference_frame_out_of_view_fails_the_gate(cell: ClinicalCell) -> Non
     cell.tracker.hidden = True
     with pytest.raises(GateFailed, match=f"the reference frame {theatre.tool} is in 0 of"):
         turned(cell)
+
+
+def test_poses_without_a_view_of_the_frame_are_told_from_outliers(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen = tracker_look.average_pose
+    looks = iter(range(100))
+
+    def hidden_twice(frames: list[TrackerFrame], tool: str) -> Transform:
+        if next(looks) in (2, 3):
+            raise GateFailed(f"the reference frame {tool} is in 0 of 60 frames")
+        return seen(frames, tool)
+
+    monkeypatch.setattr(frame_looks, "average_pose", hidden_twice)
+    cell.carrying(MountedTool.STEREO_HEAD)
+    done = cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION)).result
+    tool = cell.calibrations.tracker_frame.tool
+    assert done.remarks == (f"2 of 22 poses not measured: 2 x the reference frame {tool} not in view",)
 
 
 def test_an_arm_that_cannot_turn_from_its_pose_is_refused_before_the_operator_is_asked(
