@@ -54,11 +54,13 @@ def require_valid(
         for name, command in MADE_BY_COMMAND.items()
         if name in expired
     )
+    new_tip = "tool_tip" in expired and "--sim" not in options
+    renew = ", then ronna-tool renew for each tool with that tip" if new_tip else ""
     raise CalibrationExpired(
         "; ".join(problem.what for problem in expired.values()),
         limit=first.limit,
         got=first.got,
-        action=f"Run {commands}; no motion until then.",
+        action=f"Run {commands}{renew}; no motion until then.",
     )
 
 

@@ -60,6 +60,7 @@ def test_set_up_refuses_an_expired_calibration(cell: RecordingCell, record: str)
     with pytest.raises(CalibrationExpired) as refused:
         run_set_up(cell, **{record: expired})
     assert refused.value.exit_code == EXIT_REFUSED
+    assert ("ronna-tool renew" in refused.value.advice) is (record == "tool_tip")
 
 
 @pytest.mark.hazard(26)

@@ -22,14 +22,20 @@ SOON = timedelta(days=3)  # before it expires a record is worth a word
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
-    """One for each record; that there are none is a problem where the file has what a case needs to move."""
+    """One for each record, in the order of making them.
+
+    That there are none is a problem where the file has what a case needs to move.
+    """
     if theatre.calibration is None:
         needed = bool(theatre.robot) and theatre.stereo is not None
         advice = "Add [calibration]: no case can run without its records." if needed else ""
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
-    for name, record in theatre.calibration.records.items():
+    records = theatre.calibration.records
+    for name, record in ((name, records[name]) for name in MADE_BY_COMMAND if name in records):
         subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} {options_of(path)}."
+        if name == "tool_tip" and theatre.tools:
+            make += f" Afterwards: {RENEW}"
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:

@@ -129,10 +129,18 @@ def show_findings(report: Report, *, as_json: bool) -> None:
                 "Readiness",
                 ("", "", "because"),
                 [
-                    (one.of, "ready" if one.ready else "NOT READY", "; ".join(one.because))
+                    (one.of, "ready" if one.ready else "NOT READY", "; ".join(_reasons(one, report)))
                     for one in report.verdicts
                 ],
             )
+
+
+def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
+    """What is in the way; of the case only the checks, whose findings stand above."""
+    if verdict.of != CASE:
+        return verdict.because
+    failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
+    return tuple(dict.fromkeys(failed))
 
 
 def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Look]]:

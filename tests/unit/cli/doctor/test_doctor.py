@@ -140,9 +140,12 @@ def test_each_calibration_record_shows_how_long_it_is_valid(
         stated_error_mm=0.1,
     )
     records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
-    theatre = cast("Any", SimpleNamespace(calibration=records))
+    theatre = cast("Any", SimpleNamespace(calibration=records, tools={"guide": record}))
     again = "--config 'my lab/theatre.toml' --write 'my lab/theatre.toml'"
-    for diagnostic in calibration_diagnostics(theatre, Path("my lab/theatre.toml"), now):
+    found = list(calibration_diagnostics(theatre, Path("my lab/theatre.toml"), now))
+    assert [one.subject.split()[-1] for one in found] == ["stereo_head", "tracker_frame", "tool_tip"]
+    assert ["ronna-tool renew" in one.advice for one in found] == [False, False, advised]
+    for diagnostic in found:
         assert diagnostic.well is well
         assert (again in diagnostic.advice) is advised
         assert said in diagnostic.seen
@@ -200,6 +203,15 @@ def test_an_unhealthy_device_gives_exit_code_4(capsys: pytest.CaptureFixture[str
         show(Report((), (WELL, UNWELL)), as_json=False)
     assert ended.value.code == 4
     assert "device tracker\tPROBLEM\tsilent\tSwitch it on." in capsys.readouterr().out
+
+
+def test_the_line_of_the_case_names_the_checks_whose_findings_stand_above(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    case = Verdict("case", False, ("device tracker: silent",))
+    with pytest.raises(SystemExit):
+        show(Report((), (WELL, UNWELL), verdicts=(case,)), as_json=False)
+    assert "case\tNOT READY\tdevice tracker\n" in capsys.readouterr().out
 
 
 def test_an_unhealthy_computer_does_not_affect_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
