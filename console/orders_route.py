@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from typing import Any
 
 from starlette.requests import ClientDisconnect, Request
@@ -12,6 +11,8 @@ from console.guard import SESSION
 from console.hub import Hub
 from console.sessions import Role
 from procedures.engine.events.shown import shown_digest
+from procedures.engine.orders import LONGEST_BYTES
+from ronna_hw.bounded_input import parse_json
 
 
 def add_order_routes(app: Any, hub: Hub) -> None:
@@ -25,9 +26,9 @@ def add_order_routes(app: Any, hub: Hub) -> None:
         if session.role is not Role.OPERATOR:
             return JSONResponse({"refused": "viewers cannot give orders"}, 403)
         try:
-            content = json.loads(await request.body())
+            content = parse_json(await request.body(), LONGEST_BYTES)
             refused = await hub.order(session, dict(content))
-        except (ValueError, TypeError, RecursionError, ClientDisconnect):
+        except (ValueError, TypeError, ClientDisconnect):
             return JSONResponse({"refused": "not a valid order"}, 400)
         return JSONResponse({"refused": refused}, 409 if refused else 200)
 

@@ -78,13 +78,15 @@ class SharedClock:
     def __init__(self, path: str) -> None:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
-            self._memory = mmap.mmap(self._file, layout.CLOCK.size_bytes)
-        except OSError as error:
-            raise ClockUnavailable(f"cannot open the clock at {path}: {error.strerror}") from error
-        except ValueError as error:
-            os.close(self._file)
-            raise ClockUnavailable(f"{path} is too short for a clock file") from error
+        except (OSError, ValueError) as error:  # the latter for what is no path at all
+            why = error.strerror if isinstance(error, OSError) else error
+            raise ClockUnavailable(f"cannot open the clock at {path}: {why}") from error
         self._close_file = weakref.finalize(self, os.close, self._file)
+        try:
+            self._memory = mmap.mmap(self._file, layout.CLOCK.size_bytes)
+        except (OSError, ValueError) as error:
+            self._close_file()
+            raise ClockUnavailable(f"{path} is too short for a clock file") from error
         memory = self._memory
         if not layout.CLOCK.is_marked(memory) or layout.VERSION.read(memory) != layout.LAYOUT_VERSION:
             self.close()

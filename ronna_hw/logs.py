@@ -17,6 +17,7 @@ LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNI
 ALL = "ronna"  # the logger above all of ours
 PARTS = ("engine", "events", "flight recorder", "log", "reading tape")  # neither devices nor processes
 TABLES = ("device", "robot", "stereo", "tracker")  # of the theatre file, which names devices
+LONGEST_NAME = 200
 PROGRAMS = "ronna-"  # prefix of every command and process
 
 logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets up no logging sees nothing
@@ -83,6 +84,8 @@ def known_loggers() -> tuple[str, ...]:
 
 def is_known(name: str) -> bool:
     """Whether there can be loggers with that name, or below it."""
+    if len(name) > LONGEST_NAME:  # each part of it would get a logger of its own
+        return False
     first = name.split(".")[0]
     parts = (part for known in PARTS for part in (known, _channel(known).split(".")[0]))
     return first in (*parts, *TABLES) or first.startswith(PROGRAMS)

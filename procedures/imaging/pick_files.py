@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging.errors import PicksUnreadable
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
+from ronna_hw.plausible import FARTHEST_MM
 
 Array = NDArray[np.float64]
 
@@ -46,8 +47,9 @@ def parse_points(content: bytes, name: str) -> Array:
         raise PicksUnreadable(f"{name} has no points: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, csv.Error) as error:
         raise PicksUnreadable(f"{name} has no points: {error}") from error
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise PicksUnreadable(f"{name} has no points", expected="three finite numbers for each")
+    if points.ndim != 2 or points.shape[1] != 3 or not (np.abs(points) <= FARTHEST_MM).all():
+        expected = f"three finite numbers for each, of at most {FARTHEST_MM:g} mm"
+        raise PicksUnreadable(f"{name} has no points", expected=expected)
     return points
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,16 +34,21 @@ from procedures.reporting.target_figure import target_figure
 from procedures.reporting.target_table import TargetRow, target_rows
 from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
+from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.link_health import LinkHealth
@@ -128,7 +134,7 @@ def write_report(
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
-    write_whole(path, _rendered(page).encode())
+    write_whole(path, _template().render(page).encode())
     return path
 
 
@@ -160,14 +166,24 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 def _left_out(reading: RunReading) -> list[str]:
     """Spheres and trajectories left out with the operator's consent, and why."""
     sentences = []
-    for record in reading.run.what_stands:
-        where = f" ({record.trajectory})" if record.trajectory else ""
-        for value in (record.payload.get("left_out"), record.payload.get("left_out_spheres")):
-            if isinstance(value, dict):  # trajectories
-                sentences += [f"{name} was left out: {reason}" for name, reason in value.items()]
-            for one in value if isinstance(value, list) else ():
-                sentences.append(f"Sphere {one['fiducial'] + 1} was left out{where}: {one['reason']}")
+    models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
+    for stored in (stored for model in models for stored in reading.standing(model)):
+        where = f" ({stored.record.trajectory})" if stored.record.trajectory else ""
+        left_out = stored.result.leaves_out()
+        sentences += [f"{name} was left out: {reason}" for name, reason in left_out.items()]
+        sentences += [
+            f"Sphere {one.fiducial + 1} was left out{where}: {one.reason}" for one in _spheres(stored.result)
+        ]
     return sentences
+
+
+def _spheres(result: StepResult) -> tuple[LeftOutSphere, ...]:
+    match result:
+        case Correspondence() | Relocalization():
+            return result.left_out
+        case RegisteredRobot():
+            return result.left_out_spheres
+    return ()
 
 
 def _figures(
@@ -250,7 +266,8 @@ def _without_controls(value: Any) -> Any:
     return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
 
 
-def _rendered(page: dict[str, Any]) -> str:
+@cache  # to compile it takes longer than to fill it
+def _template() -> Any:
     import jinja2
 
     environment = jinja2.Environment(
@@ -264,4 +281,4 @@ def _rendered(page: dict[str, Any]) -> str:
     environment.filters.update(
         mm=numbers.millimetres, tenths=numbers.tenths, um=numbers.micrometres, s=numbers.seconds
     )
-    return environment.get_template(TEMPLATE).render(page)
+    return environment.get_template(TEMPLATE)

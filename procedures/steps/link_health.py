@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import asdict
+from typing import Self
 
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from procedures.engine.context import StepContext
 from procedures.results.result import Values
@@ -23,9 +25,18 @@ class LinkHealth(Values):
     turnaround_p99_us: float = Field(description="99 % within.")
     jitter_median_us: float = Field(description="Of a telegram from its place in the controller's pace.")
     jitter_p99_us: float = Field(description="99 % within.")
-    histogram_edges_us: tuple[float, ...] = Field(description="Of both histograms.")
-    histogram_counts: tuple[int, ...] = Field(description="Of the turnaround.")
-    jitter_counts: tuple[int, ...] = Field(description="Of the jitter.")
+    histogram_edges_us: tuple[NonNegativeFloat, ...] = Field(description="Of both histograms.")
+    histogram_counts: tuple[NonNegativeInt, ...] = Field(description="Of the turnaround.")
+    jitter_counts: tuple[NonNegativeInt, ...] = Field(description="Of the jitter.")
+
+    @model_validator(mode="after")
+    def _bins_have_counts(self) -> Self:
+        edges, bins = self.histogram_edges_us, max(0, len(self.histogram_edges_us) - 1)
+        if len(self.histogram_counts) != bins or len(self.jitter_counts) not in (0, bins):
+            raise ValueError(f"expected {bins} counts of turnaround, and as many or none of jitter")
+        if any(low >= high for low, high in itertools.pairwise(edges)):
+            raise ValueError("the edges of the histograms do not ascend")
+        return self
 
 
 def link_health(context: StepContext) -> LinkHealth:

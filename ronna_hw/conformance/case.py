@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, TypeVar
@@ -115,6 +117,15 @@ def check(condition: bool, expected: str, found: object = "") -> None:
     """Raise Nonconformity unless `condition` holds, with expected and actual behaviour."""
     if not condition:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
+
+
+@contextmanager
+def read_as(expected: str) -> Iterator[None]:
+    """Around, or as decorator of, what decodes a device's bytes: Nonconformity if they are not `expected`."""
+    try:
+        yield
+    except (ValueError, OverflowError, struct.error) as error:
+        raise Nonconformity(f"expected {expected}, got {error}") from error
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:

@@ -14,6 +14,7 @@ from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import canonical_json
+from ronna_hw.text.printable import printable
 
 SCHEMA_VERSION = 1
 
@@ -115,4 +116,5 @@ def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
             dut.release()
     elapsed_s = round(time.monotonic() - began_s, 3)
     names = tuple(need.name for need in needs)
-    return CaseResult(case.number, case.statement, names, outcome, " ".join(reason.split()), elapsed_s)
+    reason = printable(" ".join(reason.split()))
+    return CaseResult(case.number, case.statement, names, outcome, reason, elapsed_s)

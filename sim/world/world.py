@@ -19,6 +19,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.bounded_input import check_json
 from ronna_hw.clock import SharedClock
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.memory_map import MemoryMap
@@ -27,9 +28,10 @@ from ronna_hw.wire.theatre_clock import CLOCK
 from sim.errors import WorldUnavailable
 from sim.world.on_stand import OnStand
 from sim.world.rigid import matrix_of
-from sim.world.scene.model import Numbers6, Scene
+from sim.world.scene.model import Numbers6, Scene, parse_scene_json
 
-LOOKS_AT_ARM = 100_000  # a write takes microseconds
+LOOKS = 100_000  # at what is being written, which takes microseconds
+LARGEST_SCENE_BYTES = 10_000_000  # a hundred times a scene of ours
 FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
@@ -95,7 +97,7 @@ class World:
                 os.close(file)
         except (OSError, ValueError) as error:
             raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
-        if not _MAP.is_marked(self._memory):
+        if not self._is_world():
             raise WorldUnavailable(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path)
@@ -125,7 +127,7 @@ class World:
 
     @classmethod
     def open(cls, endpoint: str) -> World:
-        """Open the world of a theatre by its `shm://` endpoint; raises SIM-002."""
+        """Open the world of a theatre by its `shm://` endpoint; raises SIM-001, SIM-002, CLK-001, INP-001."""
         return cls(parse_endpoint(endpoint).require("shm").path)
 
     @property
@@ -150,7 +152,7 @@ class World:
 
     def arm(self) -> ArmState:
         """The arm's true state, read consistently (seqlock); its writer may have died while writing."""
-        for _ in range(LOOKS_AT_ARM):
+        for _ in range(LOOKS):
             before = _ARM_SEQUENCE.read(self._memory)
             row = _ARM.read(self._memory)
             if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
@@ -201,11 +203,15 @@ class World:
         return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
-        """Version and text of the fault script; the version changes with every change of the text."""
-        while True:
+        """Version and text of the fault script; the version changes with every change of the text.
+
+        Raises SIM-002 when it was left half written.
+        """
+        for _ in range(LOOKS):
             version, content = _FAULTS_VERSION.read(self._memory), _FAULTS.read(self._memory)
             if content is not None:
-                return version, content.decode()
+                return version, content.decode(errors="replace")
+        raise WorldUnavailable("the fault script in the world was left half written")
 
     def set_fault_script(self, script: str) -> None:
         """Replace the fault script. For the control port only; the text was checked before."""
@@ -216,8 +222,13 @@ class World:
         _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
 
     def _read_scene(self) -> Scene:
-        end = _SCENE_OFFSET + _SCENE_LENGTH.read(self._memory)
-        return Scene.model_validate_json(self._memory[_SCENE_OFFSET:end], strict=False)
+        end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
+        return parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {self._path}")
+
+    def _is_world(self) -> bool:
+        if len(self._memory) < _SCENE_OFFSET or not _MAP.is_marked(self._memory):
+            return False
+        return _STAND.read(self._memory) < len(OnStand)
 
 
 def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:

@@ -11,6 +11,7 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from procedures.calibration.errors import BadObservations
 from procedures.calibration.observations import read_strict
 from procedures.calibration.same_theatre import Measurements, require_same_theatre
 from procedures.cli.calibrating.files import (
@@ -31,6 +32,7 @@ from procedures.reporting.calibration.result_file import write_figures
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line import terminal
 from ronna_hw.config import Calibrations, read_theatre_file
+from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.records import write_whole
@@ -139,11 +141,16 @@ def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: L
 def computed(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks) -> Result:
     """What the looks yield. Raises CAL-020 for looks of another theatre, and what the computation raises."""
     theatre = None if run.config is None else read_theatre_file(run.config).calibration
-    if theatre is None:
-        return kind.compute(looks, timedelta(days=run.days))
-    require_same_theatre(looks, theatre)  # a computation may take minutes
-    result = kind.compute(looks, timedelta(days=run.days))
-    require_same_theatre(looks, theatre, kind.records(result))
+    if theatre is not None:
+        require_same_theatre(looks, theatre)  # a computation may take minutes
+    try:
+        result = kind.compute(looks, timedelta(days=run.days))
+    except RonnaError:
+        raise
+    except (ValueError, ArithmeticError) as error:  # the former also of a matrix
+        raise BadObservations(f"nothing can be computed from these measurements: {error}") from error
+    if theatre is not None:
+        require_same_theatre(looks, theatre, kind.records(result))
     return result
 
 

@@ -19,7 +19,7 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
 from ronna_hw.host.regular_file import open_regular
-from ronna_hw.recording.device_calls import ANSWERS, PROPERTIES
+from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES
 from ronna_hw.recording.pixel_coding import LARGEST_BYTES, unpack_pixels
 from ronna_hw.recording.reading_coding import GetPixels, as_recorded
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
@@ -129,12 +129,15 @@ class RecordedAnswers:
             self.peeks = False
 
     def look(self, device: str, name: str) -> object:
-        """The next value of a property, or the last once more: how often it is read does not matter."""
+        """The next value of a property, or the last once more: how often it is read does not matter.
+
+        Raises PRO-024.
+        """
         waiting = self._section.get((device, name))
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
-        return line.answer
+        return self.value_of(device, name, line.answer, LOOKS[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
         """The next answer to that call, which returns that kind. Raises PRO-024."""

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Annotated
 
-from pydantic import ConfigDict, ValidationError
+from pydantic import ConfigDict, Field, ValidationError
 
 from procedures.planning.errors import HeadUnreadable
 from procedures.planning.head.shape import HeadEllipsoid
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.records import write_whole
+
+Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds
+Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
 
 
 class _Head(Strict):
@@ -21,8 +25,8 @@ class _Head(Strict):
 
     model_config = ConfigDict(extra="ignore")
 
-    centre_ct_mm: Numbers3
-    semi_axes_mm: Numbers3
+    centre_ct_mm: tuple[Place, Place, Place]
+    semi_axes_mm: tuple[Axis, Axis, Axis]
 
 
 def head_of_scene(path: Path) -> HeadEllipsoid:
@@ -33,13 +37,9 @@ def head_of_scene(path: Path) -> HeadEllipsoid:
         raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
     try:
         found = _Head.model_validate_json(json.dumps(head, default=str))
-        if min(found.semi_axes_mm) <= 0.0:
-            raise HeadUnreadable(
-                f"{path.name}: a head's semi-axes must be positive", got=f"{found.semi_axes_mm}"
-            )
-        return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
     except ValidationError as error:
         raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
+    return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
 
 
 def write_template(path: Path, template: MarkerTemplate) -> None:

@@ -12,6 +12,8 @@ from procedures.steps.calibration.procedures import arm_looks, frame_looks, head
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import Calibrations, describe_mistakes
 
+MOST_LOOKS = 1000  # no command takes half of it
+
 
 class Calibrated(StrEnum):
     """What a calibration is of."""
@@ -26,9 +28,11 @@ class Recipe(Strict):
     """The steps of one calibration."""
 
     of: Calibrated = Field(description="What is calibrated.")
-    looks: int = Field(ge=0, description="Measurements, poses or readings to compute from.")
+    looks: int = Field(ge=0, le=MOST_LOOKS, description="Measurements, poses or readings to compute from.")
     more: int = Field(
-        ge=0, description="Further ones for validation; for the head, visits of each orientation."
+        ge=0,
+        le=MOST_LOOKS,
+        description="Further ones for validation; for the head, visits of each orientation.",
     )
     ball_mm: Numbers3 | None = Field(default=None, description="Position of the ball in $ROBROOT, if given.")
 

@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
@@ -62,6 +63,14 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
+
+    @model_validator(mode="after")
+    def _one_entry_for_each_sphere(self) -> Self:
+        counts = {len(self.points_robot_mm), len(self.covariances_mm2), len(self.residuals_mm)}
+        counts |= {len(self.ray_gaps_mm), len(self.radii_mm), len(self.looks), len(self.joints_rad)}
+        if counts != {len(self.fiducials)}:
+            raise ValueError("expected one entry for each of the fiducials")
+        return self
 
     @property
     def points_mm(self) -> Array:

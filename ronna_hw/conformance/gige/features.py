@@ -9,8 +9,8 @@ import struct
 from functools import cached_property
 from xml.etree.ElementTree import Element
 
-from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
-from ronna_hw.conformance.case import Nonconformity, NotShown, check
+from ronna_hw.bounded_input import parse_xml, unzip
+from ronna_hw.conformance.case import NotShown, check, read_as
 from ronna_hw.conformance.gige.link import GigeLink
 from ronna_hw.wire.gige_vision import TEXT_BYTES, URL_LOCAL, Bootstrap, GevStatus
 
@@ -26,6 +26,7 @@ class GigeFeatures:
         self._link = link
 
     @cached_property
+    @read_as("XML at the address that its URL says")
     def description(self) -> Element:
         """The camera's description, plain or zipped XML; raises Nonconformity if it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
@@ -34,14 +35,12 @@ class GigeFeatures:
             raise NotShown(f"the description is not on the camera: {url}")
         name, address, length = url.removeprefix(URL_LOCAL).split("?")[0].split(";")
         begin, count = int(address, 16), int(length, 16)
+        check(0 < count <= LARGEST_FILE_BYTES, f"1 to {LARGEST_FILE_BYTES} bytes of description", length)
         data = b"".join(
             self._link.memory(begin + offset, min(PIECE_BYTES, -(-(count - offset) // 4) * 4))
             for offset in range(0, count, PIECE_BYTES)
         )
-        try:
-            return parse_xml(_unpacked(name, data[:count]), LARGEST_FILE_BYTES)
-        except InputRefused as error:
-            raise Nonconformity(f"expected XML in the {count} bytes of {url}, got {error}") from error
+        return parse_xml(_unpacked(name, data[:count]), LARGEST_FILE_BYTES)
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
@@ -56,6 +55,7 @@ class GigeFeatures:
         """True when the description has a node of that name."""
         return name in self.nodes
 
+    @read_as("an entry with an integer value")
     def entry(self, name: str, entry: str) -> int:
         """Value of an enumeration's entry."""
         for child in self._node(name):
@@ -63,6 +63,7 @@ class GigeFeatures:
                 return int(_text(child, "Value") or "0", 0)
         raise NotShown(f"{name} has no entry {entry}")
 
+    @read_as("a register of a number")
     def get(self, name: str) -> int | float:
         """Value of a feature."""
         register = self._register(name)
@@ -75,6 +76,7 @@ class GigeFeatures:
         """Value of an integer feature."""
         return int(self.get(name))
 
+    @read_as("an integer limit")
     def limit(self, name: str, which: str) -> int:
         """Present `Min`, `Max` or `Inc` of a feature."""
         node = self._node(name)
@@ -85,6 +87,7 @@ class GigeFeatures:
             raise NotShown(f"{name} has no {which}")
         return self.whole(other)
 
+    @read_as("a register that has room for the value")
     def write(self, name: str, value: int | float) -> int:
         """Set a feature; returns the status."""
         register = self._register(name)
@@ -101,16 +104,19 @@ class GigeFeatures:
         status = self.write(name, number)
         check(status == GevStatus.SUCCESS, f"{name} = {value} accepted", f"status 0x{status:04X}")
 
+    @read_as("the register of a command")
     def execute(self, name: str) -> None:
         """Execute a command; raises Nonconformity when the camera refuses."""
         status = self._link.write(*self.command(name))
         check(status == GevStatus.SUCCESS, f"{name} executed", f"status 0x{status:04X}")
 
+    @read_as("a register and an integer command value")
     def command(self, name: str) -> tuple[int, int]:
         """Register and value that execute a command."""
         value = int(_text(self._node(name), "CommandValue") or "1", 0)
         return self._address(self._register(name)), value
 
+    @read_as("integer addresses")
     def addresses(self) -> list[int]:
         """Every fixed register address in the description.
 
@@ -145,7 +151,9 @@ class GigeFeatures:
         return int(_text(register, "Address") or "", 0)
 
     def _length(self, register: Element) -> int:
-        return int(_text(register, "Length") or "4", 0)
+        length = int(_text(register, "Length") or "4", 0)
+        check(0 < length <= PIECE_BYTES, f"a register of 1 to {PIECE_BYTES} bytes", length)
+        return length
 
 
 def _unpacked(name: str, data: bytes) -> bytes:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from ronna_hw.conformance.case import check
+from ronna_hw.conformance.case import check, read_as
 from ronna_hw.conformance.gige.features import GigeFeatures
 from ronna_hw.conformance.gige.link import GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
@@ -158,6 +158,7 @@ def leader_of(frame: list[Packet]) -> Leader:
     return decode_leader(frame[0])
 
 
+@read_as("a whole leader")
 def decode_leader(packet: Packet) -> Leader:
     """Decode a leader."""
     _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(

@@ -12,7 +12,7 @@ import time
 from xml.etree import ElementTree
 
 from ronna_hw.bounded_input import parse_xml
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import NotShown, check, read_as
 from ronna_hw.endpoints import Endpoint
 
 ANSWER_LIMIT_S = 4.0  # as long as the vendor's client waits
@@ -58,6 +58,7 @@ class EkiLine:
         self.send(command(identifier, name, **attributes))
         return identifier
 
+    @read_as("an answer with an integer Code")
     def ask(self, name: str, **attributes: object) -> int:
         """Send a command of our channel and return the code of its acknowledgement."""
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
@@ -73,10 +74,11 @@ class EkiLine:
             while (raw := self._cut_off()) is None:
                 left_s = until_s - time.monotonic()
                 wanted = f"{tag} {identifier} within {ANSWER_LIMIT_S:g} s"
-                check(left_s > 0, wanted, self._received[-80:] or "nothing")
+                room = LONGEST_TELEGRAM - len(self._received)
+                check(left_s > 0 and room > 0, wanted, self._received[-80:] or "nothing")
                 self._socket.settimeout(left_s)
                 try:
-                    data = self._socket.recv(MOST_BYTES)
+                    data = self._socket.recv(room)
                 except TimeoutError:
                     continue
                 check(bool(data), wanted, "the connection closed by the controller")

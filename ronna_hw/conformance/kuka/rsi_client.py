@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from ronna_hw.bounded_input import parse_xml
-from ronna_hw.conformance.case import NotShown, check
+from ronna_hw.conformance.case import NotShown, check, read_as
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.conformance.kuka.eki_client import EkiLine
 from ronna_hw.endpoints import parse_endpoint
@@ -40,6 +40,7 @@ class Telegram:
     at_s: float  # host time
 
     @property
+    @read_as("an IPOC in digits")
     def ipoc(self) -> int:
         """The time stamp that a reply must carry."""
         match = _IPOC.search(self.raw)
@@ -48,6 +49,7 @@ class Telegram:
         return int(match[1])
 
     @property
+    @read_as("an integer D")
     def late(self) -> int:
         """The delay counter D."""
         match = _DELAY.search(self.raw)
@@ -56,6 +58,7 @@ class Telegram:
         check(match[1].isdigit(), "an integer D", match[1])
         return int(match[1])
 
+    @read_as("an element with numbers")
     def values(self, tag: str) -> dict[str, float]:
         """Attributes of an element as numbers."""
         found = parse_xml(self.raw, MOST_BYTES).find(tag)

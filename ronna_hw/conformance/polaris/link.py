@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from ronna_hw.conformance.case import check
+from ronna_hw.conformance.case import check, read_as
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import (
@@ -34,6 +34,8 @@ BREAK_S = 0.5
 FAST_BAUD, FAST_ARGUMENT = 115200, "50000"  # supported by every unit and every adapter
 RATE_SETTLING_S = 0.1  # from OKAY until the unit uses the new rate
 RESET_LIMIT_S = 7.0  # from a break to the unit's RESET: as long as any client waits
+LONGEST_HEARD_BYTES = 1 << 20  # of a reply, or of a line that should fall silent: ten times any
+SHOWN_BYTES = 80  # of what is no reply
 QUIET_S = 0.02  # an idle line counts as quiet after this
 _ASCII = re.compile(rb"(.*)([0-9A-F]{4})\r", re.DOTALL)
 _ERROR = re.compile("ERROR[0-9A-F]{2}")
@@ -101,6 +103,7 @@ class PolarisLink:
     def send(self, command: str | bytes) -> None:
         self.line.sendall(with_crc(command) if isinstance(command, str) else command)
 
+    @read_as("a reply in ASCII")
     def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
         """The text of the next ASCII reply."""
         heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
@@ -132,6 +135,7 @@ class PolarisLink:
             if not (data := self.line.recv(65536)):
                 break
             heard += data
+            check(len(heard) <= LONGEST_HEARD_BYTES, "a line that falls silent", f"{len(heard)} bytes")
         return heard
 
     def okay(self, command: str | bytes) -> None:
@@ -165,6 +169,7 @@ class PolarisLink:
         check(re.fullmatch("[0-9A-F]{2}", handle) is not None and handle != "00", "a handle", handle)
         return handle
 
+    @read_as("a count and five digits per handle")
     def handles(self, query: str = "00") -> list[str]:
         """Handles that PHSR lists for a query, as two hex digits each."""
         text = self.ask(f"PHSR:{query}")
@@ -212,7 +217,8 @@ class PolarisLink:
             left_s = until_s - time.monotonic()
             ready = left_s > 0 and select.select([self.line], [], [], left_s)[0]
             data = self.line.recv(65536) if ready else b""
-            check(bool(data), f"a reply within {limit_s:g} s", heard.hex(" ") or "nothing")
+            whole = bool(data) and len(heard) < LONGEST_HEARD_BYTES
+            check(whole, f"a reply within {limit_s:g} s", heard[-SHOWN_BYTES:].hex(" ") or "nothing")
             heard += data
         return heard
 

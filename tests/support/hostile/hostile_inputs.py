@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 import tomli_w
 from bounded_cost import LIMIT_S
+from command_inputs import command_parsers
+from conformance_inputs import conformance_parsers
 from good_inputs import (
     ANSWERS,
     DESCRIPTION,
@@ -46,6 +48,7 @@ from painted_ct import write_series
 from plan_toml import PLAN, SECOND
 from pydicom.dataset import Dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
+from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
 from drivers.basler_stereo.control import gvcp
@@ -339,7 +342,13 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "DICOM deflated": Parser(((deflated / "0000.dcm").read_bytes(),), slices(deflated)),
         "DICOM RLE": Parser(((packed / "0000.dcm").read_bytes(),), slices(packed)),
     }
-    for more in (further_parsers(folder / "further"), simulator_parsers()):
+    for more in (
+        further_parsers(folder / "further"),
+        simulator_parsers(),
+        command_parsers(folder / "commands"),
+        run_parsers(folder / "runs"),
+        conformance_parsers(),
+    ):
         found |= {name: Parser(*one) for name, one in more.items()}
     assert tuple(found) == PARSER_NAMES
     return found

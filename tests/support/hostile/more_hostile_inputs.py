@@ -17,12 +17,13 @@ import gdcm
 import numpy as np
 import psutil
 from bounded_cost import LIMIT_S
-from good_inputs import JOURNAL_OF_A_RUN, ORDERS, PLACE, TEMPLATE
+from good_inputs import JOURNAL_OF_A_RUN, PLACE, TEMPLATE
 from painted_ct import compress_slice, write_series
 
 from drivers.basler_stereo.images import pixels_of
-from procedures.engine.orders import read_order
-from procedures.engine.replay.recorded_answers import read_in_order
+from procedures.engine.errors import NotRecorded
+from procedures.engine.order import order_of
+from procedures.engine.replay.recorded_answers import read_answers, read_in_order
 from procedures.exchange.raw_extent import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
@@ -35,6 +36,7 @@ from procedures.reporting.happenings import happenings, questions
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.sessions import sessions
 from procedures.reporting.timeline import timeline
+from procedures.steps.calibration.recipe import Recipe
 from procedures.studies.campaign import ledger
 from procedures.studies.campaign.unit import add_up
 from procedures.studies.correspondence import frame_readings
@@ -42,11 +44,26 @@ from procedures.studies.registration import RegistrationStudy
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import read_body
-from ronna_hw.devices.readings import AreaOfInterest, ArmReading, Stamp, Validity
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.readings import (
+    AreaOfInterest,
+    ArmReading,
+    CameraImage,
+    LinkStatistics,
+    Stamp,
+    StereoReading,
+    StrayReading,
+    ToolIdentity,
+    ToolReading,
+    TrackerFrame,
+    Validity,
+)
+from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
-from ronna_hw.recording.reading_coding import as_plain
+from ronna_hw.recording.device_calls import ANSWERS, LOOKS
+from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.world.control import Room
 from sim.world.left_world import read_left_world
@@ -66,6 +83,7 @@ ROOM_REQUESTS = (
 STUDY = RegistrationStudy(2, seed=5, fiducials=(3,))
 UNIT = STUDY.units()[0].key
 REHASHED = 20  # lines of a ledger
+STAMP = Stamp(7, 4242, 1.25)
 LEDGER = b"".join(
     json.dumps(line).encode() + b"\n"
     for line in (
@@ -108,15 +126,6 @@ LEFT = {
     "mounted_tool": 2,
     "arm": {"joints_rad": [0.0] * 6, "flanks": [0.0] * 6, "motion_number": 3, "moved_s": 1.5},
 }
-STATE = as_plain(ArmReading(Stamp(7, 4242, 1.25), Validity.OK, (0.1,) * 6, None, False), lambda _: {})
-TAPE = b"".join(
-    json.dumps(line).encode() + b"\n"
-    for line in (
-        {"opening": {"paced": True, "series": "ct", "began": "2026-11-20T12:00:00+00:00"}},
-        {"section": 1, "device": "robot", "call": "read_state", "state": "active", "theatre_time_s": 1.5}
-        | {"answer": STATE},
-    )
-)
 
 
 def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
@@ -141,7 +150,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (b'{"event":"opened","part":"log","a":{"b":1}}\n',),
             of("log.jsonl", lambda _run: sessions(read_for_report(folder).log), folder),
         ),
-        "tape": ((TAPE,), of("readings/readings.jsonl", lambda run: list(read_in_order(run)))),
+        "tape": ((_tape(run / "readings"),), of("readings/readings.jsonl", _replayed)),
         "truth": (
             (json.dumps(SAMPLE).encode() + b"\n",),
             of("theatre/truth.jsonl", read_samples, run / "theatre"),
@@ -164,7 +173,6 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (TEMPLATE,),
             of("template.toml", lambda _run: read_marker_template(run / "template.toml")),
         ),
-        "order": (ORDERS, _order),
         "raw extent": (
             (b'{"schema":1,"journal_lines":9,"whole":true}\n',),
             of("raw/extent.json", lambda _run: missing_in_raw(run, ())),
@@ -198,6 +206,51 @@ def _read_run(run: Path) -> None:
     sessions(reading.log)
 
 
+def _tape(folder: Path) -> bytes:
+    """Of a calibration; one answer of each kind, with the pixels that it refers to."""
+    recipe = {"of": "tool tip", "looks": 8, "more": 4, "ball_mm": [700.0, 20.0, 250.0]}
+    opening = {"paced": True, "series": "ct", "began": "2026-11-20T12:00:00+00:00"}
+    tape = ReadingTape(folder, lambda: 1.5, {**opening, "calibration": {"recipe": recipe, "records": {}}})
+    dark, area = np.zeros((30, 40), np.uint16), AreaOfInterest(0, 0, 40, 30)
+    image = CameraImage(STAMP, Validity.OK, "left", dark, area)
+    tool = ToolReading("frame", Validity.OK, (1.0, 0.0, 0.0, 0.0), (1.0, 2.0, 3.0), 0.1)
+    stray = StrayReading((1.0, 2.0, 3.0), Validity.OK)
+    tape.begin(1)
+    for call, value in (
+        ("connect", Identity("Test", "an arm", "1", "0", (("a", "b"),))),
+        ("read_state", ArmReading(STAMP, Validity.OK, (0.1,) * 6, None, moving=False)),
+        ("read_frame", TrackerFrame(STAMP, Validity.OK, (tool,), (stray,))),
+        ("grab_pair", StereoReading(STAMP, Validity.PARTIAL, image, None)),
+        ("read_tool_identity", ToolIdentity(STAMP, 2)),
+        ("link_statistics", LinkStatistics(1, 0, 0, 0, 1.0, 2.0, (0.0, 1.0), (1,))),
+        ("activate", None),
+        ("to_confirm", "the payload"),
+    ):
+        serials = {"serials": ("L", "R"), "notices": ("old",)} if call == "connect" else {}
+        tape.keep("robot", call, Lifecycle.ACTIVE, value, properties=serials)
+    tape.keep("robot", "resume", Lifecycle.FAULT, None, NotRecorded("it is held", expected="no hold"))
+    tape.close()
+    return (folder / READINGS_FILE).read_bytes()
+
+
+def _replayed(run: Path) -> None:
+    """As a replay asks: the steps of its recipe, then call after call, whatever it finds damaged."""
+    answers = read_answers(run)
+    if answers.opening.calibration is not None:
+        with contextlib.suppress(RonnaError):
+            order_of(Recipe.read(answers.opening.calibration.recipe).steps, ())
+    for section, calls in answers._sections.items():
+        answers.begin(section)
+        for (device, call), waiting in calls.items():
+            for _ in range(len(waiting)):
+                with contextlib.suppress(NotRecorded):
+                    if call in LOOKS:
+                        answers.look(device, call)
+                    elif call in ANSWERS:
+                        answers.next(device, call, ANSWERS[call])
+    list(read_in_order(run))
+
+
 def _placed(proposal: ProposedPlace) -> None:
     beside = proposal.beside(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(500.0, 0.0, 480.0)))
     assert math.isfinite(beside.off_mm)
@@ -216,11 +269,6 @@ def _ledger(folder: Path) -> None:
         lines.append(line)
     file.write_bytes(b"\n".join([*lines, rest]))
     add_up(ledger.Ledger(folder, STUDY).results())
-
-
-def _order(data: bytes) -> None:
-    with contextlib.suppress(ValueError):
-        read_order(data)
 
 
 def _asked(room: Room) -> Take:

@@ -16,6 +16,8 @@ from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from procedures.cli.calibrating.calibration import computed
+from procedures.cli.case.request import CalibrationRun
 from procedures.cli.stereo.files import KIND
 from procedures.relocalization.errors import HeadTurned
 from procedures.relocalization.head_watch import check_head
@@ -231,3 +233,12 @@ def test_a_file_without_valid_observations_is_refused(tmp_path, content: str | N
         (tmp_path / OBSERVATIONS_FILE).write_text(content)
     with pytest.raises(BadObservations, match="CAL-005"):
         KIND.read_looks(tmp_path)
+
+
+@pytest.mark.parametrize("variance_px2", [0.0, -1e300])
+def test_looks_from_which_nothing_can_be_computed_are_refused(head: TrueHead, variance_px2: float) -> None:
+    first, *others = looks_at(head, count=LEAST_POSES)
+    left = first.left.model_copy(update={"covariance_px2": ((variance_px2, 0.0), (0.0, 1e-4))})
+    observed = observation_set(head, [first.model_copy(update={"left": left}), *others])
+    with pytest.raises(BadObservations, match="CAL-005: nothing can be computed"):
+        computed(KIND, CalibrationRun(recipe={}, days=1), observed)

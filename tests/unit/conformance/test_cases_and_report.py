@@ -15,6 +15,7 @@ from ronna_hw.conformance.case import (
     Case,
     CaseList,
     Need,
+    Nonconformity,
     NotShown,
     Outcome,
     Run,
@@ -52,6 +53,13 @@ def test_a_foreign_exception_is_a_failure(make_dut: MakeDut, good_tracker: Any) 
     result = run_case(Case("X", "breaks", (), raises(KeyError("x"))), make_dut(good_tracker))
     assert result.outcome is Outcome.FAIL
     assert "KeyError" in result.reason
+
+
+def test_a_reason_is_one_line_that_steers_no_terminal(make_dut: MakeDut, good_tracker: Any) -> None:
+    failing = raises(Nonconformity("got \x1b[2J" + "x" * 70_000))
+    reason = run_case(Case("X", "breaks", (), failing), make_dut(good_tracker)).reason
+    assert reason.isprintable()
+    assert len(reason) < 400
 
 
 @pytest.mark.parametrize(

@@ -76,9 +76,10 @@ def test_a_file_that_is_not_a_clock_is_refused(tmp_path: object) -> None:
     os.close(file)
 
 
-def test_a_clock_that_is_gone_is_refused() -> None:
+@pytest.mark.parametrize("path", ["/proc/self/fd/9999", "/a\0b"], ids=["gone", "no path"])
+def test_a_clock_that_cannot_be_opened_is_refused(path: str) -> None:
     with pytest.raises(ClockUnavailable):
-        open_clock("shm:///proc/self/fd/9999")
+        SharedClock(path)
 
 
 def test_cycles_wait_for_the_reader_of_a_measurement_until_it_waits(path: str) -> None:

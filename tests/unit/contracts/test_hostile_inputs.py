@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import json
+from collections.abc import Callable, Iterator
 
 import pytest
 from bounded_cost import bounded_cost
@@ -11,7 +12,9 @@ from hostile_inputs import Parser, feed, parsers, taken
 from memory_folder import memory_folder
 
 from ronna_hw.bounded_input import InputRefused
-from sim.world.world import World
+from sim.world.world import _FAULTS, _STAND, World
+
+Change = Callable[[tuple[bytes, ...]], bytes]
 
 FEW = 40
 REFUSING = ("Polaris BX", "Polaris .rom", "EKI", "RSI", "RSI reply")  # most mutants are none of theirs
@@ -49,6 +52,75 @@ def test_a_mistake_of_ours_in_the_room_is_no_refusal(
     with pytest.raises(AssertionError, match="the simulator failed"):
         taken(room, room.good[0])
     assert "StopIteration" in capsys.readouterr().err
+
+
+def changed(number: int, *way: str | int, to: object) -> Change:
+    """One value in one of the good inputs, which is JSON."""
+
+    def change(good: tuple[bytes, ...]) -> bytes:
+        inner = whole = json.loads(good[number])
+        for key in way[:-1]:
+            inner = inner[key]
+        inner[way[-1]] = to
+        return json.dumps(whole).encode()
+
+    return change
+
+
+def raw(data: bytes) -> Change:
+    return lambda _good: data
+
+
+def stand_holding_the_ninth(good: tuple[bytes, ...]) -> bytes:
+    world = bytearray(good[0])
+    _STAND.write(world, 9)
+    return bytes(world)
+
+
+def half_written_faults(good: tuple[bytes, ...]) -> bytes:
+    world = bytearray(good[0])
+    _FAULTS.write(world, b"now: tracker bump")
+    at = world.index(b"now: tracker bump")
+    return bytes(world[:at] + b"N" + world[at + 1 :])
+
+
+LINK = ("payload", "link")
+FAR_AWAY = [b"%d,%d,%d" % (i % 90, -i % 90, i % 50) for i in range(20_000)]
+FAR_AWAY += [b"%de%d,0,0" % (i + 1, 200 + i % 100) for i in range(19_000)]
+FOUND: dict[str, tuple[str, Change]] = {
+    "spheres left out that are none": ("results of a run", changed(9, "payload", "left_out", to=[1])),
+    "more spheres than looks": ("results of a run", changed(9, "payload", "looks", to=[1])),
+    "fewer counts than bins": ("results of a run", changed(11, *LINK, "histogram_counts", to=[1])),
+    "fewer counts of jitter": ("results of a run", changed(11, *LINK, "jitter_counts", to=[1])),
+    "bins that descend": ("results of a run", changed(11, *LINK, "histogram_edges_us", to=[100, 10, 0])),
+    "fewer telegrams than none": ("results of a run", changed(11, *LINK, "histogram_counts", to=[-10, 1])),
+    "a structure far away": ("structure", raw(b"\n".join(FAR_AWAY))),
+    "a head far away": ("head of a scene", raw(b"[head]\ncentre_ct_mm=[1e9,0,0]\nsemi_axes_mm=[75,95,85]")),
+    "a level for a name of 60,000 parts": ("variables", raw(b"ronna-sim" + b".a" * 60_000 + b"=debug")),
+    "a world cut short": ("world", lambda good: good[0][:10_000]),
+    "a world without a scene": ("world", lambda good: good[0][:-1]),
+    "a world with a ninth thing on its stand": ("world", stand_holding_the_ninth),
+    "a fault script written half": ("world", half_written_faults),
+    "a description of 4 GB": ("conformance features", raw(b"Local:cam.xml;10000;ffffffff\n")),
+    "a description at no address": ("conformance features", raw(b"Local:cam.xml;-1;20\n")),
+    "a register of 4 GB": (
+        "conformance features",
+        lambda good: good[0].replace(b"<Length>4<", b"<Length>4294967295<", 1),
+    ),
+    "a leader cut short": ("conformance stream", raw(bytes(4) + b"\1\0\0\0" + bytes(4))),
+    "elements without an end": ("conformance EKI", raw(b"<a>" * 30_000)),
+    "a code that is no number": ("conformance EKI", raw(b'<Ack Id="7" Code="x"></Ack>')),
+    "an axis that is no number": ("conformance RSI", raw(b'<Rob><AIPos A1="x"/></Rob>')),
+    "an IPOC of 5,000 digits": ("conformance RSI", raw(b"<IPOC>" + b"1" * 5000 + b"</IPOC>")),
+    "no count of handles": ("conformance Polaris", raw(b"OKAY")),
+}
+
+
+@pytest.mark.parametrize("what", FOUND)
+def test_what_was_found_is_refused_at_bounded_cost(all_parsers: dict[str, Parser], what: str) -> None:
+    name, change = FOUND[what]
+    with bounded_cost():
+        taken(all_parsers[name], change(all_parsers[name].good))
 
 
 @pytest.mark.parametrize("name", PARSER_NAMES)

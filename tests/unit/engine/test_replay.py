@@ -405,3 +405,14 @@ def test_a_line_torn_by_a_kill_is_skipped_when_the_run_was_continued(tmp_path: P
         file.write('{"section": 7, "dev')
     ReadingTape(tmp_path / READINGS_FOLDER, lambda: 1.0, {"paced": True}).close()
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:3], EQUAL)
+
+
+def test_a_property_of_another_kind_is_not_given(tmp_path: Path) -> None:
+    line = {"section": 1, "device": "robot", "call": "to_confirm", "state": "active", "theatre_time_s": 1.0}
+    (tmp_path / READINGS_FOLDER).mkdir()
+    lines = ({"opening": {}}, {**line, "answer": ["no text"]})
+    (tmp_path / READINGS_FOLDER / READINGS_FILE).write_text("".join(f"{json.dumps(one)}\n" for one in lines))
+    answers = read_answers(tmp_path)
+    answers.begin(1)
+    with pytest.raises(NotRecorded, match=r"PRO-024.*robot to to_confirm is damaged"):
+        answers.look("robot", "to_confirm")

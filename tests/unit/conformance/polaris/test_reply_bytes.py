@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import IO
+
 import pytest
 
 from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import placed, read_body
 from ronna_hw.conformance.polaris.definitions import looking_away, markers_of, published, shifted
+from ronna_hw.conformance.polaris.link import PolarisLink
 from ronna_hw.conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
 from ronna_hw.conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
 from ronna_hw.wire.polaris import HandleStatus
@@ -90,3 +94,25 @@ def test_variants_of_a_definition_are_valid() -> None:
     moved = parse_definition(shifted(block, (10.0, 0.0, -5.0)))
     assert moved.part_number != "8700339"
     assert markers_of(shifted(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
+
+
+class Flooded:
+    """A line on which something comes for ever."""
+
+    def __init__(self, zeros: IO[bytes]) -> None:
+        self._zeros = zeros
+
+    def fileno(self) -> int:
+        return self._zeros.fileno()
+
+    def recv(self, size: int) -> bytes:
+        return bytes(size)
+
+
+@pytest.mark.parametrize("hear", [PolarisLink.rest, PolarisLink.text])
+def test_a_line_that_never_falls_silent_fails_before_it_fills_the_memory(
+    hear: Callable[[PolarisLink], object],
+) -> None:
+    with open("/dev/zero", "rb") as zeros, pytest.raises(Nonconformity) as failed:
+        hear(PolarisLink(Flooded(zeros)))  # type: ignore[arg-type]
+    assert len(str(failed.value)) < 400

@@ -8,6 +8,7 @@ import pytest
 from clinical_case import ClinicalCell
 
 from procedures.engine.engine import Engine
+from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from procedures.steps.clinical import set_up
@@ -59,3 +60,8 @@ def test_a_calibration_does_not_start_from_a_record_dated_in_the_future(tmp_path
 def test_a_calibration_that_relies_on_an_expired_head_is_refused(tmp_path: Path, of: Calibrated) -> None:
     with pytest.raises(CalibrationExpired, match=r"CAL-001.*stereo"):
         set_up_with_expired(tmp_path, "stereo_head", of)
+
+
+def test_a_recipe_of_a_billion_looks_is_refused() -> None:
+    with pytest.raises(NotRecorded, match=r"PRO-024: this version does not know.*looks"):
+        Recipe.read({"of": "arm", "looks": 10**9, "more": 0})
