@@ -7,7 +7,6 @@ import subprocess
 import sys
 from typing import Any
 
-import pytest
 from case_results import measured, targets
 from console_clicks import answer, answer_until, await_next, run_by_clicks, run_to, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
@@ -33,7 +32,6 @@ def but_pushes(results: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.slow  # three trajectories by clicks, and once more without a console
 def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_or_console(
     start: OperatedCases, page: Any
 ) -> None:
