@@ -237,9 +237,9 @@ class Workcell:
         unknown = self.insertion is not None or self._arm.state is Lifecycle.FAULT  # which reports no joints
         return self._log.history.left_home and (unknown or not self.at_home)
 
-    def surround(self, surroundings: Surroundings) -> None:
-        """Say what the arm carries and what stands around it: every motion is checked against it."""
-        near_rad = self._way_home.known_rad or self.arm.kinematics.home_rad
+    def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
+        """Say what is carried and what stands around it: checks are exact near these joints, or home."""
+        near_rad = near_rad or self._way_home.known_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 

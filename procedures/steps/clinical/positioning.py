@@ -59,8 +59,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
     standoff_mm = context.result(CheckedPlan).plan.standoff_mm
-    expected = expected_sight(context, surround_guide(context, robot_from_ct))
     planned = paths.targets[trajectory]
+    expected = expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with refused_by_name(trajectory):
         standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad, insertion.arriving)
     hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)

@@ -91,7 +91,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context)
+    surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     check_room(context, "before the spheres are localized again")
     workcell.start(cameras=True)
     centring = Centring(

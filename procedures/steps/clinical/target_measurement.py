@@ -54,7 +54,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     target = refined_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
     travel_mm = planned.depth_mm + context.setting.settings.standoff_mm
     standoff = back_along_axis(target, travel_mm)
-    surround_stereo_head(context, planned)
+    surround_stereo_head(context, paths.targets[name].joints_rad, planned)
     with refused_by_name(name):
         standoff_rad = workcell.joints_at(standoff, paths.targets[name].standoff_rad)
         over = workcell.going(standoff_rad)

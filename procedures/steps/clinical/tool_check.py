@@ -72,12 +72,12 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     guide = workcell.tools.guide
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform
     tip = workcell.flange_from(MountedTool.GUIDE)
-    workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None))
+    gauge_rad = radians6(*guide.gauge.joints_deg)
+    workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None), gauge_rad)
     check_room(context, "before the guide is checked")
     frame = guide.record.frame
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
     workcell.start()
-    gauge_rad = radians6(*guide.gauge.joints_deg)
     there = [workcell.settling(gauge_rad, ARRIVING, from_afar=True)]
     workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)

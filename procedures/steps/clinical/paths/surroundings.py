@@ -12,6 +12,7 @@ from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
@@ -35,22 +36,30 @@ def planning_scene(
     )
 
 
-def surround_stereo_head(context: StepContext, trajectory: Trajectory | None = None) -> None:
+def surround_stereo_head(
+    context: StepContext, near_rad: JointVector | None = None, trajectory: Trajectory | None = None
+) -> None:
     """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
-    With a trajectory its corridor into the head is open.
+    `near_rad` is where it works: see `Workcell.surround`. With a trajectory its corridor into the head is
+    open.
     """
     workcell = context.workcell
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory))
+    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
 
 
-def surround_guide(context: StepContext, robot_from_ct: Transform) -> Surroundings:
-    """Set the arm's surroundings while the guide is mounted, from this trajectory's registration."""
+def surround_guide(
+    context: StepContext, robot_from_ct: Transform, near_rad: JointVector | None = None
+) -> Surroundings:
+    """Set the arm's surroundings while the guide is mounted, from this trajectory's registration.
+
+    `near_rad` is where it works: see `Workcell.surround`.
+    """
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
     guide = workcell.flange_from(MountedTool.GUIDE)
     surroundings = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
-    workcell.surround(surroundings)
+    workcell.surround(surroundings, near_rad)
     return surroundings

@@ -65,6 +65,15 @@ def test_every_measuring_pose_is_approached_in_the_joint_directions_of_the_targe
     np.testing.assert_allclose(ways, np.tile(ARRIVING, (len(ways), 1)), atol=1e-6)
 
 
+def test_the_surroundings_are_exact_at_the_spheres_and_not_at_home(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    near: list[object] = []
+    monkeypatch.setattr(cell.workcell, "surround", lambda _room, near_rad: near.append(near_rad))
+    relocalize(cell)
+    assert near == [checked_paths(cell).localizations["T1"][len(SPHERES_MM) // 2].joints_rad]
+
+
 def test_the_step_sends_the_surroundings_and_starts_the_stream_and_the_cameras(cell: ClinicalCell) -> None:
     relocalize(cell)
     assert cell.arm.calls == ["surround", "activate"]
