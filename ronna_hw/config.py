@@ -48,6 +48,7 @@ FARTHEST_STANDOFF_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
 LARGEST_COARSE_FINE_MM = 5.75
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
+LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
 
 
 class BadTheatreFile(ConfigurationError):
@@ -369,7 +370,7 @@ def _model_in(annotation: Any) -> Any:
 
 def _meant(key: str, known: Sequence[str]) -> str:
     """The most similar known key, as a question, or all of them."""
-    if alike := get_close_matches(key, known, n=1):
+    if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""
 

@@ -94,6 +94,7 @@ FOUND: dict[str, tuple[str, Change]] = {
     "fewer counts of jitter": ("results of a run", changed(11, *LINK, "jitter_counts", to=[1])),
     "bins that descend": ("results of a run", changed(11, *LINK, "histogram_edges_us", to=[100, 10, 0])),
     "fewer telegrams than none": ("results of a run", changed(11, *LINK, "histogram_counts", to=[-10, 1])),
+    "an unknown key of 10 MB": ("looks of a calibration", raw(b'{"' + b"a" * 10_000_000 + b'": 1}')),
     "a structure far away": ("structure", raw(b"\n".join(FAR_AWAY))),
     "a head far away": ("head of a scene", raw(b"[head]\ncentre_ct_mm=[1e9,0,0]\nsemi_axes_mm=[75,95,85]")),
     "a level for a name of 60,000 parts": ("variables", raw(b"ronna-sim" + b".a" * 60_000 + b"=debug")),

@@ -19,12 +19,17 @@ from sim.polaris.line.channel import RECEIVE_BYTES
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 
 SIZE_BYTES = 10_000_000
+LONGEST_VARIABLE_BYTES = 131_072  # that Linux gives to a process
 DATAGRAM_BYTES = 65_507  # the largest of UDP
 AT_MOST = {  # what the link itself hands over at a time
     **dict.fromkeys(("GVCP", "GVSP", "RSI", "RSI reply", "simulated camera"), DATAGRAM_BYTES),
+    "conformance stream": DATAGRAM_BYTES,
+    "variables": LONGEST_VARIABLE_BYTES,
     **dict.fromkeys(("EKI request", "EKI SDK request"), READ_BYTES),
     "simulated tracker": RECEIVE_BYTES,
-    **dict.fromkeys(("Polaris text", "Polaris BX", "conformance BX"), LONGEST_REPLY_BYTES),
+    **dict.fromkeys(
+        ("Polaris text", "Polaris BX", "conformance BX", "conformance Polaris"), LONGEST_REPLY_BYTES
+    ),
 }
 
 
