@@ -26,8 +26,11 @@ SLOWLY = 0.001  # of the working speed: no test waits for the end of such a moti
 CLOSED_WITHIN_S = 15.0
 
 MOVES_UNTIL_INTERRUPTED = f"""
+import signal
+
 from ronna_hw import open_theatre
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # which a shell ignores in what it starts with &
 with open_theatre("theatre.toml") as theatre, theatre.arms["master"].active() as arm:
     A1, A2, A3, A4, A5, A6 = arm.read_state().joints_rad
     print("moving", flush=True)
