@@ -1,5 +1,5 @@
 // Says by itself when the page is no longer kept fresh: what stands still must not look as if it rested. Brings what is
-// asked into view.
+// asked into view, and names what can be focused.
 (() => {
   const LOST_MS = 2000;
   const MARGIN_PX = 8;
@@ -31,6 +31,13 @@
     if (!panel) return;
     const top = panel.getBoundingClientRect().top;
     if (top < head.bottom || top > window.innerHeight - head.height) panel.scrollIntoView();
+  }, 250);
+  // The library names a slider on its outside and focuses its inside.
+  setInterval(() => {
+    for (const inside of document.querySelectorAll(".q-slider[aria-label] [tabindex='0']:not([aria-label])")) {
+      inside.setAttribute("role", "group");
+      inside.setAttribute("aria-label", inside.closest(".q-slider").getAttribute("aria-label"));
+    }
   }, 250);
   setInterval(() => { if (window.socket && window.socket.connected) emitEvent("alive"); }, 1000);
 })();
