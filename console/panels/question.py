@@ -162,11 +162,9 @@ class QuestionPanel:
                     return
             await self._give(order)
 
-        if (
-            question.deliberate and answer != question.answers[-1]
-        ):  # the last, which silence means, changes nothing
-            held = HeldButton(f"{answer} (hold)", act, self._tell)
-            button = held.button
+        # The last answer, which silence means too, changes nothing.
+        if question.deliberate and answer != question.answers[-1]:
+            button = HeldButton(f"{answer} (hold)", act, self._tell).button
         else:
             button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
         button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')

@@ -32,9 +32,10 @@ def surround(engine: Engine) -> None:
     if engine.setting.clinical is None:
         surround_calibration(engine)
     elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
-        surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
+        over = next(key for key in keys if key.name == Relocalization.kind)
+        surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
     elif (led := _led(engine)) is not None:
-        surround_guide(engine.context(led.key), led.robot_from_ct)
+        surround_guide(engine.context(led.key), led.robot_from_ct, workcell.joints_rad())
     elif not workcell.at_home:
         raise RecoveryRefused(
             "the arm is not home, and no result gives the position of the head",

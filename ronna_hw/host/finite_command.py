@@ -1,4 +1,4 @@
-"""Commands that end by themselves, awaited within a limit; one that is halted is noticed earlier."""
+"""Runs commands that end by themselves, within a time limit; a halted one is noticed earlier."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def await_end(
                     limit=f"{limit_s:g} s" if late else f"{IDLE_TIMEOUT_S:g} s without using the processor",
                     action=TOO_SLOW if late else HANGS,
                 )
-    except BaseException:
+    except BaseException:  # also an interruption: nothing is left running
         process.kill()
         process.wait()
         raise

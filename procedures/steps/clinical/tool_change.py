@@ -49,7 +49,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
 def _park(context: StepContext) -> None:
     workcell = context.workcell
     workcell.check_mounted(MountedTool.STEREO_HEAD)
-    surround_stereo_head(context)
+    surround_stereo_head(context, workcell.joints_rad())
     check_room(context, "before the arm parks")
     park(workcell, "park the arm for the tool exchange")
 

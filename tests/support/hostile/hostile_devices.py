@@ -88,7 +88,7 @@ class HostileLine(DisturbedLine):
             client.settimeout(TAKES_S)
             if self.malice is Malice.RESET:
                 client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET_ON_CLOSE)
-            super()._pass_on(client, device)  # type: ignore[arg-type]
+            super()._pass_on(client, device)  # type: ignore[arg-type]  # the type of that end is private
         finally:
             self._idle.set()
 
@@ -156,7 +156,7 @@ class HostileSerialLine(HostileLine):
                     self._name.symlink_to(terminal.path)
                     self._plugged.set()
                     with contextlib.closing(self._open_device()) as device:
-                        DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]
+                        DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]  # the type of that end is private
                 self._name.unlink()
 
 

@@ -37,7 +37,7 @@ def planning_scene(
 
 
 def surround_stereo_head(
-    context: StepContext, near_rad: JointVector | None = None, trajectory: Trajectory | None = None
+    context: StepContext, near_rad: JointVector, trajectory: Trajectory | None = None
 ) -> None:
     """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
@@ -50,9 +50,7 @@ def surround_stereo_head(
     workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
 
 
-def surround_guide(
-    context: StepContext, robot_from_ct: Transform, near_rad: JointVector | None = None
-) -> Surroundings:
+def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: JointVector) -> Surroundings:
     """Set the arm's surroundings while the guide is mounted, from this trajectory's registration.
 
     `near_rad` is where it works: see `Workcell.surround`.
