@@ -23,13 +23,15 @@ class Word:
     def __init__(self, code: str, offset: int) -> None:
         self._struct = struct.Struct(f"<{code}")
         self.offset = offset
+        self._place = slice(offset, offset + self._struct.size)
 
     def read(self, memory: Any) -> int:
         number: int = self._struct.unpack_from(memory, self.offset)[0]
         return number
 
     def write(self, memory: Any, number: int) -> None:
-        self._struct.pack_into(memory, self.offset, number)
+        # One copy. `pack_into` first fills the place with zeros, which another process then reads.
+        memory[self._place] = self._struct.pack(number)
 
 
 class Rows(Generic[RowT]):
@@ -46,7 +48,8 @@ class Rows(Generic[RowT]):
         return self._codec.unpack_from(memory, self._offset + index * self._stride)
 
     def write(self, memory: Any, row: RowT, index: int = 0) -> None:
-        self._codec.pack_into(memory, self._offset + index * self._stride, row)
+        offset = self._offset + index * self._stride
+        memory[offset : offset + self._codec.size_bytes] = self._codec.pack(row)
 
 
 class CheckedRow(Generic[RowT]):
@@ -83,7 +86,7 @@ class CheckedBytes:
         """Raises ValueError if they do not fit."""
         if len(content) > self.capacity_bytes:
             raise ValueError(f"{len(content)} bytes do not fit into {self.capacity_bytes}")
-        _LENGTH.pack_into(memory, self._offset, len(content))
+        memory[self._offset : self._offset + _LENGTH.size] = _LENGTH.pack(len(content))
         _Checked(self._offset + _LENGTH.size, len(content)).write(memory, content)
 
 

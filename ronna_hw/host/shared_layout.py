@@ -84,13 +84,9 @@ class RowCodec(Generic[RowT]):
             unpacked.append(value)
             at += count
         layout = struct.Struct("".join(codes))
-        namespace |= {"pack_values": layout.pack, "pack_values_into": layout.pack_into}
+        namespace["pack_values"] = layout.pack
         self.size_bytes = layout.size
-        values = ", ".join(packed)
-        self.pack: Callable[[RowT], bytes] = eval(f"lambda row: pack_values({values})", namespace)
-        self.pack_into: Callable[[Any, int, RowT], None] = eval(
-            f"lambda memory, offset, row: pack_values_into(memory, offset, {values})", namespace
-        )
+        self.pack: Callable[[RowT], bytes] = eval(f"lambda row: pack_values({', '.join(packed)})", namespace)
         self._make: Callable[[tuple[Any, ...]], RowT] = eval(
             f"lambda v: row_type({', '.join(unpacked)})", namespace
         )

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import mmap
+import os
+import subprocess
+import sys
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
@@ -78,6 +82,38 @@ def test_the_places_of_a_memory_map_do_not_overlap() -> None:
     assert (word.read(memory), last.read(memory)) == (2**64 - 1, 7)
     assert (rows.read(memory, 0), rows.read(memory, 1), row.read(memory)) == (first, second, second)
     assert content.read(memory) == b"12345"
+
+
+COUNTING = """
+import mmap, sys
+from ronna_hw.host.memory_map import MemoryMap
+places = MemoryMap(b"TESTMARK")
+word = places.word()
+memory = mmap.mmap(int(sys.argv[1]), places.size_bytes)
+number = 0
+while True:
+    number += 1
+    word.write(memory, number)
+"""
+
+
+def test_a_word_that_another_process_counts_up_is_never_read_as_less() -> None:
+    places = MemoryMap(b"TESTMARK")
+    word, file = places.word(), os.memfd_create("counted")
+    os.ftruncate(file, places.size_bytes)
+    counting = subprocess.Popen([sys.executable, "-c", COUNTING, str(file)], pass_fds=[file])
+    with counting, mmap.mmap(file, places.size_bytes) as memory:
+        last, reads, seen = 0, 0, 0
+        while reads < 50_000 or seen < 200:
+            number = word.read(memory)
+            if number < last:
+                break
+            seen += number > last
+            reads += number > 0
+            last = number
+        counting.kill()
+    os.close(file)
+    assert number >= last
 
 
 def test_a_half_written_row_is_not_read() -> None:
