@@ -145,6 +145,11 @@ class RefusedError(RonnaError):
     exit_code = EXIT_REFUSED
 
 
+def summary_of(problem: Exception) -> str:
+    """What happened, of ours or of Python's: the latter with the name of its class."""
+    return problem.summary if isinstance(problem, RonnaError) else f"{type(problem).__name__}: {problem}"
+
+
 def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
     """Every error class with a code imported so far, in order of definition."""
     for child in root.__subclasses__():

@@ -6,7 +6,6 @@ with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracke
 
 from __future__ import annotations
 
-import contextlib
 import os
 import threading
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +22,7 @@ from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.errors import summary_of
 from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
@@ -120,10 +120,14 @@ class Theatre:
             if device.state is Lifecycle.CONNECTED:
                 device.configure(timeout_s)
 
-    def stop(self) -> None:
-        """Bring all arms to rest at once, as far as their links still permit; never raises."""
+    def stop(self) -> list[str]:
+        """Bring all arms to rest at once, as far as their links still permit; never raises.
+
+        Returns what went wrong, for each arm that may not be at rest.
+        """
+        failures: list[str] = []
         moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
-            threading.Thread(target=_stop, args=(device,))
+            threading.Thread(target=_stop, args=(device, failures))
             for device in self._devices.values()
             if isinstance(device, RobotArm) and device.observe().state in (Lifecycle.CONFIGURED, *RUNNING)
         ]
@@ -131,6 +135,7 @@ class Theatre:
             stop.start()
         for stop in moving:
             stop.join()
+        return failures
 
     def close(self) -> None:
         """Stop the arms, then end all sessions, the arms' first. Bounded in time; never raises.
@@ -214,6 +219,9 @@ def _record_bytes(device: Device, sink: ByteSink | None) -> None:
         device.record_bytes(sink)
 
 
-def _stop(arm: RobotArm) -> None:
-    with contextlib.suppress(Exception):  # `close` continues, and the link stops the arm when it ends
+def _stop(arm: RobotArm, failures: list[str]) -> None:
+    try:
         arm.stop(StopKind.HOLD, STOP_LIMIT_S)
+    except Exception as error:  # `close` continues, and the link stops the arm when it ends
+        logger(device=arm.name).error("may not be at rest: the stop failed", cause=error)
+        failures.append(f"{arm.name} may not be at rest, the stop failed: {summary_of(error)}")

@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 
 from procedures.engine.engine import Engine
+from procedures.engine.events import Advisory
 from procedures.engine.step import StepKey
 from procedures.guards import (
     GuideStill,
@@ -29,6 +30,7 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
     """
     setting, guards = engine.setting, engine.checkpoint.guards
     workcell = setting.workcell
+    workcell.on_stop_failed = lambda failure: engine.events.publish(Advisory(text=failure))
     folder = engine.case.folder
     guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if not only_leaving:

@@ -27,13 +27,14 @@ from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
-from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
+from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, summary_of
 
 FRAME_S = 1 / 60  # of the tracker's frame counter
 PASSED_FRAMES = 3  # unread, while there is no doubt
 PASSED_S = (PASSED_FRAMES - 0.5) * FRAME_S  # theatre time
 LONGEST_UNSEEN_S = 5.0  # theatre time under way; then it is a finding
 FIRST_FRAME_S = 1.0  # host time to wait for the first frame; without it the motion begins all the same
+REPEATING_S = 1.0  # theatre time without a new frame, after which it is told
 UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracker has failed
 READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
 
@@ -66,6 +67,10 @@ class MotionWatch:
         if room is None or not self._wanted:
             yield
             return
+        if (state := self.workcell.tracker.state) is not Lifecycle.CONFIGURED:
+            self.find(f"the head was not watched during {what}: the tracker is {state}")
+            yield
+            return
         if self._room is not room or self._head.spheres_mm is not room.spheres_mm:
             self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
         looking = _Looking(
@@ -74,7 +79,7 @@ class MotionWatch:
             arm_moves,
             room,
             self._head,
-            lambda why, stop: self._alarm(what, why, stop),
+            what,
             self.tell,
             guide=self.memory.find(GuideAtRest),
         )
@@ -96,14 +101,9 @@ class MotionWatch:
 
     @property
     def _wanted(self) -> bool:
-        if self.when is WatchPatient.NEVER or self.workcell.tracker.state is not Lifecycle.CONFIGURED:
-            return False
-        return self.when is WatchPatient.ALWAYS or self.workcell.tool is MountedTool.GUIDE
-
-    def _alarm(self, what: str, why: str, stop: bool) -> None:
-        self.tell(f"{why} during {what}" + (": the arm is stopped" if stop else ""))
-        if stop:
-            self.workcell.stop()
+        if self.when is WatchPatient.INSTRUMENT:
+            return self.workcell.tool is MountedTool.GUIDE
+        return self.when is WatchPatient.ALWAYS
 
     def _conclude(self, seen: _Looking, what: str) -> None:
         if seen.moved_mm is not None:
@@ -113,8 +113,8 @@ class MotionWatch:
             raise moved
         if seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
-        if seen.problem is not None:
-            self.find(f"the head was not watched during {what}: {seen.problem.summary}")
+        if seen.problem:
+            self.find(f"the head was not watched during {what}: {seen.problem}")
         if seen.late_s > 0.0:
             self.find(f"{LATE} by up to {seen.late_s:.2f} s during {what}")
         already_noted = self._unseen_s > LONGEST_UNSEEN_S
@@ -147,14 +147,15 @@ class _Looking:
     arm_moves: bool
     room: RoomWatch
     head: HeadFrames
-    alarm: Callable[[str, bool], None]  # why, and whether the arm is to stop
+    what: str  # the motion or the wait
     tell: Callable[[str], object]
     moved_mm: float | None = None
     pushed_mm: float = 0.0  # the guide, at most
     late_s: float = 0.0  # how long replies took at most, if that was too long
-    problem: RonnaError | None = None
+    problem: str = ""  # why nothing looks any more
     has_seen: bool = False
     unseen_s: float = 0.0
+    _seen_s: float = 0.0
     _overdue: bool = False
     _stop_wanted: bool = False
     _stopping: threading.Thread | None = None
@@ -163,6 +164,7 @@ class _Looking:
     _pushed: bool = False
 
     def __post_init__(self) -> None:
+        self._seen_s = self.clock.now_s()
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
@@ -188,9 +190,9 @@ class _Looking:
         try:
             tracker.activate()
             self._read()
-        except RonnaError as problem:  # recorded when the motion ends; what lasts is latched by the tracker
-            self.problem = problem
-            self._tell_silence(problem)
+        except Exception as problem:  # recorded when the motion ends; what lasts is latched by the tracker
+            self.problem = summary_of(problem)
+            self._tell_silence(self.problem)
         finally:
             self._first.set()
             if tracker.state in RUNNING:
@@ -201,7 +203,7 @@ class _Looking:
             self._stop_again()
 
     def _read(self) -> None:
-        tracker, began_s = self.workcell.tracker, self.clock.now_s()
+        tracker, new_s = self.workcell.tracker, self._seen_s
         while not self._ending.is_set():
             self._stop_again()
             try:
@@ -211,18 +213,20 @@ class _Looking:
                 if tracker.state is not Lifecycle.ACTIVE:
                     raise
                 if isinstance(problem, LinkTimeout):
-                    self._tell_silence(problem)
+                    self._tell_silence(problem.summary)
                 continue
             if frame.validity is Validity.STALE:
+                self._meet_unseen()
+                if self.clock.now_s() - new_s > REPEATING_S:
+                    self._tell_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
             self.head.take(with_its_spheres(tracker, frame))
             self._meet_push(frame)
             self._meet_late()
-            now_s = self.clock.now_s()
+            new_s = self.clock.now_s()
             if self.head.seen:
-                self.has_seen, began_s, self.room.seen_s = True, now_s, now_s
-            self.unseen_s = now_s - began_s
+                self.has_seen, self._seen_s, self.room.seen_s = True, new_s, new_s
             self._meet_unseen()
             if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 self.moved_mm = self.head.moved_mm
@@ -236,7 +240,9 @@ class _Looking:
                 self._ending.wait(PASSED_S)
 
     def _meet_unseen(self) -> None:
-        if not self._overdue and self.room.overdue(self.clock.now_s()):
+        now_s = self.clock.now_s()
+        self.unseen_s = now_s - self._seen_s
+        if not self._overdue and self.room.overdue(now_s):
             self._overdue = True
             self._begin_alarm(UNSEEN, stop=self.arm_moves)
 
@@ -260,27 +266,30 @@ class _Looking:
 
     def _begin_alarm(self, why: str, *, stop: bool) -> None:
         self._stop_wanted |= stop
-        if not self._alarm_runs:  # otherwise it is stopped already, and what was seen is told when it rests
-            self._begin(lambda: self.alarm(why, stop))
+        if self._stops:  # what was seen is told when it rests
+            return
+        if stop:
+            self._begin_stop()
+        self.tell(f"{why} during {self.what}" + (": the arm is stopped" if stop else ""))
 
     def _stop_again(self) -> None:
         """While the arm may still move: a stop may fail, for example by its time limit."""
-        wanted = self._stop_wanted and not self._alarm_runs
+        wanted = self._stop_wanted and not self._stops
         if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
-            self._begin(self.workcell.stop)
+            self._begin_stop()
 
     @property
-    def _alarm_runs(self) -> bool:
+    def _stops(self) -> bool:
         return self._stopping is not None and self._stopping.is_alive()
 
-    def _begin(self, alarm: Callable[[], None]) -> None:
+    def _begin_stop(self) -> None:
         # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
-        stopping = threading.Thread(target=alarm, name="stop by the patient watch", daemon=True)
+        stopping = threading.Thread(target=self.workcell.stop, name="stop by the patient watch", daemon=True)
         stopping.start()
         self._stopping = stopping
 
-    def _tell_silence(self, problem: RonnaError) -> None:
+    def _tell_silence(self, why: str) -> None:
         """Once, and at once: the motion that nothing watches any more may take its time."""
         if not self._silence_told:
             self._silence_told = True
-            self.tell(f"the tracker does not answer, the head is not watched: {problem.summary}")
+            self.tell(f"the head is not watched: {why}")

@@ -51,6 +51,16 @@ class ArmHistory:
         """Whether the arm was led away from home, as far as is recorded, and not back to it."""
         return self.insertion is not None or bool(self.trail) or self.unfinished is not None
 
+    def with_hands_of(self, other: ArmHistory) -> ArmHistory:
+        """With what the hands at the guide did in another history; where the arm is stays."""
+        return replace(
+            self,
+            instrument_in=other.instrument_in,
+            instrument_out=other.instrument_out,
+            stages=other.stages,
+            stops=other.stops,
+        )
+
     def after(self, line: Line) -> ArmHistory:
         """With one more line; raises LookupError, TypeError or ValueError for one that is not ours."""
         match line["entry"]:

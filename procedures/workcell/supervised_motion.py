@@ -148,9 +148,12 @@ class SupervisedMotion:
                     motion.trajectory,
                     COVERS.format(f", here {self._course}" if self._course else ""),
                 )
+                if checkpoint.wanted:  # such as a stop while the question stood
+                    self._confirmed = False
+                continue  # the question may have stood for minutes: the guards are asked again
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
                 self._arm().resume()  # moves nothing
-            if checkpoint.wanted:  # since the checkpoint, such as a stop while the question stood
+            if checkpoint.wanted:  # since the checkpoint
                 self._confirmed = False
                 continue
             try:

@@ -85,6 +85,7 @@ class Workcell:
         self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as the arm was last told
         self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
+        self.on_stop_failed: Callable[[str], object] = lambda _failure: None  # as above
         self.sensors = Sensors(lambda: self._stereo, self.calibrations.stereo_head)
 
     @property
@@ -211,13 +212,7 @@ class Workcell:
 
     def take_up_hands(self, history: ArmHistory) -> None:
         """Restore what the hands at the guide had done; where the arm is stays as known."""
-        self._log.history = replace(
-            self._log.history,
-            instrument_in=history.instrument_in,
-            instrument_out=history.instrument_out,
-            stages=history.stages,
-            stops=history.stops,
-        )
+        self._log.history = self._log.history.with_hands_of(history)
 
     # Moving
 
@@ -361,7 +356,8 @@ class Workcell:
 
     def stop(self) -> None:
         """Bring the arm to rest as well as the link still allows; never raises."""
-        self._theatre.stop()
+        for failure in self._theatre.stop():
+            self.on_stop_failed(failure)
         self.supervised.begin_anew()
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +14,13 @@ from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.engine import Engine
+from procedures.engine.events import Advisory
 from procedures.guards import sight_guard
 from procedures.guards.errors import PatientMoved
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
+from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import DeviceError
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("HEAD_UNSEEN")]
@@ -170,3 +173,25 @@ def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(tmp_
     with pytest.raises(GuardUnmet):
         positioned(engine)
     assert any("the head was not watched" in text for text in findings(cell))
+
+
+def test_a_tracker_that_repeats_its_last_frame_does_not_see_the_head(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.guards.motion_watch.REPEATING_S", UNSEEN_S / 2)
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+    answering(cell, "leave")
+    reader, read = engine.events.subscribe(), cell.tracker.read_frame
+
+    def repeat() -> None:
+        last = replace(read(), validity=Validity.STALE)
+        cell.tracker.read_frame = lambda _timeout_s=1.0: last  # type: ignore[method-assign]
+        covered(cell)()
+        cell.tracker.read_frame = read  # type: ignore[method-assign]
+
+    on_the_way(cell, repeat)
+    with pytest.raises(GuardUnmet):
+        positioned(engine)
+    said = [one.what.text for one in reader.read(0.1).events if isinstance(one.what, Advisory)]
+    assert "the head is not watched: the tracker repeats its last frame" in said

@@ -150,14 +150,17 @@ def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
     assert len([text for text in findings(cell) if "has not seen the head" in text]) == 1
 
 
-def test_a_tracker_that_fails_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
+@pytest.mark.parametrize("problem", [DeviceError("it is too hot"), ValueError("nobody expected that")])
+def test_a_watch_that_fails_during_a_motion_stops_nothing_and_is_a_finding(
+    tmp_path: Path, problem: Exception
+) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     read, reader = cell.tracker.read_frame, engine.events.subscribe()
 
     def fail(_timeout_s: float = 1.0) -> None:
         cell.tracker.read_frame = read  # type: ignore[method-assign]
-        raise DeviceError("it is too hot")
+        raise problem
 
     def told() -> bool:
         said = [one.what for one in reader.read(0.1).events]
@@ -171,6 +174,16 @@ def test_a_tracker_that_fails_during_a_motion_stops_nothing_and_is_a_finding(tmp
     on_the_way(cell, break_it)
     positioned(engine)
     assert any("the head was not watched" in text for text in findings(cell))
+
+
+def test_a_motion_that_the_tracker_cannot_watch_is_a_finding(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    cell.tracker.state = Lifecycle.FAULT
+    with engine.checkpoint.watching("the next motion", True):
+        pass
+    assert findings(cell)[-1] == "the head was not watched during the next motion: the tracker is fault"
 
 
 def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:

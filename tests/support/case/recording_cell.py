@@ -287,10 +287,11 @@ class RecordingTheatre(Theatre):
         self._devices["tracker"] = tracker
         return tracker
 
-    def stop(self) -> None:
+    def stop(self) -> list[str]:
         arm = cast("RecordingArm", self._devices["robot.master"])
         if arm.state is Lifecycle.ACTIVE:
             arm.stop()
+        return []
 
 
 @dataclass

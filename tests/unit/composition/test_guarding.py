@@ -13,6 +13,7 @@ from recording_cell import GUIDE, RecordingCell, mini_theatre_file
 
 from procedures.composition.guarding import guard
 from procedures.engine.engine import Engine
+from procedures.engine.events import Advisory
 from procedures.engine.order import order_of
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
@@ -24,6 +25,7 @@ from procedures.guards.theatre_records import UnchangedRecords
 from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
 from procedures.operator.errors import GuardUnmet
+from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import global_localization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
@@ -99,3 +101,34 @@ def test_a_guarded_case_does_not_move_with_another_tool(tmp_path: Path) -> None:
     with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
         cell.workcell.go(cell.arm.joints_rad)
     assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(3)
+def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    cell.clock = PassingClock()
+    engine = cell.engine(ORDER)
+    guard(engine, tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
+    cell.arm.state = Lifecycle.ACTIVE
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+
+    def exchange(question: Question) -> None:
+        if question.topic is Topic.FIRST_MOTION:
+            cell.arm.mounted = GUIDE
+
+    cell.operator.meanwhile = exchange
+    cell.operator.refusing = (Topic.GUARD,)
+    with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
+        cell.workcell.go(cell.arm.joints_rad)
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(8)
+def test_a_stop_that_fails_is_shown(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = cell.engine(ORDER)
+    guard(engine, tmp_path / "theatre.toml", cell.theatre)
+    reader = engine.events.subscribe()
+    cell.opened.stop = lambda: ["the arm may not be at rest"]  # type: ignore[method-assign]
+    cell.workcell.stop()
+    assert Advisory(text="the arm may not be at rest") in [one.what for one in reader.read(0.1).events]

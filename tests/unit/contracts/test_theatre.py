@@ -140,6 +140,9 @@ def test_an_error_while_closing_one_device_does_not_keep_the_others_open(
     monkeypatch.setattr(Arm, "stop", fail)
     with open_theatre(path) as theatre:
         theatre.arms["left"].activate()
+        assert sorted(theatre.stop()) == [
+            f"robot.{name} may not be at rest, the stop failed: OSError: gone" for name in ("left", "right")
+        ]
     assert installed == ["close device.force"]
 
 
