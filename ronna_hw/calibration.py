@@ -275,6 +275,12 @@ class ArmCalibration(DatedRecord):
     serial: Words | None = Field(
         default=None, description="Serial number of the arm; absent where its controller reports none."
     )
+    stereo_head_mm: Numbers3 | None = Field(
+        default=None, description="Tool centre of the stereo head on the flange, as found with the arm."
+    )
+    tool_tip_mm: Numbers3 | None = Field(
+        default=None, description="The guide's tip on the flange, which was moved with the head."
+    )
     scatter_mm: Scatter = Field(
         description="Random error per axis from pose to pose, one standard deviation."
     )

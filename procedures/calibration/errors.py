@@ -138,7 +138,7 @@ class BallAndDivotApart(DataError):
 
 
 class OfAnotherTheatre(RefusedError):
-    """The measurements were made with other records than those of the theatre file."""
+    """Measurements, or the arm's calibration, were made with other records than the theatre file's."""
 
     code = "CAL-020"
     action = (

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Set
 from datetime import datetime
 from pathlib import Path
 
-from procedures.calibration.errors import ArmOlderThanHead
-from ronna_hw.calibration import CalibrationExpired
+from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
+from ronna_hw.calibration import CalibrationExpired, Numbers3, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.config import Calibrations
 
 MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
@@ -18,6 +19,7 @@ MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
     "tool_tip": "ronna-procedure calibrate tool-tip",
 }
 
+SAME_PLACE_MM = 1e-3  # more than copying a number changes
 DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only with it
 
 
@@ -33,10 +35,10 @@ def require_valid(
     """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
     `options` are the options that select this theatre for those commands; `starts` may have expired. Raises
-    CAL-021 as `require_in_order`.
+    CAL-020 and CAL-021 as `require_together`.
     """
     if "arm" not in starts:
-        require_in_order(calibrations, options)
+        require_together(calibrations, options)
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
@@ -64,18 +66,36 @@ def require_valid(
     )
 
 
-def require_in_order(calibrations: Calibrations, options: str = "") -> None:
-    """Raise CAL-021 for an arm that was calibrated before the stereo head.
+def require_together(calibrations: Calibrations, options: str = "") -> None:
+    """Raise CAL-020 or CAL-021 for an arm that was not calibrated with this head and tip.
 
-    A calibration of the head attributes the errors of the nominal arm to its place on the flange; that of the
-    arm finds the place anew, together with those errors, and keeps the date of the head's record.
+    The calibration of an arm finds the place of the head anew, and moves the tip with it; both keep their
+    dates. One of the head that comes later attributes the nominal arm's errors to its place on the flange.
     """
     arm, head = calibrations.arm, calibrations.stereo_head
-    if arm is None or head.created <= arm.created:
+    if arm is None:
         return
-    raise ArmOlderThanHead(
-        f"calibration {arm.identifier} was made before {head.identifier}",
-        limit=f"{head.created:%Y-%m-%d %H:%M %Z}",
-        got=f"{arm.created:%Y-%m-%d %H:%M %Z}",
-        action=f"Run {MADE_BY_COMMAND['arm']} {options}".rstrip() + "; no motion until then.",
+    if head.created > arm.created:
+        raise ArmOlderThanHead(
+            f"calibration {arm.identifier} was made before {head.identifier}",
+            limit=f"{head.created:%Y-%m-%d %H:%M %Z}",
+            got=f"{arm.created:%Y-%m-%d %H:%M %Z}",
+            action=f"Run {MADE_BY_COMMAND['arm']} {options}".rstrip() + "; no motion until then.",
+        )
+    found: tuple[tuple[str, StereoHeadCalibration | ToolTipCalibration, Numbers3 | None], ...] = (
+        ("stereo_head", head, arm.stereo_head_mm),
+        ("tool_tip", calibrations.tool_tip, arm.tool_tip_mm),
     )
+    for name, record, place_mm in found:
+        if place_mm is None or record.created > arm.created:  # a tip that was calibrated later
+            continue
+        away_mm = math.dist(place_mm, record.flange_from_tool.translation_mm)
+        if away_mm > SAME_PLACE_MM:
+            raise OfAnotherTheatre(
+                f"calibration {arm.identifier} does not belong to this [calibration.{name}]",
+                expected="the record that was written with it",
+                got=f"{record.identifier}, {away_mm:.3f} mm from there on the flange",
+                action="Copy the whole calibration.toml of the arm's calibration into the theatre file, or "
+                f"run {MADE_BY_COMMAND['arm']} {options}".rstrip()
+                + "; no motion until then.",
+            )

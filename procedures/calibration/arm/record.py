@@ -48,6 +48,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
     validation = validate(fit, looks.only(kept))
     after = fit.flange_from_tool
+    tip = None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after)
     return ArmResult(
         fit=fit,
         validation=validation,
@@ -56,6 +57,8 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
             stated_error_mm=validation.model_mm,
             arm=observed.arm,
             serial=observed.arm_serial or None,
+            stereo_head_mm=pose_record(after).translation_mm,
+            tool_tip_mm=None if tip is None else tip.flange_from_tool.translation_mm,
             scatter_mm=fit.scatter_mm,
             **fit.deviations.as_plain(),
             remaining=tuple(
@@ -73,6 +76,6 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
                 "made_by": MADE_BY,  # by another method: not compared with one of the head alone
             }
         ),
-        tool_tip=None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after),
+        tool_tip=tip,
         tool_shift_mm=float(np.linalg.norm(after.translation_mm - before.translation_mm)),
     )

@@ -6,20 +6,25 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from procedures.calibration.arm.error_model import BACKLASH
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
 from procedures.calibration.errors import DoesNotFit, Unobservable
+from procedures.calibration.pose_set import centred_looks
 from procedures.calibration.sufficiency import require_count
+from ronna_hw.arm.pose import Pose
+from ronna_hw.errors import LimitError
 from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
 LEAST_VALIDATION = 12
 ACCEPTED = 1e-4  # probability of rejecting a good calibration
-LARGEST_ERROR_MM = 0.10  # of the model at a typical measurement pose: three times that of a good calibration
+LARGEST_ERROR_MM = 0.10  # of the model around a sphere: twice that of a good calibration
+LOOKS_AROUND = 24  # poses around each sphere, as they are usually planned
 LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 is usual
 MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, flexible links
 
@@ -48,14 +53,14 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
     own = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
     random = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1) + fit.scatter_mm**2 * np.eye(3)
-    model_mm = float(np.sqrt(np.mean(np.einsum("mii->m", own))))
-    if model_mm > LARGEST_ERROR_MM:
+    model_mm, around_mm = _size_mm(own), _around_spheres_mm(fit, looks)
+    if around_mm > LARGEST_ERROR_MM:
         worst = np.argsort(fit.learnt)[::-1][:3]
         raise Unobservable(
             "the measurements do not determine enough of the arm: least of all "
             + ", ".join(model.names[number] for number in worst),
-            limit=f"{LARGEST_ERROR_MM:g} mm where nothing was measured",
-            got=f"{beyond(model_mm, LARGEST_ERROR_MM, 2)} mm",
+            limit=f"{LARGEST_ERROR_MM:g} mm in all orientations around the spheres",
+            got=f"{beyond(around_mm, LARGEST_ERROR_MM, 2)} mm",
         )
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
     statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
@@ -70,7 +75,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         misses_mm=misses,
         before_mm=_before(fit, looks),
         error_mm=_rms(misses),
-        predicted_mm=float(np.sqrt(np.mean(np.einsum("mii->m", own + random)))),
+        predicted_mm=_size_mm(own + random),
         model_mm=model_mm,
     )
 
@@ -91,6 +96,40 @@ def _require_both_sides(fit: ArmFit) -> None:
         )
 
 
+def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
+    """What the fit leaves unknown in every usual orientation, whether or not one like it was measured.
+
+    Held-out measurements are where the others are: of an arm measured in one orientation they say nothing.
+    """
+    model, near = fit.model, looks.joints_rad[0]
+    reference = Rotation.from_matrix(model.rotations(looks)).mean()
+    spheres_mm = fit.values[model.size :].reshape(-1, 3)
+    poses = [
+        (number, look.pose @ fit.flange_from_tool.inverse())
+        for number, place in enumerate(spheres_mm)
+        for look in centred_looks(reference, place, LOOKS_AROUND)
+    ]
+    branch, joints, spheres = model.kinematics.branch_of(near), [], []
+    for number, pose in poses:
+        try:
+            joints.append(model.kinematics.solve_branch(Pose.from_transform(pose), branch, near))
+        except LimitError:
+            continue
+        spheres.append(number)
+    if not joints:
+        return float("inf")
+    count = len(joints)
+    around = LookArrays(
+        joints_rad=np.array(joints),
+        flanks=np.ones((count, model.joints)),
+        points_mm=np.zeros((count, 3)),
+        covariances_mm2=np.zeros((count, 3, 3)),
+        sphere=np.array(spheres, dtype=np.intp),
+    )
+    slopes = model.slopes(fit.values, around)
+    return _size_mm(slopes @ fit.covariance @ slopes.transpose(0, 2, 1))
+
+
 def _before(fit: ArmFit, looks: LookArrays) -> float:
     """Error of the nominal arm and head, relative to the centroid of each sphere's measurements."""
     nothing = np.zeros(len(fit.values))
@@ -99,6 +138,11 @@ def _before(fit: ArmFit, looks: LookArrays) -> float:
         here = looks.sphere == number
         seen[here] -= seen[here].mean(axis=0)
     return _rms(seen)
+
+
+def _size_mm(covariances_mm2: Array) -> float:
+    """3-D rms of errors with covariances (m, 3, 3)."""
+    return float(np.sqrt(np.mean(np.einsum("mii->m", covariances_mm2))))
 
 
 def _rms(misses: Array) -> float:

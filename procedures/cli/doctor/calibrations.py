@@ -9,8 +9,8 @@ from pathlib import Path
 
 from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM, UNCALIBRATED_MM
 from procedures.calibration.arm_sources import ErrorSizes, arm_error_mm
-from procedures.calibration.errors import ArmOlderThanHead
-from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_in_order
+from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
+from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_together
 from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
@@ -42,8 +42,8 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
             advice = error.advice if record.created > now else make
             yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
             continue
-        if name == "arm" and (older := _older_than_head(theatre.calibration)):
-            yield Diagnostic(subject, False, older, make)
+        if name == "arm" and (problem := _apart(theatre.calibration, path)):
+            yield Diagnostic(subject, False, f"{problem.code} {problem.summary}", problem.advice)
             continue
         soon = make if record.expires - now < SOON else ""
         yield Diagnostic(
@@ -51,12 +51,12 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         )
 
 
-def _older_than_head(calibrations: Calibrations) -> str:
+def _apart(calibrations: Calibrations, path: Path) -> RonnaError | None:
     try:
-        require_in_order(calibrations)
-    except ArmOlderThanHead as error:
-        return f"{error.code} {error.summary}"
-    return ""
+        require_together(calibrations, options_of(path))
+    except (ArmOlderThanHead, OfAnotherTheatre) as error:
+        return error
+    return None
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:

@@ -37,6 +37,7 @@ from ronna_hw.frames import Frame
 
 MOST_SPHERES = 6  # more add travel and hardly knowledge
 CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken
+CHOICE = 1.5  # planned looks for each wanted one where there are few spheres
 SPARE = 1.15  # planned looks for each wanted one: some show a sphere half hidden
 GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns, whatever is counted
 NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look, its covariance
@@ -111,18 +112,20 @@ class SphereLooks:
 
     def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
         """The most telling looks, and evenly spread ones to judge by."""
+        telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
+        wanted = telling_count + judging_count
+        each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
         reached = [
             _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
             for number, place in enumerate(places)
-            for order, look in enumerate(centred_looks(place.reference, place.ball_mm, CANDIDATES))
+            for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
             if (joints := _joints(workcell, look)) is not None
         ]
-        telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
-        if len(reached) < telling_count + judging_count:
+        if len(reached) < wanted:
             raise PosesOutOfReach(
                 "too few poses around the spheres are reachable",
-                expected=f"{telling_count + judging_count} poses",
-                got=f"{len(reached)} of {CANDIDATES * len(places)}",
+                expected=f"{wanted} poses",
+                got=f"{len(reached)} of {each * len(places)}",
             )
         telling = most_telling(model, arrays_of([one.look for one in reached]), telling_count)
         rest = sorted(set(range(len(reached))) - set(telling.tolist()))

@@ -56,9 +56,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
     Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, DEV-003
-    for a frame that the tracker does not know, CAL-013 for another arm, CAL-021 for an arm calibrated before
-    the stereo head, STE-010 for another camera, PRO-009 for another tool, PRO-002 unless a position that an
-    earlier run left the arm in is confirmed.
+    for a frame that the tracker does not know, CAL-013 for another arm, CAL-020 and CAL-021 for an arm that
+    was calibrated with another stereo head or tip, STE-010 for another camera, PRO-009 for another tool,
+    PRO-002 unless a position that an earlier run left the arm in is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)

@@ -85,6 +85,12 @@ def _with_a_record_of_another_of_the_model(text: str) -> str:
     return _with_arm(text, "kr6_r900_sixx", head["created"].isoformat(), 'serial = "1"')
 
 
+def _with_an_arm_found_with_another_head(text: str) -> str:
+    head = tomllib.loads(text)["calibration"]["stereo_head"]
+    place = "stereo_head_mm = [218.0, 1.0, 60.0]"
+    return _with_arm(text, "kr6_r900_sixx", head["created"].isoformat(), place)
+
+
 def _with_an_arm_older_than_the_head(text: str) -> str:
     return _with_arm(text, "kr6_r900_sixx", "2026-01-01T00:00:00Z")
 
@@ -129,6 +135,7 @@ TROUBLES = {
     "no calibrations": Trouble("DEV-007", "calibration", change=_without("calibration")),
     "record of another arm": Trouble("CAL-013", change=_with_a_record_of_another_arm),
     "record of another arm of the model": Trouble("CAL-013", change=_with_a_record_of_another_of_the_model),
+    "arm found with another head": Trouble("CAL-020", change=_with_an_arm_found_with_another_head),
     "arm older than the head": Trouble("CAL-021", change=_with_an_arm_older_than_the_head),
     "records of other cameras": Trouble(
         "STE-010", change=_replaced('\nserial = "21904412"', '\nserial = "21900001"')

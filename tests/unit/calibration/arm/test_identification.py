@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
+from arm_looks import ENDPOINTS, KINEMATICS, SPHERES_MM, LookingArm
 
 from procedures.calibration.arm.check import check_arm
 from procedures.calibration.arm.error_model import ArmModel
@@ -20,16 +20,18 @@ from procedures.calibration.errors import (
     DegeneratePoses,
     DoesNotFit,
     NoArmRecord,
+    OfAnotherTheatre,
     TooFewPoses,
     Unobservable,
 )
-from procedures.calibration.validity import require_in_order
+from procedures.calibration.validity import require_together
 from procedures.cli.arm.files import KIND, records_of
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.config import Calibrations, ProcedureSettings
+from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre
 from ronna_hw.frames import Frame
+from sim.theatre.theatre_file import theatre_content
 
 LOOKS, VALIDATION = 90, 24
 
@@ -112,20 +114,50 @@ def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
     assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
 
 
+@pytest.fixture(scope="module")
+def together(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> tuple[Calibrations, Calibrations]:
+    """The records of a theatre before and after its arm is calibrated."""
+    arm, observed, _ = identified
+    drawn = parse_theatre(theatre_content(arm.scene, ENDPOINTS, "host:", {}, 1.0)).calibration
+    assert drawn is not None
+    dated = {"created": observed.created - timedelta(days=1)}
+    head, tip = (one.model_copy(update=dated) for one in (drawn.stereo_head, drawn.tool_tip))
+    before = drawn.model_copy(update={"stereo_head": head, "tool_tip": tip})
+    found = calibrate_arm(observed.model_copy(update={"stereo_head": head, "tool_tip": tip}))
+    after = {"arm": found.arm, "stereo_head": found.stereo_head, "tool_tip": found.tool_tip}
+    return before, before.model_copy(update=after)
+
+
+def later_than_the_arm(calibrations: Calibrations, name: str) -> Calibrations:
+    assert calibrations.arm is not None
+    created = calibrations.arm.created + timedelta(seconds=1)
+    record = getattr(calibrations, name).model_copy(update={"created": created})
+    return calibrations.model_copy(update={name: record})
+
+
 def test_an_arm_has_to_be_calibrated_again_after_the_head(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
+    together: tuple[Calibrations, Calibrations],
 ) -> None:
-    _, _, result = identified
-    before, after = (
-        Calibrations.model_construct(
-            stereo_head=result.stereo_head.model_copy(update={"created": result.arm.created + later}),
-            arm=result.arm,
-        )
-        for later in (timedelta(seconds=-1), timedelta(seconds=1))
-    )
-    require_in_order(before)
+    _, after = together
+    require_together(after)
     with pytest.raises(ArmOlderThanHead, match=r"CAL-021.*ronna-arm calibrate --config t\.toml"):
-        require_in_order(after, "--config t.toml")
+        require_together(later_than_the_arm(after, "stereo_head"), "--config t.toml")
+
+
+@pytest.mark.parametrize("name", ["stereo_head", "tool_tip"])
+def test_an_arm_goes_only_with_the_head_and_tip_that_were_moved_when_it_was_calibrated(
+    together: tuple[Calibrations, Calibrations], name: str
+) -> None:
+    before, after = together
+    with pytest.raises(OfAnotherTheatre, match=rf"CAL-020.*\[calibration\.{name}\].*calibration\.toml"):
+        require_together(after.model_copy(update={name: getattr(before, name)}))
+
+
+def test_a_tip_that_is_calibrated_after_the_arm_may_be_elsewhere(
+    together: tuple[Calibrations, Calibrations],
+) -> None:
+    before, after = together
+    require_together(later_than_the_arm(after.model_copy(update={"tool_tip": before.tool_tip}), "tool_tip"))
 
 
 def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(
@@ -211,10 +243,18 @@ def test_looks_of_an_unknown_arm_are_refused(tmp_path: Path) -> None:
         KIND.read_looks(tmp_path)
 
 
-def test_a_model_that_the_looks_leave_undetermined_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.calibration.arm.validation.LARGEST_ERROR_MM", 0.005)
-    with pytest.raises(Unobservable, match="least of all"):
-        calibrate_arm(LookingArm.of(3).looks(60, 24, SPHERES_MM))
+def test_looks_in_nearly_one_orientation_leave_others_undetermined_and_are_refused() -> None:
+    """By held-out looks alone, which are in the same orientations, this arm is known to 0.01 mm."""
+    observed = LookingArm.of(3).looks(300, 0, SPHERES_MM[:1])
+    model = ArmModel(KINEMATICS, observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
+    turned = model.rotations(arrays_of(observed.looks))
+    apart = np.arccos((np.einsum("ij,mij->m", turned[0], turned) - 1.0) / 2.0)
+    nearest = [observed.looks[row] for row in np.argsort(apart)[:15]]
+    alike = tuple(
+        one.model_copy(update={"validation": number >= 75}) for number, one in enumerate(6 * nearest)
+    )
+    with pytest.raises(Unobservable, match=r"CAL-011.*least of all.*0\.1 mm in all orientations"):
+        calibrate_arm(observed.model_copy(update={"looks": alike}))
 
 
 def test_chosen_looks_carry_more_information_than_the_first_ones() -> None:

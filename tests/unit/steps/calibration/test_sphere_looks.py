@@ -62,6 +62,11 @@ def test_more_measurements_are_planned_than_the_judgement_needs(cell: ClinicalCe
     assert sum(one.validation for one in done.observed.looks) > JUDGING
 
 
+def test_one_sphere_is_enough(cell: ClinicalCell) -> None:
+    done = observed(cell, NEAR_MM)
+    assert sum(not one.validation for one in done.observed.looks) >= IDENTIFYING
+
+
 def test_a_sphere_without_a_planned_pose_is_named_and_the_arm_does_not_go_there(tmp_path: Path) -> None:
     calibrated = ClinicalCell(tmp_path, theatre=theatre_of(load_scene("mini", seed=3, calibrated=True)))
     done = observed(calibrated, NEAR_MM, SECOND_MM, AT_THE_EDGE_MM, FAR_MM, identifying=0)
