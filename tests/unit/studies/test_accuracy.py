@@ -23,7 +23,9 @@ from procedures.studies.campaign.unit import Unit
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
 from procedures.studies.strategies import identified as by_looks
 from procedures.studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
-from procedures.studies.strategies.study import PREDICTION, StrategiesStudy
+from procedures.studies.strategies.pairs import SCENARIOS as PAIRED
+from procedures.studies.strategies.pairs import pairs
+from procedures.studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
 from procedures.studies.strategies.tables import plots, tables
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
@@ -121,6 +123,27 @@ def test_the_study_shows_its_results_next_to_table_4_of_the_thesis() -> None:
     assert len(found["Other readings of the protocol"].rows) == 2 * (1 + 1 + 4)
     assert len(found["Predicted and actual error"].rows) == 2 * 6 * (3 + 2)
     assert plots(sums)["strategies.png"].startswith(b"\x89PNG")
+
+
+def test_two_strategies_are_compared_on_each_arm_and_scatter_between_arms_does_not_count() -> None:
+    trials, arms = PLACES * TARGETS, range(20)
+    mean_mm = {"ocs": 0.08, "jdms": 0.06, "improved": 0.07, "best": 0.07}
+    sums = {
+        f"{scenario}|{strategy}|5|{OF_ARM}{arm}": trials
+        * (mean + 0.05 * arm + 1e-4 * (arm % 3) * (mean > 0.07))
+        for scenario in PAIRED
+        for strategy, mean in mean_mm.items()
+        for arm in arms
+    }
+    rows = {(row[0], row[1]): row[2:] for row in pairs({f"{SCENARIO}|free|1": sums}).rows}
+    for scenario in PAIRED:
+        count, apart_mm, low_mm, high_mm, less, p = rows[scenario, "improved - ocs"]
+        assert (count, less) == (5, 100.0)
+        assert apart_mm == pytest.approx(-0.0101, abs=1e-4)
+        assert low_mm < apart_mm < high_mm < 0.0
+        assert float(p) < 1e-3
+        assert rows[scenario, "improved - jdms"][1] == pytest.approx(0.01)
+        assert rows[scenario, "best - improved"][1:] == [0.0, 0.0, 0.0, 0.0, None]
 
 
 def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_each_target() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,7 @@ from procedures.studies.errors import (
 )
 from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.registration import RegistrationStudy
+from procedures.studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
 NO_SETTINGS = '{"study": "correspondence", "fingerprint": "another", "settings": %s}'
@@ -69,16 +71,38 @@ def test_one_process_and_a_pool_of_two_give_the_same_numbers(tmp_path: Path) -> 
     assert results(study, tmp_path / "1", workers=1) == results(study, tmp_path / "2", workers=2)
 
 
-@pytest.mark.slow
-def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    """Address of a Dask scheduler with two workers."""
     from distributed import LocalCluster
 
     here = "127.0.0.1:0"  # any free port: with None the scheduler's HTTP server warns where 8787 is taken
     with LocalCluster(
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=here, host="127.0.0.1"
     ) as cluster:
-        spread = results(SMALL, tmp_path / "dask", scheduler=cluster.scheduler_address)
+        yield cluster.scheduler_address
+
+
+@pytest.mark.slow
+def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(scheduler: str, tmp_path: Path) -> None:
+    spread = results(SMALL, tmp_path / "dask", scheduler=scheduler)
     assert spread == results(SMALL, tmp_path / "here", workers=1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(300)
+def test_arms_and_strategies_have_the_same_errors_on_dask_workers(scheduler: str, tmp_path: Path) -> None:
+    study = StrategiesStudy(arms=2)
+    tried = (f"{TRIALS}|free|1", f"{ANY_SIDE}|free|2", f"{ANY_SIDE}|free|3")
+    found = []
+    for folder, where in (("dask", {"scheduler": scheduler}), ("here", {"workers": 1})):
+        ledger = Ledger(tmp_path / folder, study)
+        for unit in ledger.missing():
+            if unit.condition not in tried:
+                ledger.add(unit, {})
+        found.append(results(study, tmp_path / folder, **where))
+    assert found[0] == found[1]
+    assert all(found[0][condition] for condition in tried)
 
 
 def test_an_unreachable_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
