@@ -18,6 +18,7 @@ from waiting import HANG_LIMIT_S
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.results.result import FramedPose
 from procedures.studies.accuracy.postures import ARM, TOOL_MM
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.solving import PlannedPoses, centred
@@ -159,6 +160,23 @@ def test_the_arms_of_the_studies_place_the_spheres_where_the_case_recorded_them(
     recorded_mm = np.array(found["points_robot_mm"])
     assert np.abs(recorded_mm - spheres_mm).max() > 1.0  # so wrong is the nominal arm about its tool
     assert np.abs(recorded_mm - believed_mm[0]).max() < WIRES_APART_MM
+
+
+def test_the_arms_of_the_studies_err_at_the_target_as_the_case_did(finished: MiniRun) -> None:
+    results = {record.kind: record.payload for record in records_of(finished.folder)}
+    scene = read_scene(finished.folder / "theatre" / "scene.json")
+    target_ct_mm = np.array(results["plan_check"]["plan"]["trajectories"][0]["target_mm"])
+    registered = FramedPose.model_validate_json(
+        json.dumps(results["registration"]["robot_from_ct"])
+    ).transform
+    held = FramedPose.model_validate_json(json.dumps(results["positioning"]["tool_pose"])).transform
+    instrument_mm = held.inverse().apply(registered.apply(target_ct_mm))  # on the guide's axis
+    tip = matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(scene.mount.tool_from_tip_true)
+    arms = RandomArms.of([(scene.arm, apply(tip, instrument_mm) - TOOL_MM)])
+    sides = np.array([[results["path_check"]["targets"]["T1"]["approach_signs"]]], dtype=float)
+    (reached_mm,) = arms.tool_points_mm(np.array([[results["positioning"]["joints_rad"]]]), sides)[0]
+    apart_mm = np.linalg.norm(reached_mm - apply(matrix_of(scene.head.robot_from_ct), target_ct_mm))
+    assert abs(apart_mm - finished.outcome["targets"][0]["application_error_mm"]) < WIRES_APART_MM
 
 
 def test_replaying_the_readings_reproduces_every_result(finished: MiniRun) -> None:
