@@ -15,15 +15,16 @@ from itertools import count
 import psutil
 import pytest
 from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
-from hostile_clients import camera_commands, loading, maltreat, with_right_checksum
+from hostile_clients import camera_commands, loading, maltreat, with_right_checksum, write_register
 from waiting import eventually
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ControlAddress, ask_control_port
 from ronna_hw.host.loopback import own_udp_endpoint
-from ronna_hw.wire.gige_vision import GVCP_PORT
+from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, GVCP_PORT, Bootstrap
 from ronna_hw.wire.polaris_rom import MARKER_FACES_OFFSET
+from sim.basler.control.feature_registers import address_of
 from sim.polaris.tools.definition import write_definition
 from sim.world.scene.named_scenes import robot_frame
 
@@ -231,7 +232,24 @@ def test_the_cameras_keep_serving_despite_hostile_commands(duration_s: float) ->
                             return
                 raise AssertionError("no answer to a discovery")
 
+            # 27 MB of working memory are kept from the first picture on, whenever a malice happens to ask for it.
+            _take_a_picture(link, address)
             _last(child, turn, served, duration_s)
+
+
+def _take_a_picture(link: socket.socket, address: tuple[str, int]) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
+        stream.bind(("", 0))
+        stream.settimeout(SERVED_IN_S)
+        port = stream.getsockname()[1]
+        for register, value in (
+            (Bootstrap.CCP, CCP_CONTROL),
+            (Bootstrap.SCP, port),
+            (address_of("AcquisitionStart"), 1),
+        ):
+            link.sendto(write_register(register, value), address)
+        stream.recv(65536)
+        link.sendto(write_register(Bootstrap.CCP, CCP_OPEN), address)
 
 
 @lengths

@@ -66,10 +66,15 @@ def maltreat(line: socket.socket, good: Sequence[bytes], chosen: random.Random) 
     return kind
 
 
+def write_register(address: int, value: int) -> bytes:
+    """The command to a camera."""
+    body = struct.pack(WRITEREG_ITEM, address, value)
+    return struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, 1, GvcpCommand.WRITEREG, len(body), 1) + body
+
+
 def camera_commands(chosen: random.Random, count: int) -> Iterator[bytes]:
     """Commands of an application in control, most of them with a right header; some are no commands."""
-    control = struct.pack(WRITEREG_ITEM, Bootstrap.CCP, CCP_CONTROL)
-    yield struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, 1, GvcpCommand.WRITEREG, len(control), 1) + control
+    yield write_register(Bootstrap.CCP, CCP_CONTROL)
     for _ in range(count):
         code = chosen.choice((*ON_REGISTERS * 4, *GvcpCommand, chosen.randrange(0x10000)))
         feature = FEATURES_ADDRESS + 4 * chosen.randrange(4 * FEATURES)
