@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from itertools import islice
-from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -29,6 +26,7 @@ from procedures.studies.errors import (
 from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.linear_algebra import processes_single_threaded
+from ronna_hw.host.worker_processes import fresh_processes
 
 ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0
@@ -84,37 +82,6 @@ def _runner(
 def _own(study: Study) -> tuple[OwnMethod, ...]:
     """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
-
-
-@contextmanager
-def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """This many worker processes, which end with this one. A fork would inherit locks of library threads.
-
-    An error or interruption in the block kills them: what they run may never end by itself.
-    """
-    others = active_children()
-    with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
-        try:
-            yield pool
-        except BaseException:  # above all on interruption: leaving the pool would wait for its workers
-            for process in active_children():
-                if process not in others:
-                    process.kill()
-            raise
-
-
-def _end_with_parent() -> None:
-    """In a worker: exit if the campaign is killed, instead of waiting for its next unit forever."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the campaign ends its workers
-    parent = parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 def _on_pool(

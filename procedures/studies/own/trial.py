@@ -14,7 +14,7 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
 from procedures.studies.campaign.silence import Silence, Told
-from procedures.studies.campaign.workers import ENDED_ITS_PROCESS, fresh_processes
+from procedures.studies.campaign.workers import ENDED_ITS_PROCESS
 from procedures.studies.correspondence.readings import draw_readings
 from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from procedures.studies.heads import NoiseReading, any_pose, sites_mm
@@ -25,6 +25,7 @@ from procedures.studies.own.method import OwnMethod, own_method
 from procedures.studies.own.registration import OwnRegistration
 from procedures.studies.own.strategy import OwnStrategy
 from procedures.studies.strategies.study import DEPTHS_MM, TARGETS
+from ronna_hw.host.worker_processes import fresh_processes
 
 Array = NDArray[np.float64]
 

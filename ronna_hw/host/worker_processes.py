@@ -1,0 +1,62 @@
+"""Worker processes of a computation: fresh ones, which end with this one; that they halt is noticed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, wait
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context, parent_process
+from typing import TypeVar
+
+from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, ChildNotReady
+from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
+
+Result = TypeVar("Result")
+
+
+@contextmanager
+def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """This many worker processes, which end with this one. A fork would inherit locks of library threads.
+
+    An error or interruption in the block kills them: what they run may never end by itself.
+    """
+    others = active_children()
+    with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
+        try:
+            yield pool
+        except BaseException:  # above all on interruption: leaving the pool would wait for its workers
+            for process in active_children():
+                if process not in others:
+                    process.kill()
+            raise
+
+
+def results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
+    """What workers that only compute return, in order; raises PRC-001 when none uses the processor."""
+    uses = [ProcessorUse(process.pid) for process in active_children() if process.pid is not None]
+    for future in waiting:
+        while not wait([future], LOOK_S).done:
+            if all([use.idle_s() >= IDLE_TIMEOUT_S for use in uses]):
+                raise ChildNotReady(
+                    "the worker processes do not finish",
+                    limit=f"{IDLE_TIMEOUT_S:g} s without using the processor",
+                    action=HANGS,
+                )
+        yield future.result()
+
+
+def _end_with_parent() -> None:
+    """In a worker: exit if the parent is killed, instead of waiting for its next task forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends its workers
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
