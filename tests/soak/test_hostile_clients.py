@@ -232,7 +232,7 @@ def test_the_cameras_keep_serving_despite_hostile_commands(duration_s: float) ->
                             return
                 raise AssertionError("no answer to a discovery")
 
-            # 27 MB of working memory are kept from the first picture on, whenever a malice happens to ask for it.
+            # From the first picture on, which any malice may happen to ask for, 27 MB of working memory stay.
             _take_a_picture(link, address)
             _last(child, turn, served, duration_s)
 

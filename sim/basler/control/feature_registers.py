@@ -13,13 +13,15 @@ from sim.basler.control.registers import Refusal, RegisterMap, Word
 
 FEATURES_ADDRESS = 0x20000  # the standard's own addresses end below 0xA000
 BYTES_PER_FEATURE = 16
+ADDRESSES = {
+    feature.name: FEATURES_ADDRESS + number * BYTES_PER_FEATURE for number, feature in enumerate(FEATURES)
+}
 MINIMUM_OFFSET, MAXIMUM_OFFSET, STEP_OFFSET = 4, 8, 12
 
 
 def address_of(name: str) -> int:
     """Address of a feature's value."""
-    names = [feature.name for feature in FEATURES]
-    return FEATURES_ADDRESS + names.index(name) * BYTES_PER_FEATURE
+    return ADDRESSES[name]
 
 
 def add_features(registers: RegisterMap, commands: Commands) -> None:

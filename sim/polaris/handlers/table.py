@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 
 from ronna_hw.wire.polaris import COMM_ARGUMENT_DIGITS, HANDLE_DIGITS, PHRQ_ARGUMENT_CHARACTERS
@@ -104,6 +105,7 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 )
 
 
+@cache
 def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
     """The modes in which each command is allowed."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}

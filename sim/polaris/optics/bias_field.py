@@ -56,6 +56,12 @@ class BiasField:
         return depths
 
 
+@cache
+def bias_field(seed: int, stated: tuple[tuple[Volume, float], ...]) -> BiasField:
+    """The field; finding its power takes longer than starting the rest of a unit."""
+    return BiasField(seed, stated)
+
+
 class _Sizes:
     """Rms length over a volume of a field times a power of the depth."""
 

@@ -12,7 +12,7 @@ from math import radians, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.polaris.optics.bias_field import BiasField
+from sim.polaris.optics.bias_field import bias_field
 from sim.polaris.optics.measuring_volume import Volume
 from sim.world.scene.model import TrackerTruth
 
@@ -44,7 +44,7 @@ class Optics:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])
         self._middle_mm = volumes[0].middle_depth_mm
         stated = (truth.bias_mm, truth.bias_extended_mm)
-        self.bias_field = BiasField(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
+        self.bias_field = bias_field(seed, tuple(zip(volumes[: len(stated)], stated, strict=False)))
 
     def sight(self, points_mm: Vectors) -> Sight:
         """Mean and noise of markers at `points_mm` (n, 3)."""
