@@ -1,7 +1,7 @@
 """The spheres are measured one after another, starting from the coarse registration alone."""
 
 import math
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -21,6 +21,8 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import APPROACH_RAD
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.lifecycle import Lifecycle
 
 
 def asked(cell: ClinicalCell) -> list[Question]:
@@ -154,6 +156,37 @@ def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees
     assert done.fiducials == (0, 2, 3)
     assert [one.fiducial for one in done.left_out] == [1]
     assert "no sphere in 36 image pairs" in done.left_out[0].reason
+
+
+def refuse(cell: ClinicalCell, *numbers: int) -> None:
+    """Refuse the joint moves with these numbers as not clear."""
+    moves = count(1)
+    cell.arm.blocked = lambda _start, _target: next(moves) in numbers
+
+
+@pytest.mark.hazard(27)
+@pytest.mark.branch("SPHERE_FAILED")
+def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_sphere(
+    cell: ClinicalCell,
+) -> None:
+    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
+    refuse(cell, 30, 40)
+    with pytest.raises(SphereNotFound, match="PRO-008: no sphere in 34 image pairs, 2 poses not clear"):
+        relocalize(cell)
+
+
+def test_a_search_in_which_the_arm_trips_ends_with_that(cell: ClinicalCell) -> None:
+    cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
+    moves = count(1)
+
+    def trips(_start: object, _target: object) -> bool:
+        if next(moves) == 30:
+            cell.arm.state = Lifecycle.FAULT
+        return cell.arm.state is Lifecycle.FAULT
+
+    cell.arm.blocked = trips
+    with pytest.raises(NotClear):
+        relocalize(cell)
 
 
 def test_the_head_backs_off_along_its_axis_after_a_sphere_is_left_out(
