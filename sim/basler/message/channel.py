@@ -116,8 +116,10 @@ class MessageChannel:
         """Process the acknowledges received."""
         with contextlib.suppress(OSError):
             while True:
-                datagram, _ = self.socket.recvfrom(DATAGRAM_BYTES)
-                self._acknowledged(datagram)
+                datagram, (host, _) = self.socket.recvfrom(DATAGRAM_BYTES)
+                receiver = self.receiver
+                if receiver is not None and host == receiver[0]:
+                    self._acknowledged(datagram)
 
     def repeat_overdue(self) -> None:
         """Repeat the pending message when its acknowledge is late; give up after the last retry."""

@@ -18,9 +18,12 @@ from ronna_hw.clock import ClockUnavailable
 from ronna_hw.devices import RobotArm
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildNotReady
+from ronna_hw.host.control_port import ControlAddress
+from ronna_hw.host.descendants import descendants_of
 from ronna_hw.simulation import TheatreProcess
 
 README = Path(__file__).parents[3] / "README.md"
+SIMULATORS = 3  # tracker, controller, cameras
 TURN_RAD = 0.5
 SLOWLY = 0.001  # of the working speed: no test waits for the end of such a motion
 CLOSED_WITHIN_S = 15.0
@@ -39,14 +42,28 @@ with open_theatre("theatre.toml") as theatre, theatre.arms["master"].active() as
 
 
 @pytest.fixture(scope="module")
-def theatre_file(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Of one simulated theatre for the whole module, with nobody connected to it."""
+def process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TheatreProcess]:
+    """One simulated theatre for the whole module, with nobody connected to it."""
     process = TheatreProcess("--scene", "mini", "--seed", "7", "--out", str(tmp_path_factory.mktemp("t")))
     try:
         process.await_ready()
-        yield process.file
+        yield process
     finally:
         process.end()
+
+
+@pytest.fixture
+def theatre_file(process: TheatreProcess) -> Path:
+    return process.file
+
+
+def test_the_simulators_of_a_theatre_are_not_told_its_control_token(process: TheatreProcess) -> None:
+    token = ControlAddress.parse(process.control).token.encode()
+    simulators = descendants_of(process.child.process.pid)
+    assert len(simulators) == SIMULATORS
+    for simulator in simulators:
+        for told in ("cmdline", "environ"):
+            assert token not in Path(f"/proc/{simulator.pid}/{told}").read_bytes()
 
 
 def start_to_move(arm: RobotArm) -> tuple[threading.Thread, list[RonnaError]]:

@@ -49,6 +49,13 @@ def line() -> Iterator[DisturbedLine]:
     device.close()
 
 
+def test_the_line_is_reached_from_this_computer_only(line: DisturbedLine) -> None:
+    where = parse_endpoint(line.endpoint)
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.2", where.port))
+    socket.create_connection((where.host, where.port)).close()
+
+
 def client_of(line: DisturbedLine) -> socket.socket:
     address = parse_endpoint(line.endpoint)
     client = socket.create_connection((address.host, address.port))

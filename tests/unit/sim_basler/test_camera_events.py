@@ -270,6 +270,18 @@ def test_an_acknowledge_ends_the_repeats_and_releases_the_next_message(channel: 
     assert channel.channel.due_s() is None
 
 
+def test_an_acknowledge_from_another_host_ends_nothing(channel: Channel) -> None:
+    channel.tell(block=1)
+    first = channel.listener.message()
+    answer = struct.pack(">HHHH", 0, first.command + 1, 0, first.request_id)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+        stranger.bind(("127.0.0.2", 0))
+        stranger.sendto(answer, channel.listener.sender)
+    channel.channel.receive()
+    channel.later(0.2)
+    assert channel.listener.message() == first
+
+
 def test_no_acknowledge_is_requested_without_a_timeout(channel: Channel) -> None:
     channel.channel.timeout_ms = 0
     for block in (1, 2):

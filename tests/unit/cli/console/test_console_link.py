@@ -105,6 +105,11 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
         console.close()
 
 
+def test_a_free_port_is_found_free_without_listening_at_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket.socket, "listen", lambda *_: pytest.fail("somebody could connect"))
+    ConsoleOptions(console=True, console_port=0).request()
+
+
 def test_a_port_in_use_is_reported_before_a_theatre_is_opened() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

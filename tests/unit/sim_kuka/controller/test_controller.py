@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -189,6 +190,18 @@ def test_an_unresolvable_client_address_has_its_own_error() -> None:
     with pytest.raises(ClientAddressInvalid) as caught:
         resolve(parse_endpoint("udp://ip.address.of.rospc:59152"))
     assert caught.value.code == "KRC-002"
+
+
+def test_a_reply_from_another_host_than_the_client_is_none() -> None:
+    rsi = RsiSocket(("127.0.0.1", 59152))
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+            stranger.bind(("127.0.0.2", 0))
+            for receive in (rsi.receive, rsi.await_datagram):
+                stranger.sendto(b"<Sen/>", rsi.socket.getsockname())
+                assert receive() == b""
+    finally:
+        rsi.close()
 
 
 @pytest.mark.parametrize(("host", "source"), [("127.0.0.1", "127.0.0.1"), ("127.0.0.2", "127.0.0.1")])
