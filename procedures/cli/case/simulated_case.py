@@ -12,6 +12,7 @@ from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.host.control_port import ControlPortSilent
 from ronna_hw.host.finite_command import await_end
 from ronna_hw.simulation import NAME, TheatreProcess
 
@@ -86,10 +87,11 @@ class SimulatedCase:
             if self._phantom.stderr is not None:
                 self._phantom.stderr.close()
         child = self.theatre.child
-        ended_by_itself = bool(child.ready) and not child.alive
+        halted = isinstance(error, ControlPortSilent) and child.alive
+        gone = bool(child.ready) and (halted or not child.alive)
         self.theatre.end()
-        if ended_by_itself and error is not None:  # what the procedure met is only the consequence
-            words = " / ".join(child.messages) or "no message"
+        if gone and error is not None:  # what the procedure met is only the consequence
+            words = "it answers no more" if halted else " / ".join(child.messages) or "no message"
             raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error
 
 

@@ -48,7 +48,10 @@ def _process_of(commands: Commands, words: str) -> int:
     [
         ("sim.cli basler", signal.SIGKILL),
         pytest.param("sim.cli theatre", signal.SIGKILL, marks=pytest.mark.slow),
-        pytest.param("sim.cli kuka", signal.SIGSTOP, marks=pytest.mark.slow),
+        *(
+            pytest.param(words, signal.SIGSTOP, marks=pytest.mark.slow)
+            for words in ("sim.cli kuka", "sim.cli theatre", "sim.cli polaris", "receiver_process")
+        ),
     ],
 )
 def test_a_device_that_dies_during_a_motion_is_reported_and_everything_ends(
