@@ -20,17 +20,18 @@ def run_folder(out: Path) -> Path | None:
 
 def await_motion_in(out: Path, step: str) -> None:
     """Return when the journal of the run holds a motion in that step."""
+    eventually(lambda: moved_in(out, step), REACHED_S)
 
-    def moved() -> bool:
-        folder = run_folder(out)
-        if folder is None or not (folder / JOURNAL_FILE).exists():
-            return False
-        if step.encode() not in (folder / JOURNAL_FILE).read_bytes():
-            return False  # looked at two hundred times a second: it is checked and parsed at the end only
-        lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
-        return ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]
 
-    eventually(moved, REACHED_S)
+def moved_in(out: Path, step: str) -> bool:
+    """Whether the journal of the run holds a motion in that step."""
+    folder = run_folder(out)
+    if folder is None or not (folder / JOURNAL_FILE).exists():
+        return False
+    if step.encode() not in (folder / JOURNAL_FILE).read_bytes():
+        return False  # looked at two hundred times a second: it is checked and parsed at the end only
+    lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
+    return ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]
 
 
 def records_of(folder: Path) -> list[Record]:

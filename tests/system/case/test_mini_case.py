@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from run_folders import assert_nothing_half_written, await_motion_in, records_of, run_folder
+from pseudo_terminal import Terminal
+from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
 from scipy.spatial.distance import cdist
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
@@ -40,6 +41,7 @@ MEASURED = {
     "correspondence", "path_check", "relocalization", "registration", "tool_check",
 }  # fmt: skip
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
+MOVING = "positioning:T1"
 FACTS = re.compile(  # what moves, how far, how fast, how close to what, and how close to the head
     r"the (stereo head|guide) moves \d+ mm, joints turn up to \d+ deg, in \d+\.\d s at up to \d+ mm/s; "
     r"[a-z ]+ clears (head by \d+ mm|[a-z ]+ by \d+ mm; at least \d+ mm from the head)"
@@ -247,46 +249,75 @@ def test_the_report_is_self_contained_and_marked_as_simulated_and_no_medical_dev
     )
 
 
+SIGNALS = (SIGINT, SIGTERM, SIGHUP)
+
+
 @pytest.fixture(
-    scope="module", params=[SIGINT, *(pytest.param(one, marks=pytest.mark.slow) for one in (SIGTERM, SIGHUP))]
+    scope="module",
+    params=[None, *(pytest.param(one, marks=pytest.mark.slow, id=one.name) for one in SIGNALS)],
 )
 def interrupted(
     request: pytest.FixtureRequest,
     shared_commands: Commands,
     tmp_path_factory: pytest.TempPathFactory,
     hang_ups_count: None,
-) -> Path:
-    """Folder of a run of the same case that a signal ended when the arm was on its way to the target."""
+) -> tuple[Path, str]:
+    """A run of the same case that was ended when the arm was on its way to the target, and what it said.
+
+    By a signal, or by somebody who types Ctrl-C until it ends.
+    """
 
     def interrupt(out: Path) -> str:
-        process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
-        await_motion_in(out, "positioning:T1")
-        process.send_signal(request.param)
-        _, stderr = process.communicate(timeout=HANG_LIMIT_S)
-        assert process.returncode == 130, stderr
-        assert "ronna-procedure resume" in stderr
+        if request.param is None:
+            said = _typed(out)
+        else:
+            process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
+            await_motion_in(out, MOVING)
+            process.send_signal(request.param)
+            _, said = process.communicate(timeout=HANG_LIMIT_S)
+            assert process.returncode == 130, said
         assert shared_commands.await_no_survivors() == []
         assert_nothing_half_written(out)
-        return str(run_folder(out))
+        return said
 
-    return Path(made_once(tmp_path_factory, f"interrupted-{request.param.name}", interrupt)[1])
+    def _typed(out: Path) -> str:
+        terminal = Terminal(shared_commands, *CASE[:-1], "--out", str(out))  # `--json` is for scripts
+        try:
+            terminal.read_until(lambda: moved_in(out, MOVING))
+            terminal.end_by_ctrl_c()
+        finally:
+            terminal.close()
+        return terminal.text
+
+    out, said = made_once(tmp_path_factory, f"interrupted-{request.param}", interrupt)
+    run = run_folder(out)
+    assert run is not None
+    return run, said
 
 
 @pytest.mark.hazard(4)
-def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(interrupted: Path) -> None:
-    inspected(interrupted).require_whole()
-    lines = list(read_journal(interrupted / JOURNAL_FILE))
+def test_a_case_interrupted_while_the_arm_moves_is_closed_and_can_be_resumed(
+    interrupted: tuple[Path, str],
+) -> None:
+    run, said = interrupted
+    inspected(run).require_whole()
+    lines = list(read_journal(run / JOURNAL_FILE))
     assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
+    assert "ronna-procedure resume " in said
+    assert "Traceback" not in said
 
 
-def test_the_report_of_an_interrupted_run_says_so(interrupted: Path) -> None:
-    text = (interrupted / "report.html").read_text()
-    assert "It was interrupted during positioning:T1." in text
+def test_the_report_of_an_interrupted_run_says_so(interrupted: tuple[Path, str]) -> None:
+    text = (interrupted[0] / "report.html").read_text()
+    assert f"It was interrupted during {MOVING}." in text
     assert "predicted limit mm" in text
 
 
-def test_the_same_seed_gives_the_same_results_bit_for_bit(finished: MiniRun, interrupted: Path) -> None:
-    again, results = ({r.kind: r.payload for r in records_of(run)} for run in (interrupted, finished.folder))
+def test_the_same_seed_gives_the_same_results_bit_for_bit(
+    finished: MiniRun, interrupted: tuple[Path, str]
+) -> None:
+    runs = (interrupted[0], finished.folder)
+    again, results = ({r.kind: r.payload for r in records_of(run)} for run in runs)
     assert {kind for kind, result in again.items() if result == results[kind]} - DATED == MEASURED
 
 
