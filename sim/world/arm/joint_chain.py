@@ -6,6 +6,7 @@ One chain belongs to one thread: Pinocchio computes in the chain's own memory.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from math import radians
 
 import numpy as np
@@ -31,19 +32,7 @@ class JointChain:
     """
 
     def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
-        self._model = pin.Model()
-        parent = 0
-        for number, joint in enumerate(arm.joints):
-            place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
-            if links is not None and number > 0:
-                place = place * _error(links[number - 1])
-            parent = self._model.addJoint(
-                parent, pin.JointModelRevoluteUnaligned(np.array(joint.axis)), place, joint.name
-            )
-        end = pin.SE3(rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0)), np.zeros(3))
-        if links is not None:
-            end = end * _error(links[AXES - 1])
-        self._flange = self._model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))
+        self._model, self._flange = _model_of(arm, None if links is None else tuple(links))
         self._data = self._model.createData()
         self._q = np.zeros(AXES)
 
@@ -75,6 +64,22 @@ class JointChain:
             normal[np.diag_indices(AXES)] += (DAMPING * ROTATION_WEIGHT_MM) ** 2
             angles += np.linalg.solve(normal, jacobian.T @ error)
         return None
+
+
+@lru_cache(maxsize=8)  # a model is only read; what is computed is in a chain's own data
+def _model_of(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
+    """The joints, and the number of the flange's frame."""
+    model, parent = pin.Model(), 0
+    for number, joint in enumerate(arm.joints):
+        place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
+        if links is not None and number > 0:
+            place = place * _error(links[number - 1])
+        axis = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
+        parent = model.addJoint(parent, axis, place, joint.name)
+    end = pin.SE3(rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0)), np.zeros(3))
+    if links is not None:
+        end = end * _error(links[AXES - 1])
+    return model, model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))
 
 
 def _error(link: LinkError) -> pin.SE3:
