@@ -12,7 +12,10 @@ from procedures.steps.clinical import path_check
 from ronna_hw.collision_config import BodyFrame, RoomBody
 from ronna_hw.errors import RonnaError
 
-ABOVE_MM = 90.0  # over the spheres: where the stereo head comes down to them
+# So wide and high that the guide meets it on its way to the gauge. A body met over the spheres only is in
+# test_motions: every angle in every branch is tried before it is refused.
+ABOVE_MM = 300.0
+RADIUS_MM = 80.0
 
 
 def with_body(cell: ClinicalCell, name: str, *, away_mm: float) -> None:
@@ -23,7 +26,7 @@ def with_body(cell: ClinicalCell, name: str, *, away_mm: float) -> None:
         frame=BodyFrame.ROBOT,
         start_mm=(x, y + away_mm, z),
         end_mm=(x, y + away_mm, z + ABOVE_MM),
-        radius_mm=40.0,
+        radius_mm=RADIUS_MM,
     )
     bodies = cell.theatre.cell.model_copy(update={"bodies": (*cell.theatre.cell.bodies, body)})
     cell.theatre = cell.theatre.model_copy(update={"cell": bodies})

@@ -14,7 +14,6 @@ from recording_cell import RecordingOperator
 from strategy_arms import Stuck
 
 from procedures.engine.case import Stored
-from procedures.engine.engine import Engine
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
@@ -73,32 +72,13 @@ def plan_with_one_out_of_reach() -> CheckedPlan:
     return checked.model_copy(update={"plan": plan})
 
 
-def check_the_others(cell: ClinicalCell) -> Engine:
-    engine = cell.begin(
-        *(correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell)), STEP
-    )
-    engine.run_to()
-    return engine
-
-
-@pytest.mark.hazard(23)
-@pytest.mark.branch("UNREACHABLE")
-def test_a_trajectory_out_of_reach_is_left_out_when_the_operator_agrees(cell: ClinicalCell) -> None:
-    check_the_others(cell)
-    paths = cell.case.get(CheckedPaths).result
-    (question,) = cell.operator.asked
-    assert question.name == f"reach:{LAST}"
-    assert f"{LAST}/" in question.value
-    assert tuple(paths.targets) == (FIRST,)
-    assert list(paths.left_out) == [LAST]
-
-
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
 def test_a_trajectory_out_of_reach_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.REACH)
+    given = (correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell))
     with pytest.raises(NotReachable, match=f"{LAST}/"):
-        check_the_others(cell)
+        cell.run(*given, STEP)
 
 
 @pytest.mark.hazard(23)

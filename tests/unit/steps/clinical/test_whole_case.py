@@ -121,5 +121,11 @@ def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
     engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
     engine.run_to()
     assert engine.machine.state == "finished"
+    (question,) = (one for one in cell.operator.asked if one.topic is Topic.REACH)
+    assert question.name == f"reach:{first.id}"
+    assert f"{first.id}/" in question.value
+    paths = cell.case.get(CheckedPaths).result
+    assert list(paths.left_out) == [first.id]
+    assert tuple(paths.targets) == tuple(one.id for one in others)
     assert {key.trajectory for key in engine.order.sequence if engine.status(key) == "left out"} == {first.id}
     assert cell.arm.joints_rad == HOME_RAD
