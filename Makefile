@@ -10,6 +10,8 @@ PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 # Each worker collects all that it is given: where nothing is for `make test`, there is no need to look.
 QUICK := tests/unit tests/system tests/hazards
+# pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
+OURS := ronna_hw sim drivers procedures console
 
 .PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench docs lock clean
 
@@ -26,6 +28,7 @@ $(STAMP): requirements/locked.txt pyproject.toml
 	@echo "installing the locked dependencies into $(VENV) (once)"
 	@$(PIP) --require-hashes -r requirements/locked.txt
 	@$(PIP) --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m compileall -q $(OURS)
 	@touch $(RUNS) $(STAMP)
 
 # What a case needs, without the tools of who works on the code: a third of all modules. Each is compiled when it
