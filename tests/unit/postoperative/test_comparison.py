@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ def planned(scene: Scene) -> Volume:
     return before(scene)
 
 
+@cache
 def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegistration]:
     """The second scan, and how it truly lies."""
     scan = draw_scan(scene, left, SEED)
