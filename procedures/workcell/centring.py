@@ -79,7 +79,7 @@ class Centring:
         workcell.go(workcell.joints_at(self._standoff(expected), near))
         workcell.line_to(expected)
         self._settle(expected)
-        seen, looks = self._first_look(expected)
+        seen, looks = self._first_look(fiducial, expected)
         servo = ServoState(EXACT if self.arriving is not None else WITHIN_BACKLASH)
         while True:
             joints = workcell.joints_rad()
@@ -108,7 +108,7 @@ class Centring:
             last_look=seen,
         )
 
-    def _first_look(self, expected: Transform) -> tuple[Look, int]:
+    def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
         """Look in the servo's area, on the whole sensors, around in a spiral, then in other light."""
         workcell = self.workcell
         workcell.sensors.read_around_tool(self.area_px)
@@ -134,7 +134,9 @@ class Centring:
                     telling, pose = seen, around
         except SphereNotInView as error:
             what = f"no sphere in {looks - 2} image pairs, {passed} poses not clear" if passed else error.what
-            refusal = SphereNotFound(f"{what}: {telling.reason}", limit=error.limit)
+            refusal = SphereNotFound(
+                f"sphere {fiducial + 1} was not found: {what}: {telling.reason}", limit=error.limit
+            )
             if not isinstance(telling.problem, OF_LIGHT):
                 raise refusal from error
             self._settle(pose)

@@ -171,7 +171,8 @@ def test_a_search_passes_over_poses_that_are_not_clear_and_still_names_the_spher
 ) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
     refuse(cell, 30, 40)
-    with pytest.raises(SphereNotFound, match="PRO-008: no sphere in 34 image pairs, 2 poses not clear"):
+    found = "sphere 2 was not found: no sphere in 34 image pairs, 2 poses not clear"
+    with pytest.raises(SphereNotFound, match=f"PRO-008: {found}"):
         relocalize(cell)
 
 
