@@ -129,7 +129,7 @@ def test_a_missing_sphere_is_refused_after_the_whole_search_pattern(cell: Stereo
     )  # the starts are drawn far above the spheres
     start = start_of(cell, 5.0)
     with pytest.raises(
-        SphereNotFound, match="PRO-008: sphere . was not found: no sphere in 36 image pairs"
+        SphereNotFound, match=r"PRO-008: sphere . was not found: no sphere in 36 image pairs"
     ) as caught:
         cell.centre(start)
     assert cell.stereo.pairs == 2 + SEARCH_LOOKS + 2  # servo's area, sensors, pattern, other light
