@@ -70,10 +70,10 @@ class Case:
 CASES = (
     Case("broad", "good", 10.0),
     Case("streaks", "good", 35.0, 50.0),
-    Case("narrow", "poor", 25.0),
+    Case("narrow", "poor", 20.0),
     Case("streaks", "poor", 50.0, 70.0),
     Case("bare", "good", 10.0, seeds=MORE_SEEDS),
-    Case("bare", "poor", 25.0),
+    Case("bare", "poor", 20.0),
 )
 
 

@@ -1,7 +1,8 @@
 """Look-alikes of spheres: round ends of rods, beads, domes, hollow balls next to markers in phantom scans.
 
-Scans are painted in memory, cropped to the box around markers and objects. The localizer gets no hints:
-missed markers and objects taken for markers count, as does the separation of their odds.
+Scans are painted in memory. The localizer gets no hints: missed markers and whatever is taken for one
+count, as does the separation of their odds. Families without look-alikes are painted whole, the others in
+the box around markers and objects.
 
     python -m benchmarks.scans.look_alikes --volumes 26 --seed 7000
 """
@@ -15,12 +16,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry, localize
 from procedures.imaging.errors import MarkerCountWrong
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
 from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.head.shapes import Point
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
@@ -28,17 +30,23 @@ from sim.phantom.scanner.planes import Planes
 
 Array = NDArray[np.float64]
 
-MARGIN_MM = 16.0  # around markers and objects
+MARGINS_MM = (16.0, 16.0, 16.0)  # around markers and objects, along L, P and S
+WHOLE_SLICES_MM, WHOLE_MM = (1e3, 1e3, 16.0), (1e3, 1e3, 1e3)
 SAME_SPHERE_MM = 2.0
+CHI2_99 = 11.34  # with three degrees of freedom
 ORIGIN_DIGITS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A volume with the truth: centres of the markers (n, 3) LPS mm, and the positions of each object."""
+    """A volume with the truth: centres of the markers (n, 3) LPS mm, and the positions of each object.
+
+    Markers that the field of view cuts count neither as missed nor as false.
+    """
 
     volume: Volume
     centres_mm: Array
+    cut_mm: Array
     objects: tuple[tuple[str, Array], ...]
 
 
@@ -53,13 +61,16 @@ class Count:
     false: int = 0
     kinds: Counter[str] = field(default_factory=Counter)  # of the false ones
     squared_mm2: float = 0.0
+    largest_mm: float = 0.0
+    chi2: list[float] = field(default_factory=list)  # of the markers found
+    lost: list[str] = field(default_factory=list)  # why, of the missed ones
     least_true: float = 1.0  # odds of markers
     most_other: float = 0.0  # odds of everything else
 
     @property
     def rms_um(self) -> float:
         """3-D error of the markers found."""
-        return 1e3 * float(np.sqrt(self.squared_mm2 / max(self.markers - self.missed, 1)))
+        return 1e3 * float(np.sqrt(self.squared_mm2 / max(len(self.chi2), 1)))
 
     def add(self, found: Localization | None, candidates: tuple[Candidate, ...], painted: Painted) -> None:
         """Compare one localization with the truth."""
@@ -69,24 +80,31 @@ class Count:
         centres_mm = np.empty((0, 3)) if found is None else found.centres_mm
         distance = np.linalg.norm(painted.centres_mm[:, None] - centres_mm[None], axis=2)
         near = distance < SAME_SPHERE_MM
-        self.missed += int((~near.any(axis=1)).sum())
-        self.squared_mm2 += float((distance[near] ** 2).sum())
+        for sphere, centre_mm in enumerate(painted.centres_mm):
+            if found is None or not near[sphere].any():
+                self.missed += 1
+                self.lost += [one.reason for one in candidates if _near(one.centre_mm, centre_mm[None])]
+                continue
+            marker = found.markers[int(distance[sphere].argmin())]
+            error_mm = marker.centre_mm - centre_mm
+            self.squared_mm2 += float(error_mm @ error_mm)
+            self.largest_mm = max(self.largest_mm, float(np.linalg.norm(error_mm)))
+            self.chi2.append(float(error_mm @ np.linalg.solve(marker.covariance_mm2, error_mm)))
         for candidate in candidates:
-            to_truth_mm = np.linalg.norm(painted.centres_mm - candidate.centre_mm, axis=1).min()
-            if to_truth_mm < SAME_SPHERE_MM and candidate.odds > 0.0:
-                self.least_true = min(self.least_true, candidate.odds)
-            elif to_truth_mm >= SAME_SPHERE_MM:
+            if _near(candidate.centre_mm, painted.centres_mm):
+                self.least_true = min(self.least_true, candidate.odds or 1.0)
+            elif not _near(candidate.centre_mm, painted.cut_mm):
                 self.most_other = max(self.most_other, candidate.odds)
         for centre_mm in centres_mm[~near.any(axis=0)]:
-            self.false += 1
-            self.kinds[_nearest_kind(centre_mm, painted)] += 1
+            if not _near(centre_mm, painted.cut_mm):
+                self.false += 1
+                self.kinds[_nearest_kind(centre_mm, painted)] += 1
 
 
-def paint(scan: Scan, *, whole_slices: bool = False) -> Painted:
-    """Paint a scan of a family within the box around its markers and objects, or their complete slices."""
+def paint(scan: Scan, margins_mm: Point = MARGINS_MM) -> Painted:
+    """Paint a scan of a family within the box around its markers and objects."""
     places = np.array(scan.anatomy.places)
-    margin_mm = np.array([1e3, 1e3, MARGIN_MM] if whole_slices else [MARGIN_MM] * 3)
-    grid = _cropped(scan.grid, places.min(axis=0) - margin_mm, places.max(axis=0) + margin_mm)
+    grid = _cropped(scan.grid, places.min(axis=0) - margins_mm, places.max(axis=0) + margins_mm)
     slices = Planes(replace(scan, grid=grid))
     with ThreadPoolExecutor(1) as pool:
         slices.paint_patches(pool)
@@ -101,9 +119,13 @@ def paint(scan: Scan, *, whole_slices: bool = False) -> Painted:
         np.eye(3)[:, ::-1],
         np.array([grid.slice_mm, grid.pixel_mm, grid.pixel_mm]),
     )
-    objects = tuple((one["kind"], np.array(one["places_mm"])) for one in scan.truth.get("look_alikes", ()))
+    objects = [(one["kind"], np.array(one["places_mm"])) for one in scan.truth.get("look_alikes", ())]
+    objects += [("distractor", np.array([place])) for place in scan.truth.get("distractors_mm", ())]
     volume = Volume(np.stack(planes) + np.int16(INTERCEPT_HU), geometry, "1.2.3", "1.2.4")
-    return Painted(volume, places[: len(scan.anatomy.markers)], objects)
+    shares = [scan.marks.get(one.fiducial.number, {}) for one in scan.anatomy.markers]
+    whole = np.array([one.get("surface_in_field", 1.0) == 1.0 for one in shares])
+    centres_mm = places[: len(whole)]
+    return Painted(volume, centres_mm[whole], centres_mm[~whole], tuple(objects))
 
 
 def judge(painted: Painted, count: Count) -> None:
@@ -115,11 +137,11 @@ def judge(painted: Painted, count: Count) -> None:
         count.add(None, error.candidates, painted)
 
 
-def scans(family: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Scans of a family, with alternating protocols."""
+def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]:
+    """Scans of a family: of all the volumes of a protocol in turn, those of this one."""
     protocols = list(PROTOCOLS)
-    for number in range(volumes):
-        yield family_scan(family, protocols[number % len(protocols)], seed=seed + number)
+    for number in range(protocols.index(protocol), volumes, len(protocols)):
+        yield family_scan(family, protocol, seed=seed + number)
 
 
 def _cropped(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
@@ -139,6 +161,10 @@ def _cropped(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
     )
 
 
+def _near(place_mm: ArrayLike, centres_mm: Array) -> bool:
+    return bool((np.linalg.norm(centres_mm - place_mm, axis=1) < SAME_SPHERE_MM).any())
+
+
 def _nearest_kind(centre_mm: Array, painted: Painted) -> str:
     distances = {
         f"{kind} {number}": float(np.linalg.norm(places - centre_mm, axis=1).min())
@@ -149,26 +175,35 @@ def _nearest_kind(centre_mm: Array, painted: Painted) -> str:
 
 
 def main() -> None:
-    """Print one line per family."""
+    """Print one line per family and protocol."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     judging = [name for name, one in FAMILIES.items() if one.look_alikes and one.purpose is Purpose.JUDGING]
     parser.add_argument("families", nargs="*", default=judging)
-    parser.add_argument("--volumes", type=int, default=26, help="of each family")
+    parser.add_argument("--volumes", type=int, default=26, help="of each family, protocols in turn")
     parser.add_argument("--seed", type=int, default=7000)
     arguments = parser.parse_args()
     print(
-        "family      volumes markers missed objects false  rms µm  odds: markers, others  taken for markers"
+        "family      protocol volumes markers missed objects false  rms  max µm chi²/3n >99 %"
+        "  odds: markers, others  taken for markers; why missed"
     )
     for family in arguments.families:
-        count = Count()
-        for scan in scans(family, arguments.volumes, arguments.seed):
-            judge(paint(scan), count)
-        kinds = ", ".join(f"{number} {kind}" for kind, number in count.kinds.most_common())
-        print(
-            f"{family:<12}{count.volumes:6}{count.markers:8}{count.missed:7}{count.objects:8}{count.false:6}"
-            f"{count.rms_um:8.1f}{count.least_true:15.3f}{count.most_other:8.3f}  {kinds}",
-            flush=True,
-        )
+        for protocol in PROTOCOLS:
+            count = Count()
+            for scan in scans(family, protocol, arguments.volumes, arguments.seed):
+                judge(paint(scan, MARGINS_MM if FAMILIES[family].look_alikes else WHOLE_MM), count)
+            if count.volumes:
+                print(_line(family, protocol, count), flush=True)
+
+
+def _line(family: str, protocol: str, count: Count) -> str:
+    kinds = ", ".join(f"{number} {kind}" for kind, number in count.kinds.most_common())
+    chi2 = sum(count.chi2) / (3.0 * max(len(count.chi2), 1))
+    beyond = sum(one > CHI2_99 for one in count.chi2)
+    return (
+        f"{family:<12}{protocol:<8}{count.volumes:8}{count.markers:8}{count.missed:7}{count.objects:8}"
+        f"{count.false:6}{count.rms_um:6.1f}{1e3 * count.largest_mm:7.1f}{chi2:8.2f}{beyond:6}"
+        f"{count.least_true:15.3f}{count.most_other:8.3f}  {kinds}; {', '.join(count.lost)}"
+    )
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from benchmarks.scans.look_alikes import SAME_SPHERE_MM, Painted, paint
+from benchmarks.scans.look_alikes import MARGINS_MM, SAME_SPHERE_MM, WHOLE_SLICES_MM, Painted, paint
 from procedures.imaging import Localization, localize, read_series
 from procedures.imaging.slice_motion import motion_warnings
 from procedures.registration.point_registration import register
@@ -152,7 +152,7 @@ def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
     cost = Cost()
     whole = case.faults.beam_hardening > 0.0  # beam hardening is slow to paint: one volume
     for number in range(1 if whole else volumes):
-        cost.add(paint(_scan(case, seed + number), whole_slices=whole))
+        cost.add(paint(_scan(case, seed + number), WHOLE_SLICES_MM if whole else MARGINS_MM))
     return cost.row(case)
 
 

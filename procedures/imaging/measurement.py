@@ -9,7 +9,12 @@ import numpy as np
 from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
 from procedures.imaging.sphere_centre.combination import STREAKED, CombinedCentre, combine, is_streaked
-from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, ray_directions
+from procedures.imaging.sphere_centre.radial_edge import (
+    RadialEdge,
+    fit_radial_edge,
+    is_polymer,
+    ray_directions,
+)
 from procedures.imaging.sphere_centre.streaked_ball import fit_streaked_ball
 from procedures.imaging.sphere_centre.stretch import Stretch
 
@@ -37,7 +42,13 @@ class Measured:
 
 
 def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
-    """The sphere whose surface `edge` was fitted to; None if no ball fits."""
+    """The sphere whose surface `edge` was fitted to; None if no ball fits.
+
+    A level that no polymer has is possible only if there are streaks to explain it.
+    """
+    if not is_polymer(edge):
+        under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
+        return under_streaks if under_streaks is not None and under_streaks.evident else None
     hidden = edge.surface_share < SURFACE_FLAG and edge.unscanned_share < UNSCANNED_FLAG
     unseen = ray_directions()[~edge.seen]
     rough = fit_rough_ball(

@@ -104,8 +104,8 @@ def phantom(
     """Write the CT series of a head phantom, a plan for it, and its ground truth.
 
     Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps. For testing it:
-    narrow, broad, clamp, electrodes, bandage, crowded, edge, streaks, rays, bare and, with objects that are
-    not spheres, ends, plates, hollow, fittings.
+    narrow, broad, clamp, electrodes, bandage, soaked, crowded, edge, streaks, rays, bare and, with objects
+    that are not spheres, ends, plates, hollow, fittings.
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case

@@ -25,6 +25,7 @@ SCAN_STEPS = 61
 INSIDE_TO = 0.75  # of the nominal radius: definitely inside
 OUTSIDE_FROM = 1.40  # of the nominal radius: definitely outside
 POLYMER_HU = (-300.0, 500.0)
+STREAKED_POLYMER_HU = (-600.0, 900.0)  # several strong streaks across a whole sphere shift its level this far
 MIN_CONTRAST_HU = 100.0
 SAME_LEVEL = 0.25  # of the contrast: a ray whose end levels differ more from the usual ones is not used
 INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this close to the sphere is on it
@@ -63,6 +64,11 @@ class RadialEdge:
     seen: NDArray[np.bool_]
 
 
+def is_polymer(edge: RadialEdge) -> bool:
+    """Whether the level inside is that of a polymer without streaks."""
+    return POLYMER_HU[0] < edge.inside_hu < POLYMER_HU[1]
+
+
 def fit_radial_edge(
     region: Region, start_mm: Array, nominal_radius_mm: float, *, refine: bool = False
 ) -> RadialEdge | None:
@@ -95,7 +101,8 @@ def _fit_profiles(
     outer = np.median(rays[:, radii_mm > OUTSIDE_FROM * nominal_radius_mm], axis=1)
     inside_hu = float(np.median(inner))
     darker = outer < inside_hu - MIN_CONTRAST_HU
-    if not POLYMER_HU[0] < inside_hu < POLYMER_HU[1] or darker.sum() < MIN_RAYS:
+    low_hu, high_hu = STREAKED_POLYMER_HU
+    if not low_hu < inside_hu < high_hu or darker.sum() < MIN_RAYS:
         return None
     outside_hu = float(np.median(outer[darker]))
     margin_hu = SAME_LEVEL * (inside_hu - outside_hu)

@@ -7,11 +7,11 @@ from math import sqrt
 
 from procedures.studies.campaign.table import Cell, Table
 from procedures.studies.campaign.unit import Sums
-from procedures.studies.localization.study import JUDGING, Method, pooled
-from procedures.studies.localization.tables import STREAKED, of_method, percentile_um, tables
+from procedures.studies.localization.study import COVERED, JUDGING, STREAKED, Method, pooled
+from procedures.studies.localization.tables import of_method, percentile_um, tables
 
 RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
-BANDAGE, BANDAGE_RMS_UM = "bandage", 40.0  # half buried
+COVERED_RMS_UM = 40.0  # half buried
 LARGEST_UM = 150.0
 SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
 CHI2 = (0.7, 1.4)
@@ -74,9 +74,9 @@ def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Seque
             continue
         chi2 = of_method(total, Method.OURS, "chi2") / (3.0 * found)
         rows.append((f"chi² / 3n, {where}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)))
-        if condition.split("|")[0] == BANDAGE:
+        if condition.split("|")[0] in COVERED:
             rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
-            rows.append(_at_most(f"rms µm, {where}", rms_um, BANDAGE_RMS_UM))
+            rows.append(_at_most(f"rms µm, {where}", rms_um, COVERED_RMS_UM))
         largest_um = percentile_um(total, Method.OURS, found, 1.0)
         if largest_um is not None:
             rows.append(_at_most(f"largest error µm, {where}", largest_um, LARGEST_UM))

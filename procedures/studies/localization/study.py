@@ -38,8 +38,14 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 Array = NDArray[np.float64]
 
 BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
-JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge", "streaks", *BESIDE_OBJECTS)
-TUNING = ("plain", "posts", "dressing", "rounded", "joined", "caps")
+COVERED = ("bandage", "soaked")
+STREAKED = ("streaks", "rays", "posts")  # families whose posts cause streaks
+JUDGING = (
+    *("narrow", "broad", "clamp", "electrodes", "crowded", "edge", "streaks", "rays"),
+    *COVERED,
+    *BESIDE_OBJECTS,
+)
+TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps")
 PROTOCOLS = ("good", "poor")
 FRAMES = "frames"
 FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each

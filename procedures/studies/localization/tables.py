@@ -14,6 +14,7 @@ from procedures.studies.localization.study import (
     AUTOMATIC,
     BIN_MM,
     FRAMES,
+    STREAKED,
     Method,
     pooled,
 )
@@ -26,7 +27,6 @@ from procedures.studies.thesis_tables import (
     TABLE_3,
 )
 
-STREAKED = ("streaks", "posts")  # families whose posts cause streaks
 SPHERES = 4  # of the frame
 IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 COLUMNS = (
@@ -87,7 +87,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "Localization by family",
             COLUMNS,
             single,
-            "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 in `bandage`.",
+            "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 under a bandage.",
         ),
     ]
     return [*found, *of_frames]

@@ -160,6 +160,15 @@ FAMILIES: dict[str, Family] = {
             headrest=Headrest.CUSHION,
         ),
         Family(
+            "soaked",
+            Purpose.JUDGING,
+            "a wet bandage that covers spheres up to the middle",
+            bandage_mm=(7.0, 15.0),
+            bandage_hu=(-30.0, 40.0),
+            headrest=Headrest.CUSHION,
+            cable=False,
+        ),
+        Family(
             "crowded",
             Purpose.JUDGING,
             "pairs of spheres 14 mm apart, balls of 16 mm and cylinders of 12 mm of the same polymer",

@@ -43,10 +43,10 @@ def test_a_drawn_family_has_its_markers_and_nothing_intersects_its_spheres(name:
     assert spacing[spacing > 0].min() > (PAIR_DISTANCE_MM - 0.01 if FAMILIES[name].pairs else 25.0)
 
 
-def test_seven_families_are_for_tuning_and_fourteen_for_judging() -> None:
+def test_seven_families_are_for_tuning_and_fifteen_for_judging() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
     assert purposes.count(Purpose.TUNING) == 7
-    assert purposes.count(Purpose.JUDGING) == 14
+    assert purposes.count(Purpose.JUDGING) == 15
 
 
 def test_bare_spheres_have_no_post_and_no_other_shape() -> None:
@@ -80,11 +80,12 @@ def test_the_edge_family_marks_exactly_the_spheres_cut_by_the_field(seed: int) -
     assert (room > 1.4).all()
 
 
-def test_the_dressing_family_states_the_buried_share_of_each_sphere() -> None:
+@pytest.mark.parametrize("family", ["dressing", "soaked"])
+def test_a_wet_bandage_states_the_buried_share_of_each_sphere(family: str) -> None:
     shares = [
         marks["buried_share"]
         for seed in range(6)
-        for marks in family_scan("dressing", "good", seed=seed).marks.values()
+        for marks in family_scan(family, "good", seed=seed).marks.values()
     ]
     assert len(shares) == 6 * 7
     assert max(shares) > 0.4

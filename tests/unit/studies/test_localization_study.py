@@ -24,6 +24,7 @@ from procedures.studies.localization.study import (
     Method,
 )
 from procedures.studies.localization.tables import plots, tables
+from sim.phantom.families.catalogue import FAMILIES, Purpose
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
 
@@ -133,12 +134,12 @@ def test_one_bad_family_is_not_hidden_by_the_others() -> None:
     wide, narrow = sums_of(0.008, 0.008 / (3 * 0.6) ** 0.5, 60), sums_of(0.008, 0.008 / (3 * 1.6) ** 0.5, 60)
     buried = sums_of(0.045, 0.045 / 3**0.5, 60)
     far = sums_of(0.008, 0.008 / 3**0.5, 60) | {"combined|bin 8": 59.0, "combined|bin 160": 1.0}
-    told = goals({"broad|good": wide, "clamp|good": narrow, "bandage|poor": buried, "edge|poor": far})
+    told = goals({"broad|good": wide, "clamp|good": narrow, "soaked|poor": buried, "edge|poor": far})
     assert told is not None
     assert {row[0] for row in told.rows if row[3] == "NO"} >= {
         "chi² / 3n, good, broad",
         "chi² / 3n, good, clamp",
-        "rms µm, poor, bandage",
+        "rms µm, poor, soaked",
         "largest error µm, poor, edge",
     }
 
@@ -166,10 +167,11 @@ def test_the_study_can_run_on_the_frame_alone() -> None:
     assert [unit.condition for unit in units] == ["frames|usual"] * 3
 
 
-def test_no_family_is_for_both_tuning_and_judging_and_a_tuning_phantom_is_refused(
+def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert not set(JUDGING) & set(TUNING)
+    purposes = {name: family.purpose for name, family in FAMILIES.items() if name != "bare"}
+    assert purposes == dict.fromkeys(TUNING, Purpose.TUNING) | dict.fromkeys(JUDGING, Purpose.JUDGING)
     monkeypatch.setattr(study_module, "JUDGING", ("plain",))
     study = LocalizationStudy(1, families=("plain",))
 
