@@ -8,6 +8,7 @@ phantom's own noise. `ronna-campaign localization` is the same on 200 spheres an
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import subprocess
@@ -24,9 +25,13 @@ from numpy.typing import NDArray
 from benchmarks.contest import cpu_of
 from benchmarks.figures import Figure, compared
 from benchmarks.scans.ct_least_error import BallScan, least_errors_mm
+from benchmarks.scans.scanner_faults import with_noise
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
-from procedures.studies.localization.phantom_scans import AIR_HU, bound_mm, scan_phantom
+from procedures.studies.localization.phantom_scans import AIR_HU, bound_mm
 from ronna_hw.host.child_process import command
+from sim.phantom.case import write_case
+from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 
 Array = NDArray[np.float64]
 Method = Callable[[Volume], Localization]
@@ -56,6 +61,8 @@ class Case:
     goal_um: float
     goal_95_um: float | None = None
     seeds: tuple[int, ...] = SEEDS
+    faults: ScannerFaults = NO_FAULTS
+    noise_hu: float | None = None
 
     @property
     def bare(self) -> bool:
@@ -64,7 +71,8 @@ class Case:
 
     @property
     def name(self) -> str:
-        return f"CT {self.family}, {self.protocol}"
+        noise = "" if self.noise_hu is None else f", {self.faults.kernel} kernel, {self.noise_hu:g} HU"
+        return f"CT {self.family}, {self.protocol}{noise}"
 
 
 CASES = (
@@ -72,6 +80,7 @@ CASES = (
     Case("streaks", "good", 35.0, 50.0),
     Case("narrow", "poor", 20.0),
     Case("streaks", "poor", 50.0, 70.0),
+    Case("broad", "good", 10.0, faults=ScannerFaults(kernel="sharp"), noise_hu=60.0),
     Case("bare", "good", 10.0, seeds=MORE_SEEDS),
     Case("bare", "poor", 20.0),
 )
@@ -131,8 +140,8 @@ def measure() -> list[Figure]:
             scans = [_scan(Path(folder) / str(seed), case, seed) for seed in case.seeds]
             made, ours[case] = _figures(case, scans)
             figures += made
-            if case is CASES[0]:
-                figures.append(_memory(scans[0].series))
+            if case.family == "broad":
+                figures.append(_memory(case, scans[0].series))
     return [*figures, *_over_all_families(ours)]
 
 
@@ -177,7 +186,7 @@ def _figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
 def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
     there = sum(one.there for one in ours.values())
     missed, false = sum(one.missed for one in ours.values()), sum(one.false for one in ours.values())
-    found = Figure(f"found of {there} spheres, {len(ours)} families", OURS, 100.0 * (1 - missed / there), "%")
+    found = Figure(f"found of {there} spheres, {len(ours)} cases", OURS, 100.0 * (1 - missed / there), "%")
     figures = [
         replace(found, goal=f"all, none false ({false})", met=missed == false == 0),
     ]
@@ -194,7 +203,7 @@ def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
     return figures
 
 
-def _memory(series: Path) -> Figure:
+def _memory(case: Case, series: Path) -> Figure:
     """Peak memory of the whole command."""
     child = subprocess.Popen(
         command("procedures.cli.ct", "localize", str(series), "--json"), stdout=subprocess.DEVNULL
@@ -203,14 +212,17 @@ def _memory(series: Path) -> Figure:
     child.returncode = os.waitstatus_to_exitcode(status)
     if child.returncode:
         raise RuntimeError(f"ronna-ct localize ended with {child.returncode}")
-    figure = Figure("peak memory, 512 x 512 x 200", "ronna-ct localize", usage.ru_maxrss / KIB_PER_GB, "GB")
+    figure = Figure(f"peak memory, {case.name}", "ronna-ct localize", usage.ru_maxrss / KIB_PER_GB, "GB")
     return figure.at_most(GOAL_MEMORY_GB)
 
 
 def _scan(folder: Path, case: Case, seed: int) -> Scan:
-    series, truth = scan_phantom(folder, case.family, case.protocol, seed)
+    scan = replace(family_scan(case.family, case.protocol, seed=seed), faults=case.faults)
+    scan = scan if case.noise_hu is None else with_noise(scan, case.noise_hu)
+    written = write_case(scan.scene, folder, scan=scan)
+    truth = json.loads(written.truth.read_text(encoding="utf-8"))
     centres = np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]])
-    return Scan(series, centres, bound_mm(truth), _typical(truth))
+    return Scan(written.series, centres, bound_mm(truth), _typical(truth))
 
 
 def _typical(truth: dict[str, Any]) -> BallScan:

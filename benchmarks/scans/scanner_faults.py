@@ -141,10 +141,13 @@ def _scan(case: Case, seed: int) -> Scan:
     if case.slice_mm is not None:
         slices = int(scan.grid.slices * scan.grid.slice_mm / case.slice_mm)
         scan = replace(scan, grid=replace(scan.grid, slice_mm=case.slice_mm, slices=slices))
-    if case.noise_hu is not None:
-        protocol = scan.scene.ct.model_copy(update={"noise_HU": case.noise_hu})
-        scan = replace(scan, scene=scan.scene.model_copy(update={"ct": protocol}))
-    return scan
+    return scan if case.noise_hu is None else with_noise(scan, case.noise_hu)
+
+
+def with_noise(scan: Scan, noise_hu: float) -> Scan:
+    """The scan with another noise than its protocol's."""
+    protocol = scan.scene.ct.model_copy(update={"noise_HU": noise_hu})
+    return replace(scan, scene=scan.scene.model_copy(update={"ct": protocol}))
 
 
 def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:

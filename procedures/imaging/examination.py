@@ -31,13 +31,14 @@ from procedures.imaging.measurement import (
 )
 from procedures.imaging.region import Region, cut_region
 from procedures.imaging.sphere_centre.combination import AGREEMENT_MM, CombinedCentre
-from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge
+from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, is_polymer
 from procedures.imaging.volume import Volume
 from procedures.imaging.whole_sphere import shape_doubts
 
 Array = NDArray[np.float64]
 
 IS_MARKER = "is a marker"
+NOT_POLYMER = "shows no surface of a polymer sphere"
 OVERLAPS = "overlaps a marker, as two spheres cannot"
 REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
@@ -91,7 +92,7 @@ def examine(
     region = cut_region(volume, peak.position_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, peak.position_mm, radius_mm)
     if edge is None:
-        return _rejected(volume, peak, None, "shows no surface of a polymer sphere")
+        return _rejected(volume, peak, None, NOT_POLYMER)
     if edge.surface_share < min_surface_share and not _is_half_covered(edge):
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         cut = edge.cut_share > CUT_FLAG
@@ -112,7 +113,8 @@ def examine(
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
     measured = measure(region, refined, radius_mm)
     if measured is None:
-        return _rejected(volume, peak, refined, "fits no blurred sphere")
+        reason = "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER
+        return _rejected(volume, peak, refined, reason)
     return _sphere(volume, measured, peak.contrast_hu)
 
 

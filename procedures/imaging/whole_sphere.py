@@ -57,7 +57,7 @@ MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anyth
 NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
 HOLLOW_SHARE = 0.20  # of the core
 METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
-EARLY_FALL_HU = 25.0  # under a cover, before the surface: domes on skin show 50 and more, film less than none
+EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
 
 
 def shape_doubts(

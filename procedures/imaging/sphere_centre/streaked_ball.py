@@ -98,6 +98,8 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         solved = _solve(
             field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
         )
+        if solved is None:
+            return None
         streaks, field_hu2 = solved.field, solved.field_hu2
         left = working - modelled - streaks
         counted = weights * known
@@ -127,6 +129,8 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     )
     noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
     shaped = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
+    if shaped is None:
+        return None
     return StreakedBall(
         centre_mm=unknowns[:3],
         covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
@@ -191,8 +195,11 @@ def _solve(
     derivatives: Array,
     field_hu2: Array,
     noise_hu2: float,
-) -> _Solved:
-    """Generalized least squares with noise and a random field in each slice (Woodbury identity)."""
+) -> _Solved | None:
+    """Generalized least squares with noise and a random field in each slice (Woodbury identity).
+
+    None if the voxels leave a parameter open, as when the ball has moved beyond them.
+    """
     unknowns = derivatives.shape[1]
     normal, pull = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
     found, sizes_hu2 = [], np.empty(len(field.slices))
@@ -213,7 +220,10 @@ def _solve(
         sizes_hu2[number] = float(coefficients @ coefficients) / max(taken, 1e-9)
         degrees += taken
     low, high = FIELD_LIMITS_HU
-    covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal))), dtype=np.float64)
+    try:
+        covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal))), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
     return _Solved(
         covariance @ pull,
         covariance,

@@ -69,14 +69,16 @@ def test_overlapping_balls_are_rejected(make_scan: Make) -> None:
         localize(as_volume(scan))
 
 
-def with_band(scan: Any, centre: Array, hu: float) -> Volume:
-    """The scan with a band of a streak across a ball; what would be below the scanner's range stays there."""
+def with_band(scan: Any, centre: Array, hu: float, *angles_deg: float) -> Volume:
+    """The scan with bands of streaks across a ball; what would be below the scanner's range stays there."""
     clean = as_volume(scan)
-    z, y = (np.arange(count) * step for count, step in zip(scan.shape[:2], scan.spacing_mm[:2], strict=True))
+    z, y, x = (np.arange(count) * step for count, step in zip(scan.shape, scan.spacing_mm, strict=True))
     along = np.exp(-0.5 * ((z - centre[0] - 1.0) / 2.0) ** 2)
-    across = np.exp(-0.5 * ((y - centre[1] - 1.0) / 2.2) ** 2)
-    band = hu * along[:, None, None] * across[None, :, None]
-    voxels = np.clip(clean.voxels + band, -1024, 3071).astype(np.int16)
+    voxels = clean.voxels.astype(float)
+    for angle in np.radians(angles_deg or (0.0,)):
+        across = np.cos(angle) * (y[:, None] - centre[1] - 1.0) - np.sin(angle) * (x[None, :] - centre[2])
+        voxels += hu * along[:, None, None] * np.exp(-0.5 * (across / 2.2) ** 2)[None]
+    voxels = np.clip(voxels, -1024, 3071).astype(np.int16)
     return Volume(voxels, clean.geometry, "1.2.3", "1.2.4")
 
 
@@ -90,6 +92,25 @@ def test_a_streak_band_across_a_ball_does_not_pull_its_centre(make_scan: Make, h
     assert np.linalg.norm(error) < 0.03
     assert error @ np.linalg.solve(marker.covariance_mm2, error) < 16.0  # 99.9 % of an honest covariance
     assert "streaked" in marker.flags
+
+
+@pytest.mark.parametrize("hu", [350.0, -350.0], ids=["bright", "dark, cut off in air"])
+def test_streaks_that_together_shift_a_ball_out_of_a_polymers_range_do_not_hide_it(
+    make_scan: Make, hu: float
+) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    centre = np.array([20.3, 19.6, 20.2])
+    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
+    (marker,) = localize(with_band(scan, centre, hu, 20.0, 80.0, 140.0)).markers
+    assert np.linalg.norm(marker.centre_mm - centre) < 0.05
+    assert "streaked" in marker.flags
+
+
+def test_a_ball_that_is_denser_than_a_polymer_without_streaks_is_no_marker(make_scan: Make) -> None:
+    scan = make_scan(shape=(40, 80, 80))
+    scan.ball(np.array([20.3, 19.6, 20.2]), hu=750.0)
+    with pytest.raises(errors.MarkerCountWrong, match="shows no surface of a polymer sphere"):
+        localize(as_volume(scan))
 
 
 def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker(make_scan: Make) -> None:
