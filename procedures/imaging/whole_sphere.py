@@ -55,7 +55,7 @@ STRETCH = 0.023  # the same, measured by voxels: 0.13 mm; a capsule 0.28 mm long
 STRETCH_DEVIATIONS = 5.0  # plus this many standard deviations of the noise
 MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anything attached raises it by half
 NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
-HOLLOW_SHARE = 0.20  # of the core
+HOLLOW_SHARE = 0.08  # of the core; 0.02 in markers under strong streaks
 METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
 EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
 

@@ -95,11 +95,12 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     for number in range(STEPS):
         modelled, derivatives = intensities(points_mm, unknowns, no_background)
         working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
-        solved = _solve(
+        step_found = _solve(
             field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
         )
-        if solved is None:
+        if step_found is None:
             return None
+        solved = step_found
         streaks, field_hu2 = solved.field, solved.field_hu2
         left = working - modelled - streaks
         counted = weights * known

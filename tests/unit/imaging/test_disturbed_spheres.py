@@ -158,6 +158,11 @@ def hollow_ball(scan: Any, at: Array) -> None:
     scan.ball(at, 2.8, -1000.0)
 
 
+def ball_with_a_bubble(scan: Any, at: Array) -> None:
+    scan.ball(at)
+    scan.ball(at + np.array([0.5, 1.2, 0.6]), 2.4, -1000.0)
+
+
 def ball_with_metal_core(scan: Any, at: Array) -> None:
     scan.ball(at)
     scan.ball(at, 1.5, 3000.0)
@@ -175,6 +180,7 @@ def beads(scan: Any, at: Array) -> None:
         (capsule, "longer in one direction than in another"),
         (cap, "is off a sphere"),
         (hollow_ball, "of its core is a different material"),
+        (ball_with_a_bubble, "of its core is a different material"),
         (ball_with_metal_core, "has metal in its core"),
         (beads, "is one of a row"),
     ],

@@ -109,12 +109,13 @@ def test_streaks_neither_make_a_ball_look_stretched_nor_hide_that_it_is() -> Non
     assert longer.stretch.difference_mm > 8.0 * longer.stretch.deviation_mm
 
 
-def test_a_hollow_ball_is_not_fitted_as_a_streaked_one() -> None:
+@pytest.mark.parametrize("hollow_mm", [2.8, 4.5, 6.5], ids=["hollow ball", "shell", "nothing at all"])
+def test_a_hollow_ball_is_not_fitted_as_a_streaked_one(hollow_mm: float) -> None:
     values = ball_hu() + NOISE_HU * np.random.default_rng(4).standard_normal(SHAPE)
     axes = np.meshgrid(
         *[np.arange(n) * step for n, step in zip(SHAPE, SPACING_MM, strict=True)], indexing="ij"
     )
-    values[np.linalg.norm(np.stack(axes, axis=-1) - CENTRE_MM, axis=-1) < 2.8] = AIR_HU
+    values[np.linalg.norm(np.stack(axes, axis=-1) - CENTRE_MM, axis=-1) < hollow_mm] = AIR_HU
     region = Region(values, np.zeros(3, dtype=np.int64), SPACING_MM)
     assert fit_streaked_ball(region, edge_near(np.zeros(3))) is None
 
