@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 STEPS, LEAST_STEPS = 14, 5
 DONE_MM, SETTLED_MM = 5e-4, 5e-3
 MOST_STEP_MM = 0.3
+MOST_RESIZED = 0.3  # of the radius
 FARTHEST_MM = 0.6  # from the start: streaks move the edges found by rays by less
 START_NOISE_HU, START_FIELD_HU = 30.0, 150.0
 FIELD_LIMITS_HU = (1.0, 1600.0)
@@ -116,6 +117,8 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         unknowns = unknowns + step
         unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
         moved_mm = float(np.abs(step[:3]).max())
+        if not abs(unknowns[RADIUS] / start[RADIUS] - 1.0) < MOST_RESIZED:
+            return None
         if number >= LEAST_STEPS and moved_mm < DONE_MM:
             break
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
@@ -224,6 +227,8 @@ def _solve(
     try:
         covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal))), dtype=np.float64)
     except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(covariance).all():
         return None
     return _Solved(
         covariance @ pull,
