@@ -191,7 +191,8 @@ class KukaRsiArm:
         """Like `activate`, for a controller that does not report what it runs: a micro-move tests it.
 
         Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
-        has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped.
+        has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped,
+        RSI-007 when the real-time process ends.
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)

@@ -35,8 +35,8 @@ PROBE_RAD = 1e-4
 def verify_by_motion(
     name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
 ) -> None:
-    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded, and RSI-010 when
-    more than `stops` stops have been ordered.
+    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded, RSI-010 when more
+    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended.
 
     The caller then ends the stream, since accumulating corrections continue as long as they are sent.
     """
@@ -92,6 +92,10 @@ def _go(
             break
         if state.cycles - begun > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
+        if not link.alive:  # no cycle will come, and no fault
+            raise link.death()
+        if link.stalled_s > TELEGRAMS_LIMIT_S:
+            _refuse(name, link, f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
         time.sleep(LOOK_S)
     if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
         raise MotionStopped(

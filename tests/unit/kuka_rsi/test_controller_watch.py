@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 from itertools import pairwise
 from math import degrees
 from typing import Any
 
 import pytest
-from waiting import eventually
+from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi import stream
+from drivers.kuka_rsi import micro_move, stream
 from drivers.kuka_rsi.errors import (
     ControllerNotReady,
     HandshakeFailed,
+    LinkProcessDied,
     MotionStopped,
     NoAnswer,
     Unverified,
@@ -205,6 +207,35 @@ def test_a_stop_during_the_micro_move_ends_it(silent_controller: Any, make_arm: 
     stopping.join()
     assert not any(reply[1][0] for reply in silent_controller.replies)  # A1 is the last one tested
     assert not silent_controller.streaming.is_set()
+
+
+@pytest.mark.hazard(4)
+@pytest.mark.parametrize(
+    ("signalled", "error"), [(signal.SIGKILL, LinkProcessDied), (signal.SIGSTOP, HandshakeFailed)]
+)
+def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
+    silent_controller: Any,
+    make_arm: Any,
+    monkeypatch: pytest.MonkeyPatch,
+    signalled: signal.Signals,
+    error: type[RonnaError],
+) -> None:
+    arm = _configured(make_arm)
+    silent_controller.pace_s = 0.001
+    require_small = micro_move._require_small
+
+    def fail_once_moving(name: str, link: Any, state: Any, *limits: Any) -> None:
+        require_small(name, link, state, *limits)
+        if state.moving:
+            link._process.send_signal(signalled)
+            monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
+
+    monkeypatch.setattr(micro_move, "_require_small", fail_once_moving)
+    with pytest.raises(error):
+        arm.activate_unverified("Ana")
+    assert isinstance(arm.fault, error)
+    arm._connections.link._process.kill()  # so that closing need not wait for a stopped one
+    arm._connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
 def test_a_stop_during_a_start_leaves_the_arm_in_hold(
