@@ -65,6 +65,7 @@ class LinkClient:
         self._words: str | None = None
         self._commands = 0
         self._stops = 0
+        self._stop_kind = StopOrder.HOLD  # the strongest since the session was opened
         self._closing = threading.Event()
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
@@ -114,16 +115,23 @@ class LinkClient:
         """
         with self._lock:
             self._commands += 1
+            if kind is CommandKind.OPEN:
+                self._stop_kind = StopOrder.HOLD
             seen = self._stops if stop_number is None else stop_number
             command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad)
             self._mailbox.write_command(command)
             return self._commands
 
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop; it takes effect with the next reply. Returns its number."""
+        """Order a stop; it takes effect with the next reply. Returns its number.
+
+        A weaker one does not take the place of a stronger one of the same session, which the process may not
+        have seen yet.
+        """
         with self._lock:
             self._stops += 1
-            self._mailbox.order_stop(self._stops, kind)
+            self._stop_kind = max(kind, self._stop_kind)
+            self._mailbox.order_stop(self._stops, self._stop_kind)
             return self._stops
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:

@@ -22,7 +22,7 @@ class CommandKind(IntEnum):
 
 
 class StopOrder(IntEnum):
-    """Kinds of stop, as in `ronna_hw.devices.StopKind`."""
+    """Kinds of stop, as in `ronna_hw.devices.StopKind`; the weakest first."""
 
     HOLD = 1
     PROTECTIVE = 2

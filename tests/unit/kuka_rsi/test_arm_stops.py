@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ from drivers.kuka_rsi.errors import (
     MotionStopped,
     ProtectiveStop,
 )
+from drivers.kuka_rsi.realtime.link_state import Fault, StopOrder
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
@@ -117,6 +120,30 @@ def test_every_stop_except_hold_is_latched_until_recovered(
     assert "ACK_ERRORS" in controller.commands
     active_arm.activate()
     active_arm.move_joints(THERE)
+
+
+@pytest.mark.hazard(32)
+def test_of_two_stops_within_one_cycle_the_stronger_one_counts(active_arm: Any) -> None:
+    link = active_arm._connections.link
+    os.kill(link._process.pid, signal.SIGSTOP)
+    os.waitid(os.P_PID, link._process.pid, os.WSTOPPED)
+    link.stop(StopOrder.PROTECTIVE)
+    link.stop(StopOrder.HOLD)
+    os.kill(link._process.pid, signal.SIGCONT)
+    eventually(lambda: link.state.stop_number == 2)
+    eventually(lambda: link.state.fault)
+    assert link.state.fault is Fault.PROTECTIVE
+    assert state_of(active_arm) is Lifecycle.FAULT
+
+
+def test_a_protective_stop_before_a_session_does_not_make_one_of_its_holds(make_arm: Any) -> None:
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    arm.stop(StopKind.PROTECTIVE)
+    arm.activate()
+    arm.stop(StopKind.HOLD)
+    assert state_of(arm) is Lifecycle.HOLD
 
 
 def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
