@@ -139,7 +139,8 @@ class FaultWatch:
     def controller_lost(self, failure: RonnaError) -> None:
         """From the EKI reader: the channel broke, so an emergency stop would no longer be reported."""
         if self._guard.state in RUNNING:
-            self.notice()
+            with contextlib.suppress(Exception):  # it may be what the reader failed at: the stop comes anyway
+                self.notice()
             self._stop_for(failure)
 
     def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:

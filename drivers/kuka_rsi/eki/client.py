@@ -224,10 +224,12 @@ class EkiClient:
                 for telegram in scanner.feed(data):
                     self._take(parse_telegram(telegram))
             failure = self._lost(" closed the connection")
-        except OSError as error:
-            failure = self._lost(f": {error.strerror or error}")
         except RonnaError as error:
             failure = error
+        except (
+            Exception
+        ) as error:  # also of a listener: nobody would read on, and an emergency stop not arrive
+            failure = self._lost(f": {getattr(error, 'strerror', None) or error or type(error).__name__}")
         with self._arrived:
             self._failure = failure
             self._arrived.notify_all()

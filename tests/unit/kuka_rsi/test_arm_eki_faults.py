@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from threading import current_thread
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ from drivers.kuka_rsi.errors import (
     Unverified,
     WrongController,
 )
+from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 
@@ -129,6 +131,25 @@ def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
     active_arm.recover("operator")
     active_arm.activate()
     active_arm.move_joints(THERE)
+
+
+@pytest.mark.hazard(4)
+def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
+    controller: Any, active_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing would hear of an emergency stop."""
+
+    def torn() -> Any:
+        raise MailboxTorn("the state row is never consistent")
+
+    notice, reader = active_arm._watch.notice, active_arm._connections.eki._reader
+    monkeypatch.setattr(
+        active_arm._watch, "notice", lambda: torn() if current_thread() is reader else notice()
+    )
+    eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
+    assert isinstance(active_arm.fault, ControllerLost)
+    assert "never consistent" in str(active_arm.fault)
+    eventually(lambda: active_arm._connections.link.stop_number > 0)
 
 
 def test_a_session_that_fell_silent_is_recovered_by_a_new_one(controller: Any, make_arm: Any) -> None:
