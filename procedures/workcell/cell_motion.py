@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from procedures.workcell.insertion import Insertion
-from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Motion, RobotArm
 from ronna_hw.devices.readings import ArmReading
 
@@ -28,7 +27,8 @@ class MotionName(StrEnum):
 class CellMotion:
     """What the arm drives in turn, from wherever it is; all but the last are joint moves.
 
-    If the first is not clear, `otherwise` is driven in place of all, if there is any.
+    If the first is not clear, `otherwise` comes in place of all, if there is any: the workcell then drives it
+    as motions of their own, so that the journal has the way the arm came.
     """
 
     what: MotionName
@@ -46,12 +46,4 @@ class CellMotion:
 
     def drive(self, arm: RobotArm) -> ArmReading:
         """Carry it out; the last reading. Raises what the motions of the arm raise."""
-        first, *others = self.legs
-        readings = []
-        try:
-            readings.append(first.drive(arm))
-        except NotClear:  # raised before anything moved
-            if not self.otherwise:
-                raise
-            others = [*self.otherwise]
-        return [*readings, *(leg.drive(arm) for leg in others)][-1]
+        return [leg.drive(arm) for leg in self.legs][-1]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from procedures.results.errors import StepRefused
 from procedures.workcell.arm_view import stands_at
-from procedures.workcell.cell_motion import MotionName
+from procedures.workcell.cell_motion import CellMotion, MotionName
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector
 
@@ -15,7 +15,7 @@ AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far le
 
 
 class WayHome:
-    """Knows the way, and leads an arm back on it."""
+    """Knows the way, and leads an arm back on it, or past what stands in its way."""
 
     def __init__(
         self,
@@ -64,11 +64,21 @@ class WayHome:
         """A joint move home."""
         return self._move(MotionName.HOME, self.home_rad)
 
+    def past(self, motion: CellMotion, carry_out: Callable[[CellMotion], ArmReading]) -> ArmReading:
+        """Carry a motion out; where it is not clear, again from home if it may go by there."""
+        try:
+            return carry_out(motion)
+        except NotClear:
+            if not motion.otherwise:
+                raise
+            self.go()
+            return carry_out(motion)
+
     def go_back(self) -> ArmReading:
         """As `go`; where that is not clear, back along the way the arm came."""
         try:
             return self.go()
-        except NotClear:  # raised before anything moved
+        except NotClear:
             for joints_rad in self.back_rad:
                 self._move(MotionName.BACK, joints_rad)
             return self.go()

@@ -281,7 +281,7 @@ class Workcell:
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        return self.supervised.carry_out(self.going(joints_rad))
+        return self._way_home.past(self.going(joints_rad), self.supervised.carry_out)
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
@@ -296,7 +296,8 @@ class Workcell:
 
         With None straight from where it stands. From afar by way of home where the direct way is not clear.
         """
-        return self.supervised.carry_out(self.settling(joints_rad, arriving, from_afar=from_afar))
+        settling = self.settling(joints_rad, arriving, from_afar=from_afar)
+        return self._way_home.past(settling, self.supervised.carry_out)
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
@@ -322,8 +323,7 @@ class Workcell:
         Raises PRO-014 when the guide is not on that trajectory, PRO-015 when it is beside its axis, TOOL-001
         while an instrument is in it.
         """
-        insertion = self.insertion
-        if insertion is None or insertion.trajectory != trajectory:
+        if (insertion := self.insertion) is None or insertion.trajectory != trajectory:
             on = "no trajectory" if insertion is None else insertion.trajectory
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         return self.supervised.carry_out(self.withdrawing(insertion))

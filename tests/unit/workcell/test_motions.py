@@ -120,6 +120,23 @@ def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell)
     assert [to for _, to in cell.arm.motions] == [HOME, turned(0.1)]
 
 
+def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_was_before(
+    cell: RecordingCell,
+) -> None:
+    cell.workcell.set_home()
+    before, across, last = turned(0.5), turned(-0.5), turned(-0.6)
+    unclear = ({before, across}, {before, last}, {last, HOME})
+    cell.arm.blocked = lambda start, target: {start, target} in unclear
+    cell.workcell.go(before)
+    cell.workcell.go(across)
+    assert [to for _, to in cell.arm.motions] == [before, HOME, across]
+    cell.workcell.settle(last, None)
+    cell.arm.motions.clear()
+    cell.workcell.return_home()
+    assert [to for _, to in cell.arm.motions] == [last, across, HOME]
+    assert cell.workcell.at_home
+
+
 def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.arm.blocked = lambda _start, _target: True
