@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from procedures.engine.context import CaseSetting
 
 IS_OUT, INSIDE = "out", "inside"
-IN_GAUGE = "the gauge"  # where the mandrel is while the guide is checked, in place of a trajectory
+# In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
+IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
 
 def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
@@ -49,11 +50,14 @@ def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Q
     instrument = setting.workcell.instrument
     if (place := instrument.inside) is None:
         return
-    what, trajectory = ("mandrel", None) if place == IN_GAUGE else ("instrument", place)
-    have_done(setting, journal, Task(OUT, f"remove the {what} from {place} and from the guide", trajectory))
+    trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
+    have_done(setting, journal, Task(OUT, taking_out(place), trajectory))
+    done = f"the {_what(place)} is out of {place} and out of the guide"
+    if place == IN_DIVOT:
+        done = f"{place} is lowered, and hands are clear of it and of the guide"
     question = Question(
         Topic.INSTRUMENT_OUT,
-        f"the {what} is out of {place} and out of the guide",
+        done,
         "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
         (IS_OUT, INSIDE),
         trajectory,
@@ -62,6 +66,17 @@ def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Q
     if ask(question) != IS_OUT:
         raise NotConfirmed(
             f"an instrument is still in {place}: nothing moves",
-            action="Remove it from the guide, then repeat the step or send the arm home.",
+            action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
         )
     instrument.is_out()
+
+
+def taking_out(place: str) -> str:
+    """What hands do before the arm may leave a place."""
+    if place == IN_DIVOT:
+        return f"lower {place} from the guide"
+    return f"remove the {_what(place)} from {place} and from the guide"
+
+
+def _what(place: str) -> str:
+    return "mandrel" if place == IN_GAUGE else "instrument"

@@ -1,20 +1,15 @@
-"""An arm left by a calibration: its surroundings, and the way off a divot that may be raised to it."""
+"""An arm left by a calibration: its surroundings, and whether it is at a divot that may be raised to it."""
 
 from __future__ import annotations
 
 import math
 
-from scipy.spatial.transform import RigidTransform
-
 from procedures.engine.engine import Engine
-from procedures.engine.step import StepKey
-from procedures.operator.topic import Topic
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.tip_readings import HOVER_MM, ReadTip
+from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import around_ball, in_free_room, stand_under
-from ronna_hw.frames import Frame, Transform
 
 TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from its stated position
 
@@ -36,30 +31,10 @@ def surround_calibration(engine: Engine) -> None:
         workcell.surround(in_free_room(cell, tool, cell.stereo_head))
 
 
-def over_divot_mm(engine: Engine) -> float | None:
-    """Distance of the guide's tip from the divot; None if it is away from it."""
+def guide_at_divot(engine: Engine) -> bool:
+    """Whether the arm carries the guide and its tip is where the divot is raised to it."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.at_home:
-        return None
+        return False
     away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
-    return away_mm if away_mm < HOVER_MM - TIP_KNOWN_MM else None
-
-
-def leave_divot(engine: Engine) -> None:
-    """Back along the guide, as after a reading, once the divot is lowered. Raises PRO-002."""
-    away_mm, workcell = over_divot_mm(engine), engine.setting.workcell
-    if away_mm is None:
-        return
-    back_mm = HOVER_MM - away_mm
-    engine.context(StepKey(ReadTip.kind)).confirm(
-        Topic.CALIBRATION,
-        "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of the stand "
-        "and the guide, and nobody is within the arm's reach",
-        f"{back_mm:.0f} mm back along the guide",
-    )
-    here = workcell.tool_pose()
-    origin = here.translation_mm - back_mm * here.rotation_matrix[:, 2]
-    workcell.start()
-    workcell.line_to(
-        Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.from_components(origin, here.rigid.rotation))
-    )
+    return away_mm < HOVER_MM - TIP_KNOWN_MM

@@ -13,14 +13,14 @@ from dataclasses import replace
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.hands import IN_GAUGE
+from procedures.engine.hands import IN_DIVOT, IN_GAUGE, taking_out
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.step import StepKey
 from procedures.engine.theatre_note import NOT_KNOWN
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
-from procedures.recovery.calibration import leave_divot, over_divot_mm
+from procedures.recovery.calibration import guide_at_divot
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
@@ -98,7 +98,6 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
         return False
     _have_accepted(engine, comparison, "bring the arm home", first)
     surround(engine)
-    leave_divot(engine)
     engine.retreat_home()
     return True
 
@@ -129,6 +128,9 @@ def _take_up_arm(
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
         workcell.instrument.assume_inside(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
+    elif workcell.instrument.inside is None and guide_at_divot(engine):
+        workcell.instrument.assume_inside(IN_DIVOT)
+        comparison.warn("the guide is at the divot, which is assumed to be raised")
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
@@ -211,12 +213,10 @@ def _first(engine: Engine) -> tuple[str, ...]:
     """What moves before any step is run."""
     workcell = engine.setting.workcell
     first = []
-    if (trajectory := engine.instrument_in) is not None:
-        first.append(f"first the instrument is removed from {trajectory} by hand")
+    if (place := engine.instrument_in) is not None:
+        first.append(f"first, by hand: {taking_out(place)}")
     if (on := workcell.insertion) is not None:
         first.append(f"the guide retreats from {on.trajectory} along its axis")
-    if over_divot_mm(engine) is not None:
-        first.append("the divot is lowered by hand and the guide leaves it along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
@@ -249,6 +249,5 @@ def _way_out(engine: Engine) -> bool:
         engine.run_step(following)  # the work at the target is done: only the retreat itself remains
     if workcell.insertion is None and workcell.at_home:
         return False
-    leave_divot(engine)
     engine.retreat_home()
     return True

@@ -14,6 +14,7 @@ from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLoo
 from procedures.calibration.tool_tip.record import DIALS_TRAVEL_MM, require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
+from procedures.engine.hands import IN_DIVOT
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
@@ -52,6 +53,7 @@ class TipReadings:
     def run(self, context: StepContext) -> Outcome[ReadTip]:
         """Raises PRO-002 unless confirmed, PRO-009 for another tool, CAL-018 for impossible readings."""
         context.result(CheckedSetUp)
+        context.have_instrument_out()  # of an earlier try
         place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
         number = exchange_for(context, MountedTool.GUIDE)
         context.setting.room.prepare_stand(DIVOT)
@@ -111,10 +113,12 @@ class _Reading:
         hover_rad = workcell.joints_at(back, over.joints_rad)
         workcell.settle(hover_rad, SAME_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), SAME_SIDE)
+        workcell.hold()  # hands raise the divot: only a motion that is asked for leads on
+        workcell.instrument.goes_in(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
             Task(
                 DIALS,
-                f"at orientation {look + 1} raise the divot to the tip, read the three dials, lower it again",
+                f"at orientation {look + 1} raise the divot to the tip and read the three dials",
                 reads=READS,
                 plausible_mm=(-DIALS_TRAVEL_MM, DIALS_TRAVEL_MM),
             )
@@ -122,23 +126,13 @@ class _Reading:
         dials_mm = (x_mm, y_mm, z_mm)
         require_plausible(dials_mm)
         joints = workcell.joints_rad()
-        self._confirm_clear(look)
+        self.context.have_instrument_out()
         workcell.settle(hover_rad, SAME_SIDE)
         return DivotReading(
             look=look,
             joints_rad=joints,
             robot_from_flange=pose_record(workcell.flange_pose(joints)),
             dials_mm=dials_mm,
-        )
-
-    def _confirm_clear(self, look: int) -> None:
-        """Hands were at the stand to read the dials. Raises PRO-002 unless they and the divot are away."""
-        self.context.confirm(
-            Topic.CALIBRATION,
-            "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of "
-            "the stand and the guide, and nobody will be within the arm's reach until the next "
-            "reading is requested",
-            f"orientation {look + 1}",
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:

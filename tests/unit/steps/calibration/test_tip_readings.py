@@ -11,6 +11,8 @@ from recording_cell import GUIDE, RecordingOperator
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
 from procedures.calibration.tool_tip.looks import TipLooks
 from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.engine.hands import IN_DIVOT
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
@@ -18,7 +20,8 @@ from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
 from procedures.steps.calibration.tip_readings import readings_step
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import WrongTool
+from procedures.workcell.arm_history import arm_history
+from procedures.workcell.errors import InstrumentInGuide, WrongTool
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame
 
@@ -81,22 +84,29 @@ def test_nothing_moves_after_an_unconfirmed_calibration_or_tool_change(
     assert len(cell.arm.motions) == motions[-1]
 
 
-def test_the_arm_stays_after_a_reading_until_hands_are_confirmed_clear(
+@pytest.mark.hazard(44)
+def test_the_arm_stands_still_while_hands_are_at_the_divot_until_it_is_confirmed_lowered(
     cell: ClinicalCell,
 ) -> None:
     stand(cell)
-    dials, motions = cell.room.dials, []
+    dials, motions, stops = cell.room.dials, [], []
 
     def read_then_refuse(joints: JointVector) -> Numbers3:
         motions.append(len(cell.arm.motions))
-        cell.operator.refusing = (Topic.CALIBRATION,)
+        stops.append(cell.arm.stops)
+        cell.operator.refusing = (Topic.INSTRUMENT_OUT,)
         return dials(joints)
 
     cell.room.dials = read_then_refuse
-    with pytest.raises(NotConfirmed):
+    before = cell.arm.stops
+    with pytest.raises(NotConfirmed, match="lower the divot from the guide"):
         read(cell)
     assert motions == [len(cell.arm.motions)]
+    assert stops == [before + 1]
     assert "hands are clear" in cell.operator.asked[-1].subject
+    with pytest.raises(InstrumentInGuide, match=r"TOOL-001: home: .*in the divot"):
+        cell.workcell.go_home()
+    assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).instrument_in == IN_DIVOT
 
 
 def test_a_stand_without_its_ball_is_refused_with_its_position_and_the_keys_that_state_it(
