@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 
 from pydantic import Field
 
@@ -33,13 +33,17 @@ from procedures.steps.clinical.validity.room import (
 )
 from procedures.steps.conditions import carries
 from procedures.strategies.target import refined_target_pose
-from procedures.workcell import Insertion, MountedTool
+from procedures.workcell import Insertion, MountedTool, Workcell
+from procedures.workcell.arm_view import stands_at
+from procedures.workcell.way_home import AT_HOME_RAD
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
 BY_HOME = "home, where the tracker sees the head past the arm, then "
 UNWATCHED = "; the arm is expected to hide the head from the tracker there"
-REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, NotClear)  # anything moves
+REFUSED = (Unreachable, Singular, OutOfJointRange, NotClear)
 
 
 class PositionedGuide(StepResult, kind="positioning"):
@@ -87,7 +91,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     require_head_seen(context, f"before {trajectory}")
     with head_must_show(context):
         context.progress(0.0, f"moving over {trajectory}")
-        with refused_by_name(trajectory):
+        with refused_by_name(trajectory, workcell):
             workcell.go(standoff_rad)
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
@@ -112,12 +116,23 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 
 
 @contextmanager
-def refused_by_name(trajectory: str) -> Iterator[None]:
-    """What is refused before anything moves is raised as PLAN-007, with the name of the trajectory."""
+def refused_by_name(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
+    """What is refused is raised as PLAN-007, by the trajectory, and whether the arm of `moving` has moved."""
+    begun_rad = None if moving is None else moving.joints_rad()
     try:
         yield
-    except REFUSED_BEFORE as problem:
-        raise NotReachable(f"{trajectory} cannot be reached: {problem.summary}") from problem
+    except REFUSED as problem:
+        what = f"{trajectory} cannot be reached: {problem.summary}"
+        if moving is None or begun_rad is None or _stands_still(moving, begun_rad):
+            raise NotReachable(what) from problem
+        action = f"The arm is on its way: send it home. {NotReachable.action}"
+        raise NotReachable(f"{what}; the arm has moved", action=action) from problem
+
+
+def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
+    with suppress(RonnaError):  # an arm in fault reports no joints
+        return stands_at(workcell.joints_rad(), at_rad, AT_HOME_RAD)
+    return False
 
 
 def _kept_registration(context: StepContext) -> RegisteredRobot:

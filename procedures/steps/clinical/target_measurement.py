@@ -69,7 +69,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     check_room(context, f"before the ball at {name} is measured")
     workcell.start(cameras=True)
     context.progress(0.0, f"moving over {name}")
-    with refused_by_name(name):
+    with refused_by_name(name, workcell):
         workcell.go(standoff_rad)
         workcell.line_to(target, paths.targets[name].approach_signs)
     context.progress(0.5, f"measuring the ball at {name}")

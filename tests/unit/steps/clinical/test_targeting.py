@@ -270,6 +270,19 @@ def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell
     assert engine.machine.state == "held"
 
 
+def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_had(
+    cell: ClinicalCell,
+) -> None:
+    engine = begin(cell)
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.1, *others)
+    cell.arm.blocked = lambda _start, target: target != cell.workcell.home_rad
+    with pytest.raises(NotReachable, match=r"the way is not clear.*; the arm has moved") as refused:
+        run(engine, f"positioning:{FIRST}")
+    assert refused.value.advice.startswith("The arm is on its way: send it home.")
+    assert cell.workcell.at_home
+
+
 def after_a_fault(cell: ClinicalCell) -> Engine:
     cell.strategy = NeutralOrientation()
     cell.carrying(MountedTool.GUIDE)
