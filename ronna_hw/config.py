@@ -177,7 +177,9 @@ class ProcedureSettings(Strict):
         default=(1024, 1024), description="Columns and rows of each sensor read by the visual servo."
     )
     standoff_mm: Annotated[float, Field(gt=0, le=FARTHEST_STANDOFF_MM), Length] = Field(
-        default=60.0, description="Distance outside the entry at which approach begins and retreat ends."
+        default=60.0,
+        description="How far back along its axis a tool begins its approach and ends its retreat: from where "
+        "the guide is held, which the plan states, from a sphere, and from the entry of a measured target.",
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0, le=LARGEST_COARSE_FINE_MM), Length] = Field(
         default=3.0,

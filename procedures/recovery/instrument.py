@@ -17,7 +17,7 @@ from procedures.workcell.arm_view import stands_at
 from procedures.workcell.errors import TipOffAxis
 
 AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
-AT_STANDOFF_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
+AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
@@ -39,8 +39,8 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
             insertion.check_on_axis(tool)
         except TipOffAxis:
             continue
-        beyond_mm = insertion.beyond_standoff_mm(tool)
-        if beyond_mm > AT_STANDOFF_MM:
+        beyond_mm = insertion.beyond_start_mm(tool)
+        if beyond_mm > AT_START_MM:
             return insertion, beyond_mm
     return None
 

@@ -52,13 +52,13 @@ class Insertion:
         return cls(trajectory, read.held.transform, read.travel_mm, read.arriving)
 
     @property
-    def standoff(self) -> Transform:
+    def start(self) -> Transform:
         """The pose on the axis where the approach begins."""
         return back_along_axis(self.held, self.travel_mm)
 
-    def beyond_standoff_mm(self, tool: Transform) -> float:
+    def beyond_start_mm(self, tool: Transform) -> float:
         """How far along the axis a pose ROBOT <- TOOL is; negative before the approach begins."""
-        along_mm = self.standoff.inverse().apply(tool.translation_mm)[2]
+        along_mm = self.start.inverse().apply(tool.translation_mm)[2]
         return float(along_mm)
 
     def check_on_axis(self, tool: Transform) -> None:

@@ -276,8 +276,8 @@ class Workcell:
 
     def withdrawing(self, insertion: Insertion) -> CellMotion:
         """The motion that `withdraw` makes."""
-        line = LineMove(self._commanded(insertion.standoff, insertion.arriving), self.flange_from_tool)
-        return self._line_motion(MotionName.WITHDRAW, insertion.standoff, line, insertion)
+        line = LineMove(self._commanded(insertion.start, insertion.arriving), self.flange_from_tool)
+        return self._line_motion(MotionName.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""

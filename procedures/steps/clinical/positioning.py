@@ -66,7 +66,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     planned = paths.targets[trajectory]
     expected = expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with refused_by_name(trajectory):
-        standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad, insertion.arriving)
+        standoff_rad = workcell.joints_at(insertion.start, planned.standoff_rad, insertion.arriving)
     hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
     with refused_by_name(trajectory):
