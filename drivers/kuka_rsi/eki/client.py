@@ -226,9 +226,7 @@ class EkiClient:
             failure = self._lost(" closed the connection")
         except RonnaError as error:
             failure = error
-        except (
-            Exception
-        ) as error:  # also of a listener: nobody would read on, and an emergency stop not arrive
+        except Exception as error:  # also a listener's: nobody would read on, and no emergency stop arrive
             failure = self._lost(f": {getattr(error, 'strerror', None) or error or type(error).__name__}")
         with self._arrived:
             self._failure = failure
