@@ -70,7 +70,12 @@ def test_stop_stops_the_arm_while_a_step_runs_and_the_script_says_how_it_goes_on
     operator = Script(said)
     cell.operator = operator  # type: ignore[assignment]
     stopped = threading.Event()
-    cell.opened.stop = stopped.set  # type: ignore[method-assign]
+
+    def stop() -> list[str]:
+        stopped.set()
+        return []
+
+    cell.opened.stop = stop  # type: ignore[method-assign]
 
     def work(context: StepContext) -> Outcome[StepResult]:
         pipe.write("stop\nresume\nquit\n")
