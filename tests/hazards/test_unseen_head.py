@@ -182,13 +182,13 @@ def test_a_tracker_that_repeats_its_last_frame_does_not_see_the_head(
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "leave")
-    reader, read = engine.events.subscribe(), cell.tracker.read_frame
+    reader = engine.events.subscribe()
 
     def repeat() -> None:
-        last = replace(read(), validity=Validity.STALE)
-        cell.tracker.read_frame = lambda _timeout_s=1.0: last  # type: ignore[method-assign]
-        covered(cell)()
-        cell.tracker.read_frame = read  # type: ignore[method-assign]
+        last = replace(cell.tracker.read_frame(), validity=Validity.STALE)
+        with monkeypatch.context() as repeating:
+            repeating.setattr(cell.tracker, "read_frame", lambda _timeout_s=1.0: last)
+            covered(cell)()
 
     on_the_way(cell, repeat)
     with pytest.raises(GuardUnmet):

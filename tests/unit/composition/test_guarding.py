@@ -88,47 +88,44 @@ def test_a_calibration_renewed_during_a_case_suspends_its_next_motion_until_it_i
     assert len(cell.arm.motions) > moved
 
 
-@pytest.mark.hazard(3)
-def test_a_guarded_case_does_not_move_with_another_tool(tmp_path: Path) -> None:
+@pytest.fixture
+def guarded(tmp_path: Path) -> ClinicalCell:
+    """With the stereo head found mounted, an arm that may move, and nobody who settles what a guard finds."""
     cell = ClinicalCell(tmp_path)
     cell.clock = PassingClock()
-    engine = cell.engine(ORDER)
-    guard(engine, tmp_path / "theatre.toml", cell.theatre)
+    guard(cell.engine(ORDER), tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
     cell.arm.state = Lifecycle.ACTIVE
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
-    cell.arm.mounted = GUIDE
     cell.operator.refusing = (Topic.GUARD,)
-    with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
-        cell.workcell.go(cell.arm.joints_rad)
-    assert cell.arm.motions == []
+    return cell
 
 
 @pytest.mark.hazard(3)
-def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    cell.clock = PassingClock()
-    engine = cell.engine(ORDER)
-    guard(engine, tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
-    cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+def test_a_guarded_case_does_not_move_with_another_tool(guarded: ClinicalCell) -> None:
+    guarded.arm.mounted = GUIDE
+    with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
+        guarded.workcell.go(guarded.arm.joints_rad)
+    assert guarded.arm.motions == []
 
+
+@pytest.mark.hazard(3)
+def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(guarded: ClinicalCell) -> None:
     def exchange(question: Question) -> None:
         if question.topic is Topic.FIRST_MOTION:
-            cell.arm.mounted = GUIDE
+            guarded.arm.mounted = GUIDE
 
-    cell.operator.meanwhile = exchange
-    cell.operator.refusing = (Topic.GUARD,)
+    guarded.operator.meanwhile = exchange
     with pytest.raises(GuardUnmet, match=r"PRO-017.*tool"):
-        cell.workcell.go(cell.arm.joints_rad)
-    assert cell.arm.motions == []
+        guarded.workcell.go(guarded.arm.joints_rad)
+    assert guarded.arm.motions == []
 
 
-@pytest.mark.hazard(8)
-def test_a_stop_that_fails_is_shown(tmp_path: Path) -> None:
+@pytest.mark.hazard(4)
+def test_a_stop_that_fails_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = ClinicalCell(tmp_path)
     engine = cell.engine(ORDER)
     guard(engine, tmp_path / "theatre.toml", cell.theatre)
     reader = engine.events.subscribe()
-    cell.opened.stop = lambda: ["the arm may not be at rest"]  # type: ignore[method-assign]
+    monkeypatch.setattr(cell.opened, "stop", lambda: ["the arm may not be at rest"])
     cell.workcell.stop()
     assert Advisory(text="the arm may not be at rest") in [one.what for one in reader.read(0.1).events]

@@ -270,8 +270,9 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     assert ended.run.journal[-1]["outcome"] == "done"  # type: ignore[attr-defined]
 
 
-def restarted_out(tmp_path: Path) -> tuple[ClinicalCell, Engine]:
-    """A restart after the arm has stopped with the guide at the last target, the run accepted again."""
+def test_an_arm_still_out_after_a_restart_can_be_brought_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cell = ClinicalCell(tmp_path)
     engine = rolling(cell, LAST, BOTH_FINISHED)
     cell.operator.answers = {Topic.CART_MOVED: HOLD}
@@ -284,22 +285,11 @@ def restarted_out(tmp_path: Path) -> tuple[ClinicalCell, Engine]:
     again.workcell.identify_mounted()
     assert head_moved_since(engine)
     engine.accept()
-    return again, engine
-
-
-def test_an_arm_still_out_after_a_restart_can_be_brought_home(tmp_path: Path) -> None:
-    _, engine = restarted_out(tmp_path)
-    surround(engine)
-    engine.retreat_home()
-    assert engine.over
-
-
-def test_after_a_restart_clearances_are_exact_where_the_way_out_begins(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A calibrated arm's surroundings are exact near one pose: home is not where it stands."""
-    again, engine = restarted_out(tmp_path)
     near_rad: list[JointVector | None] = []
     monkeypatch.setattr(again.workcell, "surround", lambda _, near=None: near_rad.append(near))
     surround(engine)
-    assert near_rad == [again.workcell.joints_rad()] != [HOME_RAD]
+    assert near_rad == [again.workcell.joints_rad()] != [HOME_RAD]  # exact where it stands, not at home
+    monkeypatch.undo()
+    surround(engine)
+    engine.retreat_home()
+    assert engine.over
