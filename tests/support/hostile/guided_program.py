@@ -1,7 +1,8 @@
 """Feeds one parser inputs that libFuzzer makes of good ones, guided by the coverage of our code.
 
 Run as a process of its own, `NAME FOLDER KEPT RUNS SEED`, which libFuzzer ends: with 0 when every input was
-read or refused at bounded cost. What was not is left in KEPT; FOLDER is for files that parsers read.
+read or refused at bounded cost. What was not is left in KEPT; FOLDER is for files that parsers read and for
+the inputs that are worth changing, which a following process of the same FOLDER goes on with.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ def main() -> None:
     name, folder, kept, runs, seed = sys.argv[1:]
     with atheris.instrument_imports(include=OURS, enable_loader_override=False):
         from hostile_inputs import parsers, taken
-    files, corpus = Path(folder) / "files", Path(folder) / "corpus"
+    files, corpus = Path(folder) / f"files-{seed}", Path(folder) / "corpus"
     files.mkdir()
-    corpus.mkdir()
+    corpus.mkdir(exist_ok=True)
     parser = parsers(files)[name]
     for number, good in enumerate(parser.good):
         (corpus / str(number)).write_bytes(good)
