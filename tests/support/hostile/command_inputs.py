@@ -180,10 +180,11 @@ def _world(folder: Path) -> tuple[tuple[bytes, ...], Take]:
 
 
 def _variables(data: bytes) -> None:
-    """Both have it; levels of logs are put back."""
+    """Both have it; loggers and their levels are put back."""
     value = os.fsdecode(data.replace(b"\0", b""))
-    loggers = [one for one in logging.root.manager.loggerDict.values() if isinstance(one, logging.Logger)]
-    levels = [(one, one.level) for one in loggers]
+    known = logging.root.manager.loggerDict
+    loggers = dict(known)
+    levels = [(one, one.level) for one in known.values() if isinstance(one, logging.Logger)]
     before = dict(os.environ)
     os.environ |= {ACCESS_VARIABLE: value, LEVELS_VARIABLE: value}
     try:
@@ -195,5 +196,7 @@ def _variables(data: bytes) -> None:
         for name in (ACCESS_VARIABLE, LEVELS_VARIABLE):
             os.environ.pop(name)
         os.environ |= before
+        known.clear()
+        known.update(loggers)
         for one, level in levels:
             one.setLevel(level)

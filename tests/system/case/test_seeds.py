@@ -10,8 +10,10 @@ import pytest
 from user_commands import Commands
 
 SEEDS = range(20)
-MEAN_LIMIT_MM = 0.5
-LARGEST_LIMIT_MM = 1.5
+SUPERFICIAL_MM = 50.0  # depth: as the first clinical study divided its targets
+SUPERFICIAL_MEAN_MM = 0.25  # RONNA G3 measured 0.43 mm
+DEEP_MEAN_MM = 0.45  # and 0.88
+LARGEST_MM = 1.5
 # 60 targets: of an honest 95 % limit some three are exceeded; seven or more come once in fifty campaigns.
 MOST_BEYOND_LIMIT = 0.12
 
@@ -43,10 +45,13 @@ def test_every_seed_completes_and_finds_every_sphere(outcomes: list[dict[str, An
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_the_application_error_stays_within_its_limits(outcomes: list[dict[str, Any]]) -> None:
-    errors = [row["application_error_mm"] for outcome in outcomes for row in outcome["targets"]]
-    assert len(errors) == 3 * len(SEEDS)
-    assert np.mean(errors) <= MEAN_LIMIT_MM
-    assert max(errors) <= LARGEST_LIMIT_MM
+    rows = [row for outcome in outcomes for row in outcome["targets"]]
+    assert len(rows) == 3 * len(SEEDS)
+    errors_mm = np.array([row["application_error_mm"] for row in rows])
+    deep = np.array([row["depth_mm"] > SUPERFICIAL_MM for row in rows])
+    assert np.mean(errors_mm[~deep]) <= SUPERFICIAL_MEAN_MM
+    assert np.mean(errors_mm[deep]) <= DEEP_MEAN_MM
+    assert np.max(errors_mm) <= LARGEST_MM
 
 
 @pytest.mark.slow
