@@ -8,6 +8,7 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 from arm_looks import SPHERES_MM, LookingArm
@@ -180,22 +181,18 @@ def _world(folder: Path) -> tuple[tuple[bytes, ...], Take]:
 
 
 def _variables(data: bytes) -> None:
-    """Both have it; loggers and their levels are put back."""
+    """Both have it; loggers are put back. The environment is a copy: the C library keeps every value set."""
     value = os.fsdecode(data.replace(b"\0", b""))
     known = logging.root.manager.loggerDict
     loggers = dict(known)
     levels = [(one, one.level) for one in known.values() if isinstance(one, logging.Logger)]
-    before = dict(os.environ)
-    os.environ |= {ACCESS_VARIABLE: value, LEVELS_VARIABLE: value}
     try:
-        with contextlib.suppress(RonnaError):
-            set_log_levels_from_environment()
-        with contextlib.suppress(RonnaError), _own_files():
-            pass
+        with patch.dict(vars(os), environ={ACCESS_VARIABLE: value, LEVELS_VARIABLE: value}):
+            with contextlib.suppress(RonnaError):
+                set_log_levels_from_environment()
+            with contextlib.suppress(RonnaError), _own_files():
+                pass
     finally:
-        for name in (ACCESS_VARIABLE, LEVELS_VARIABLE):
-            os.environ.pop(name)
-        os.environ |= before
         known.clear()
         known.update(loggers)
         for one, level in levels:
