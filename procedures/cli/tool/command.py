@@ -166,16 +166,19 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 def check(config: ConfigOption) -> None:
     """Check the records of a theatre file as a case does: valid, for this flange and this tip.
 
-    Exit codes: 0 they match, 1 the file has mistakes, 3 refused.
+    The calibrations that they rely on must be valid too. Exit codes: 0 they match, 1 the file has mistakes, 3
+    refused.
     """
+    from procedures.calibration.validity import options_of, require_valid
     from procedures.workcell.tool_records import ToolRecords
     from ronna_hw.config import read_theatre_file
 
     theatre = read_theatre_file(config)
     if theatre.calibration is None:
         raise UsageMistake(f"{config.name} has no [calibration] to check the tools against")
-    tools = ToolRecords.of(theatre)
-    tools.check(theatre.calibration, datetime.now(UTC))
+    tools, now = ToolRecords.of(theatre), datetime.now(UTC)
+    require_valid(theatre.calibration, now, options_of(config))
+    tools.check(theatre.calibration, now)
     typer.echo(f"{', '.join(one.identifier for one in tools.records.values())}: fit")
 
 

@@ -94,7 +94,7 @@ def test_check_refuses_a_record_of_another_flange(theatre: Path) -> None:
 
 @pytest.mark.hazard(47)
 def test_check_refuses_an_expired_record_and_says_what_to_do(theatre: Path) -> None:
-    _let_guide_expire(theatre)
+    _let_expire(theatre, "tools", "guide")
     done = in_this_process(app, "check", "--config", theatre)
     assert done.returncode == 3
     said = " ".join(one_error(done.stderr))
@@ -103,8 +103,19 @@ def test_check_refuses_an_expired_record_and_says_what_to_do(theatre: Path) -> N
 
 
 @pytest.mark.hazard(47)
+def test_check_refuses_a_tool_whose_tip_calibration_has_expired(theatre: Path) -> None:
+    _let_expire(theatre, "calibration", "tool_tip")
+    done = in_this_process(app, "check", "--config", theatre)
+    assert done.returncode == 3
+    assert "fit" not in done.stdout
+    said = " ".join(one_error(done.stderr))
+    assert "CAL-001: calibration tool-tip-mini-3 expired" in said
+    assert f"Run ronna-procedure calibrate tool-tip --config {theatre} " in said
+
+
+@pytest.mark.hazard(47)
 def test_a_case_with_an_expired_tool_record_is_refused_before_the_ct_is_read(theatre: Path) -> None:
-    _let_guide_expire(theatre)
+    _let_expire(theatre, "tools", "guide")
     case, runs = theatre.parent, theatre.with_name("runs")
     (case / "ct").mkdir()
     (case / "plan.toml").touch()
@@ -115,9 +126,9 @@ def test_a_case_with_an_expired_tool_record_is_refused_before_the_ct_is_read(the
     assert "ct_import" not in said
 
 
-def _let_guide_expire(theatre: Path) -> None:
+def _let_expire(theatre: Path, table: str, name: str) -> None:
     content = tomllib.loads(theatre.read_text())
-    content["tools"]["guide"].update(
+    content[table][name].update(
         created=datetime(2020, 1, 1, tzinfo=UTC), expires=datetime(2021, 1, 1, tzinfo=UTC)
     )
     theatre.write_text(tomli_w.dumps(content))
