@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
-from procedures.relocalization import search_pose
 from procedures.relocalization.errors import PairNotUsable
+from procedures.workcell.search import refusal, settled_around
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
 from ronna_hw.arm.clearance.capsule import Capsule
@@ -21,7 +21,6 @@ from ronna_hw.arm.clearance.surroundings import ArmRadii, Obstacle, Part, SpeedZ
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
-from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -47,15 +46,18 @@ class BallWatcher:
 
     def find(self, first: PlannedLook) -> Look:
         """Go to the first look and, when the ball is not in view, around it in a spiral. Raises STE-009."""
-        pose, looks = first.pose, 0
-        while True:
+
+        def settle(pose: Transform) -> None:
             self._settle(self._joints(pose, self.workcell.home_rad))
+
+        settle(first.pose)
+        poses = settled_around(first.pose, settle, self.workcell.arm)
+        while True:
             seen = self.workcell.look()
             if seen.point is not None:
                 self.ball_mm = self.workcell.tool_pose().apply(seen.point.position_mm)
                 return seen
-            pose = search_pose(first.pose, looks)
-            looks += 1
+            next(poses)
 
     def observe(self, planned: PlannedLook) -> Observation | None:
         """One look at the ball; None, and the reason counted, when it cannot be taken or shows no ball."""
@@ -64,13 +66,13 @@ class BallWatcher:
 
     def take(self, planned: PlannedLook, arriving: Sequence[int] = SAME_SIDE) -> Look | None:
         """The same as it was seen, with each joint arriving in its direction."""
-        wanted = moved_to(planned, self.ball_mm)
-        try:
-            self._settle(self._joints(wanted.pose, self.workcell.joints_rad()), arriving)
-        except LimitError as error:
-            if self.workcell.arm.observe().state is not Lifecycle.ACTIVE:
-                raise  # not refused before it began: tripped
-            self.rejected[error.code] += 1
+        pose = moved_to(planned, self.ball_mm).pose
+
+        def settle() -> None:
+            self._settle(self._joints(pose, self.workcell.joints_rad()), arriving)
+
+        if (refused := refusal(settle, self.workcell.arm)) is not None:
+            self.rejected[refused.code] += 1
             return None
         return self._looked(planned.ball_in_tool_mm)
 

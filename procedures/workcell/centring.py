@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization import ServoSettings, ServoState, recorded_point, search_pose
+from procedures.relocalization import ServoSettings, ServoState, recorded_point
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell.errors import SphereNotFound
+from procedures.workcell.search import settled_around
 from procedures.workcell.stereo_look import Look
-from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.errors import LimitError, RonnaError
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
 if TYPE_CHECKING:
@@ -122,20 +122,16 @@ class Centring:
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
         telling, pose = seen, expected
-        passed = 0  # poses of the spiral that cannot be taken
+        poses = settled_around(expected, self._settle, workcell.arm)
         try:
             while seen.point is None:
-                around = search_pose(expected, looks - 2 + passed)
-                if not self._settled(around):
-                    passed += 1
-                    continue
+                around = next(poses)
                 seen, looks = workcell.look(), looks + 1
                 if telling.left is None and seen.left is not None:
                     telling, pose = seen, around
         except SphereNotInView as error:
-            what = f"no sphere in {looks - 2} image pairs, {passed} poses not clear" if passed else error.what
             refusal = SphereNotFound(
-                f"sphere {fiducial + 1} was not found: {what}: {telling.reason}", limit=error.limit
+                f"sphere {fiducial + 1} was not found: {error.what}: {telling.reason}", limit=error.limit
             )
             if not isinstance(telling.problem, OF_LIGHT):
                 raise refusal from error
@@ -157,16 +153,6 @@ class Centring:
             if seen.point is not None:
                 return seen, looks
         raise refusal
-
-    def _settled(self, pose: Transform) -> bool:
-        """The same, unless it is refused before the arm moves: the search leads beyond the checked path."""
-        try:
-            self._settle(pose)
-        except LimitError:
-            if self.workcell.arm.state is not Lifecycle.ACTIVE:
-                raise  # tripped
-            return False
-        return True
 
     def _settle(self, pose: Transform) -> None:
         """Take a pose; where it is asked for, each joint arrives from the same side as at the target."""

@@ -91,6 +91,27 @@ def test_a_missing_ball_is_searched_for_and_then_refused(cell: RecordingCell, wa
     assert len(targets(cell)) == 2 * (1 + 36)
 
 
+def test_a_search_for_a_ball_passes_over_poses_that_are_not_clear_and_still_says_what_was_not_found(
+    cell: RecordingCell, watcher: BallWatcher
+) -> None:
+    refuse(cell, 5, 7)  # of the second pose around, neither straight nor by way of home
+    with pytest.raises(SphereNotInView, match="STE-009: no sphere in 35 image pairs, 1 poses not clear"):
+        watcher.find(PLACE.first_look)
+
+
+def test_a_search_for_a_ball_in_which_the_arm_trips_ends_with_that(
+    cell: RecordingCell, watcher: BallWatcher
+) -> None:
+    def trips(_start: object, _target: object) -> bool:
+        if len(targets(cell)) == 4:
+            cell.arm.state = Lifecycle.FAULT
+        return cell.arm.state is Lifecycle.FAULT
+
+    cell.arm.blocked = trips
+    with pytest.raises(NotClear):
+        watcher.find(PLACE.first_look)
+
+
 def test_the_surroundings_include_the_ball_its_stand_other_balls_and_the_stereo_head(
     cell: RecordingCell,
 ) -> None:
