@@ -88,7 +88,7 @@ class MethodRefused(ConfigurationError):
     """A user method cannot be used: not found, of another kind, or with another signature."""
 
     code = "STU-012"
-    action = "docs/how-to/own-methods.md shows one of each kind."
+    action = "docs/how-to/research/own-methods.md shows one of each kind."
 
 
 class MethodFailed(DataError):
@@ -102,4 +102,4 @@ class MethodAnswerWrong(DataError):
     """A user method returned something that is not a result of its kind."""
 
     code = "STU-014"
-    action = "Correct what it returns; docs/how-to/own-methods.md shows one of each kind."
+    action = "Correct what it returns; docs/how-to/research/own-methods.md shows one of each kind."

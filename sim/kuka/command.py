@@ -69,8 +69,8 @@ def kuka(
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated.
 
-    docs/how-to/a-client-of-your-own.md shows a telegram, its reply and a request; with --verbose the log
-    states why a reply was rejected.
+    docs/how-to/extending/a-client-of-your-own.md shows a telegram, its reply and a request; with --verbose
+    the log states why a reply was rejected.
     """
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.arm.manipulator import Manipulator

@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 from types import ModuleType
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "add-a-step.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "extending" / "add-a-step.md"
 
 
 def force_check() -> ModuleType:

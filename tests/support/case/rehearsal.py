@@ -10,7 +10,7 @@ from typing import Any
 
 from console_clicks import answer, run_by_clicks, take_seat
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "operate-in-the-browser.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "case" / "operate-in-the-browser.md"
 HEADING = "## A rehearsal in two minutes"
 
 

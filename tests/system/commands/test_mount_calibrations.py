@@ -160,7 +160,7 @@ def test_a_file_without_calibration_records_is_refused_before_anything_starts(
 def test_a_first_day_case_is_refused_then_calibrated_and_completes(
     commands: Commands, tmp_path: Path
 ) -> None:
-    refused, frame, tip, case = commands_of("docs/how-to/calibrate-tool-tip.md")[-4:]
+    refused, frame, tip, case = commands_of("docs/how-to/calibration/calibrate-tool-tip.md")[-4:]
     told = run_all([refused], commands, tmp_path)[0].stderr
     assert (
         "CAL-001: calibration tool-tip-as-drawn expired; calibration tracker-frame-as-drawn expired" in told
@@ -177,7 +177,7 @@ def test_a_first_day_case_is_refused_then_calibrated_and_completes(
 @pytest.mark.slow
 @pytest.mark.timeout(200)
 def test_the_page_about_the_tip_works(commands: Commands, tmp_path: Path) -> None:
-    made, replayed, *_ = commands_of("docs/how-to/calibrate-tool-tip.md")
+    made, replayed, *_ = commands_of("docs/how-to/calibration/calibrate-tool-tip.md")
     assert replayed.startswith("ronna-procedure replay")
     run_all([made, replayed], commands, tmp_path)
     (folder,) = (tmp_path / "calibrations").iterdir()
@@ -191,7 +191,7 @@ def test_the_page_about_the_tip_works(commands: Commands, tmp_path: Path) -> Non
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_the_page_about_the_reference_frame_works(commands: Commands, tmp_path: Path) -> None:
-    lines = commands_of("docs/how-to/calibrate-tracker-frame.md")
+    lines = commands_of("docs/how-to/calibration/calibrate-tracker-frame.md")
     assert lines
     run_all(lines, commands, tmp_path)
     (folder,) = (tmp_path / "calibrations").iterdir()

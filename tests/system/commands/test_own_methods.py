@@ -11,7 +11,7 @@ from user_commands import in_this_process
 
 from procedures.cli.campaign import app
 
-PAGE = "docs/how-to/own-methods.md"
+PAGE = "docs/how-to/research/own-methods.md"
 
 
 @pytest.fixture

@@ -159,7 +159,7 @@ def rehearsal(commands: Commands, tmp_path: Path) -> Iterator[Day]:
 
 @pytest.fixture
 def student(commands: Commands, tmp_path: Path) -> Iterator[Day]:
-    with day_of("docs/how-to/raw-readings.md", commands, tmp_path) as day:
+    with day_of("docs/how-to/research/raw-readings.md", commands, tmp_path) as day:
         yield day
 
 

@@ -11,7 +11,7 @@ import pytest
 from documented import commands_of, run_all, write_files
 from user_commands import Commands
 
-OWN, RAW = "docs/how-to/own-methods.md", "docs/how-to/raw-readings.md"
+OWN, RAW = "docs/how-to/research/own-methods.md", "docs/how-to/research/raw-readings.md"
 LIMIT_S = 300.0  # of a command on a busy computer
 
 

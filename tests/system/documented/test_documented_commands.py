@@ -18,7 +18,7 @@ def test_the_commands_of_the_tutorial_work_in_order(commands: Commands, tmp_path
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_the_check_after_the_operation_works_as_shown(commands: Commands, tmp_path: Path) -> None:
-    lines = commands_of("docs/how-to/check-after-the-operation.md")
+    lines = commands_of("docs/how-to/case/check-after-the-operation.md")
     assert len(lines) >= 4
     run_all(lines, commands, tmp_path)
 

@@ -32,7 +32,7 @@ def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             "RONNA_CONTROL": endpoints["control"],
         }
         monkeypatch.setenv("RONNA_CONTROL", endpoints["control"])
-        run_all(commands_of("docs/how-to/a-theatre-of-your-own.md"), commands, tmp_path)
+        run_all(commands_of("docs/how-to/devices/a-theatre-of-your-own.md"), commands, tmp_path)
         (tmp_path / "ronna_hw").symlink_to(ROOT / "ronna_hw")  # the pages are read in a clone
         yield tmp_path
 
@@ -43,5 +43,5 @@ def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 def test_a_hardware_day_is_rehearsed_from_its_text(
     page: str, statements: int, cell: Path, commands: Commands
 ) -> None:
-    write_files(f"docs/how-to/{page}.md", cell)
-    assert run_exercises(f"docs/how-to/{page}.md", commands, cell) >= statements
+    write_files(f"docs/how-to/devices/{page}.md", cell)
+    assert run_exercises(f"docs/how-to/devices/{page}.md", commands, cell) >= statements

@@ -16,7 +16,7 @@ import pytest
 
 from ronna_hw.host.child_process import ChildProcess
 
-DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "write-a-driver.md"
+DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "extending" / "write-a-driver.md"
 BLOCK = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 # What an installed package has, without the time that installing it takes.
 METADATA = "Metadata-Version: 2.1\nName: lumen-tracker\nVersion: 0.1\n"

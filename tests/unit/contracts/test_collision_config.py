@@ -10,7 +10,7 @@ import pytest
 from ronna_hw.collision_config import AROUND_THE_PATIENT, BodyFrame, CollisionConfig
 from ronna_hw.config import BadTheatreFile, parse_theatre
 
-HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "describe-the-cell.md"
+HOW_TO = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "devices" / "describe-the-cell.md"
 BODY = {"name": "stand", "start_mm": [0.0, 0.0, 0.0], "end_mm": [0.0, 0.0, 9.0], "radius_mm": 5.0}
 
 

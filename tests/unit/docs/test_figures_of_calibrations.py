@@ -14,7 +14,7 @@ EXPLAINED = re.compile(r"^- \*\*(.+?)\*\*", re.MULTILINE)
     "page", ["calibrate-tracker-frame", "calibrate-tool-tip", "stereo-calibration", "arm-calibration"]
 )
 def test_every_explained_figure_has_a_printed_name(page: str) -> None:
-    text = (ROOT / f"docs/how-to/{page}.md").read_text(encoding="utf-8")
+    text = (ROOT / f"docs/how-to/calibration/{page}.md").read_text(encoding="utf-8")
     section = text.partition("## What the figures mean")[2].partition("\n## ")[0]
     printed = "".join(one.read_text(encoding="utf-8") for one in MODELS.glob("*.py"))
     named = EXPLAINED.findall(section)

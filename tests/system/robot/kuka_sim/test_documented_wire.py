@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 
-PAGE = Path(__file__).parents[4] / "docs/how-to/a-client-of-your-own.md"
+PAGE = Path(__file__).parents[4] / "docs/how-to/extending/a-client-of-your-own.md"
 SHOWN = re.compile(r"```xml\n(.*?)\n```", re.DOTALL)
 IPOC = re.compile(rb"(?<=<IPOC>)\d+")
 LIMIT_S = 10.0
