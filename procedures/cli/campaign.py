@@ -350,7 +350,10 @@ def times(
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
     from procedures.studies.times import times_of
+    from ronna_hw.evidence.inspection import inspected
 
+    for run in runs:
+        inspected(run, every_file=False).require_unchanged()
     found = times_of(runs)
     if as_json:
         terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})

@@ -132,8 +132,8 @@ class Inspection:
 def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
     """Check a run folder; raises nothing that its content can cause.
 
-    Without `every_file` only journal and records are checked, and those of `files` that exist against the
-    seal, which takes milliseconds.
+    Without `every_file` only journal and records are checked, the journal also against the seal, and so are
+    those of `files` that exist: this takes milliseconds.
     """
     problems: list[Problem] = []
     chain = _chain(folder, problems)
@@ -269,7 +269,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
     if seal is None:
-        if (folder / SEAL_FILE).exists() or (folder / SEAL_FILE).is_symlink():
+        if os.path.lexists(folder / SEAL_FILE):
             yield Problem(SEAL_FILE, "changed")
         elif closed:
             yield Problem(SEAL_FILE, "missing: the run's end was not sealed", unfinished=True)
@@ -297,7 +297,9 @@ def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -
 
 def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
     """Problems with files that only the seal covers, and with the journal that it covers too."""
-    seal = read_seal(folder) if names else None
+    seal = read_seal(folder)
+    if seal is None and os.path.lexists(folder / SEAL_FILE):
+        yield Problem(SEAL_FILE, "changed")
     whole = seal is not None and (yield from _against_seal(folder, chain, seal))
     for name in names:
         if seal is None or not whole:

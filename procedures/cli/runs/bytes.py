@@ -12,6 +12,7 @@ from pathlib import Path
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.terminal import tell
 from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
 from ronna_hw.text.printable import printable
 
@@ -22,7 +23,10 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 def print_bytes(
     run_folder: Path, link: str | None, from_s: float | None, to_s: float | None, *, as_json: bool
 ) -> None:
-    """Print the window by time. Raises CLI-005 without bytes, CLI-001 for a wrong link or window."""
+    """Print the window by time, and before it what is not as the run left it.
+
+    Raises CLI-005 without bytes, CLI-001 for a wrong link or window.
+    """
     folder = run_folder / BYTES_FOLDER
     links = links_of(folder)
     if not links:
@@ -33,6 +37,8 @@ def print_bytes(
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
     if begin_s > end_s:
         raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
+    for change in inspected(run_folder).changes:
+        tell(f"NOT AS THE RUN LEFT IT: {change}")
     merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)
     first_s, last_s, printed = math.inf, -math.inf, False
     for line in merged:

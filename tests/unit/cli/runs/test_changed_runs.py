@@ -14,6 +14,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process
 
+from procedures.cli.campaign import app as campaign
 from procedures.cli.case.case_inputs import clinical_input
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest
@@ -30,11 +31,14 @@ from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import TargetTruth, Truth
+from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import (
     EXIT_REFUSED,
 )
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
 from ronna_hw.evidence.seal import SEAL_FILE
+from ronna_hw.recording.byte_lines import BYTES_FOLDER
+from ronna_hw.recording.flight_recorder import FlightRecorder
 
 
 def test_verify_reports_that_a_run_is_intact_or_names_the_changed_files(run: Path) -> None:
@@ -68,6 +72,12 @@ def line_removed(run: Path) -> str:
     return "journal.jsonl"
 
 
+def last_line_removed(run: Path) -> str:
+    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
+    (run / "journal.jsonl").write_bytes(b"".join(lines[:-1]))
+    return "journal.jsonl"
+
+
 def record_gone(run: Path) -> str:
     (run / "records" / "01-image.json").unlink()
     return "records/01-image.json"
@@ -84,7 +94,7 @@ def file_added(run: Path) -> str:
     return "note.txt"
 
 
-SPOILT = (foreign_record, line_removed, record_gone, request_changed, file_added)
+SPOILT = (foreign_record, line_removed, last_line_removed, record_gone, request_changed, file_added)
 
 
 @pytest.mark.hazard(39)
@@ -92,9 +102,10 @@ SPOILT = (foreign_record, line_removed, record_gone, request_changed, file_added
 def test_every_command_names_the_changed_file_of_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
     name = spoil(run)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay
-    for command in ("export", "resume", "lineage", "report", *["replay"] * relied_on):
-        refused = in_this_process(app, command, run)
+    relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay, and by the times
+    commands = [(app, command) for command in ("export", "resume", "lineage", "report")]
+    for program, command in (*commands, *[(app, "replay"), (campaign, "times")] * relied_on):
+        refused = in_this_process(program, command, run)
         assert (command, refused.returncode) == (command, EXIT_REFUSED)
         assert f"PRO-033: {run.name} is not as it was left: {name}: " in refused.stderr
         assert refused.stdout == ""
@@ -223,6 +234,15 @@ def test_no_session_vouches_for_an_error_that_no_seal_confirms(
     (run / SEAL_FILE).unlink()
     take_up(run)
     assert not kept.exists()
+
+
+def test_bytes_of_a_changed_run_are_printed_after_what_has_changed(run: Path) -> None:
+    recorder = FlightRecorder(run / BYTES_FOLDER, lambda: 1.0)
+    recorder.passed("tracker", Direction.SENT, b"sent after the end")
+    recorder.close()
+    printed = in_this_process(app, "bytes", run)
+    assert printed.stderr.startswith("NOT AS THE RUN LEFT IT: bytes/tracker.a.jsonl: added")
+    assert b"sent after".hex(" ") in printed.stdout
 
 
 def test_watch_first_names_the_files_changed_since_the_run_finished(run: Path) -> None:
