@@ -10,13 +10,16 @@ from dataclasses import replace
 from typing import Any
 
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import PlainTextResponse, Response
 
 from console.feed.view import CaseView
 from console.hub import Hub
 from console.pictures.head import head_stl, series_of
 from procedures.reporting.case_figures import CaseFigures, read_case_figures
+from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
+from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import PICTURES_FOLDER
 
 
 def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
@@ -111,7 +114,12 @@ class Figures:
             name = request.path_params["name"]
             if self.latest is None or name not in (*self.latest.pictures, *self.latest.cuts):
                 return PlainTextResponse("No such picture.", 404)
-            return FileResponse(self._hub.folder / "pictures" / name, media_type="image/png")
+            path = self._hub.folder / PICTURES_FOLDER / name
+            try:  # not through a link: whoever made the run would choose what viewers see of this computer
+                content = await asyncio.to_thread(read_bounded, path, LARGEST_PICTURE_BYTES, linked=False)
+            except (OSError, InputRefused):
+                return PlainTextResponse("No such picture.", 404)
+            return Response(content, media_type="image/png")
 
         async def pair(_request: Request) -> Response:
             content = self._hub.pair

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json
+from ronna_hw.host.regular_file import open_regular
 from ronna_hw.log_output import LOG_FILE
 
 TAIL_BYTES = 16_384  # about eighty lines
@@ -30,7 +31,7 @@ class LogTail:
         return self._lines
 
     def _read(self, size: int) -> tuple[str, ...]:
-        with self._path.open("rb") as file:
+        with open_regular(self._path) as file:
             file.seek(max(0, size - TAIL_BYTES))
             content = file.read(TAIL_BYTES)
         first, *rest = content.split(b"\n")

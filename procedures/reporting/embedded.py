@@ -14,7 +14,7 @@ LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
 def picture_of(reading: RunReading, path: Path) -> bytes | None:
     """A picture's file; None, and with a note, for one that is too large or cannot be read."""
     try:
-        return read_bounded(path, LARGEST_PICTURE_BYTES)
+        return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
     except (OSError, InputRefused):
         reading.note(f"{path.name} is left out: it cannot be read or is too large for a picture")
         return None

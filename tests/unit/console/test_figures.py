@@ -8,6 +8,9 @@ from pathlib import Path
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.routing import Route
 
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView, StepRow
@@ -93,3 +96,18 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
     hub.review.over = True
     everything = {"added", "records/01-image.json", "theatre/changed", "theatre/gone"}
     assert asyncio.run(named()) == everything
+
+
+def test_a_link_in_place_of_a_picture_is_not_followed(tmp_path: Path) -> None:
+    app, figures = Starlette(), Figures(Hub(tmp_path))
+    figures.latest = FIGURES
+    figures.add_routes(app)
+    (route,) = (one for one in app.routes if isinstance(one, Route) and one.path == "/picture/{name}")
+    (picture := tmp_path / "pictures" / FIGURES.pictures[0]).parent.mkdir()
+    request = Request({"type": "http", "path_params": {"name": picture.name}})
+    (tmp_path / "another").write_bytes(b"of this computer")
+    picture.symlink_to(tmp_path / "another")
+    assert asyncio.run(route.endpoint(request)).status_code == 404
+    picture.unlink()
+    picture.write_bytes(b"a picture")
+    assert asyncio.run(route.endpoint(request)).body == b"a picture"

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
+
+import pytest
 
 from console.feed.log_tail import TAIL_BYTES, LogTail
 from console.panels.notices import log
@@ -31,6 +34,16 @@ def test_only_whole_lines_from_the_end_of_a_long_log_are_shown(tmp_path: Path) -
     assert shown[-1].endswith("event 1999")
     assert 0 < len(shown) * len(line("info", "event 0000")) <= TAIL_BYTES
     assert all(one.startswith("10:21:05 info event ") for one in shown)
+
+
+@pytest.mark.timeout(20)
+def test_a_pipe_or_a_link_in_place_of_the_log_is_not_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / LOG_FILE)
+    assert LogTail(tmp_path).lines() == ()
+    (tmp_path / LOG_FILE).rename(tmp_path / "pipe")
+    (tmp_path / "another").write_text(line("info", "of another run"))
+    (tmp_path / LOG_FILE).symlink_to("another")
+    assert LogTail(tmp_path).lines() == ()
 
 
 def test_a_line_that_is_not_json_is_omitted_and_other_text_is_escaped(tmp_path: Path) -> None:

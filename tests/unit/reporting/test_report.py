@@ -122,13 +122,15 @@ def test_a_check_after_the_operation_that_cannot_be_read_is_named(registered: Pa
 
 
 @pytest.mark.hazard(6)
-def test_a_picture_too_large_for_a_page_is_left_out_and_named(registered: Path) -> None:
+def test_a_picture_that_is_too_large_or_a_link_is_left_out_and_named(registered: Path) -> None:
     pictures = registered / "pictures"
     pictures.mkdir(exist_ok=True)
     (pictures / "ct-1.png").touch()
     os.truncate(pictures / "ct-1.png", 1_500_000_000)  # as much of it in memory ended the report
+    (pictures / "ct-2.png").symlink_to("/etc/hostname")  # whoever made the run gets no other file with it
     page = write_report(registered).read_text()
     assert "ct-1.png is left out" in page
+    assert "ct-2.png is left out" in page
     assert len(page) < LARGEST_PICTURE_BYTES
 
 
