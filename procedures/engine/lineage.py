@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 from procedures.engine.run_folder import RunFolder
-from ronna_hw.records import Record
 
 SUPERSEDED = "superseded"
 
@@ -15,24 +12,21 @@ def lineage_text(run: RunFolder) -> str:
 
     A result that was drawn before is only named again: what it was made from stands where it came first.
     """
-    by_name = {record.identifier: record for record in run.records}
+    parents_of = {record.identifier: tuple(record.parents) for record in run.records}
+    used = {name for parents in parents_of.values() for name in parents}
     drawn: set[str] = set()
-
-    def branch(record: Record, depth: int) -> Iterator[str]:
-        again = record.identifier in drawn and bool(record.parents)
-        drawn.add(record.identifier)
-        mark = f" ({SUPERSEDED})" if record.identifier in run.superseded else ""
-        yield f"{'  ' * depth}{record.identifier}{mark}{' ...' if again else ''}"
-        if not again:
-            for name in record.parents:
-                if name in by_name:
-                    yield from branch(by_name[name], depth + 1)
-                else:
-                    yield f"{'  ' * (depth + 1)}{name} (not in this run)"
-
-    used = {name for record in run.records for name in record.parents}
-    last = [record for record in run.records if record.identifier not in used]
-    return "\n".join(line for record in reversed(last) for line in branch(record, 0)) + "\n"
+    lines: list[str] = []
+    waiting = [(name, 0) for name in parents_of if name not in used]
+    while waiting:
+        name, depth = waiting.pop()
+        parents = parents_of.get(name)
+        again = bool(parents) and name in drawn
+        if parents is not None and not again:
+            drawn.add(name)
+            waiting += [(parent, depth + 1) for parent in reversed(parents)]
+        mark = " (not in this run)" if parents is None else f" ({SUPERSEDED})" * (name in run.superseded)
+        lines.append(f"{'  ' * depth}{name}{mark}{' ...' if again else ''}")
+    return "\n".join(lines) + "\n"
 
 
 def lineage_mermaid(run: RunFolder) -> str:

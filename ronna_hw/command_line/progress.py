@@ -69,7 +69,7 @@ class ProgressBar:
         from rich.progress import Progress as Bar
 
         return Bar(
-            TextColumn("{task.description}"),
+            TextColumn("{task.description}", markup=False),
             BarColumn(),
             TimeElapsedColumn(),
             console=message_console(),

@@ -24,7 +24,10 @@ class LiveDisplay:
         self._errors = errors
         self._console = console
         self._bar = Progress(
-            SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn()
+            SpinnerColumn(),
+            TextColumn("{task.description}", markup=False),
+            BarColumn(bar_width=24),
+            TimeElapsedColumn(),
         )
         self._task = self._bar.add_task("starting", total=1.0)
         self._live = self._picture()

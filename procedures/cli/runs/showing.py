@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +82,7 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     from procedures.engine.run_folder import read_run
 
     run = read_run(folder)
-    sys.stdout.write(lineage_mermaid(run) if as_mermaid else lineage_text(run))
+    say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
 
 
 def _listed(folder: Path) -> dict[str, Any]:

@@ -24,7 +24,7 @@ def watch(run: Path, *, as_json: bool) -> None:
         for change in inspected(run).changes:
             tell(f"NOT AS THE RUN LEFT IT: {change}")
     if as_json:
-        _write(followed, lambda event: event.model_dump_json())
+        _write(followed, lambda event: event.model_dump_json(ensure_ascii=True))
     elif on_terminal(sys.stderr):
         from procedures.cli.case.live_display import LiveDisplay
 

@@ -159,7 +159,7 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
     if as_json:
         terminal.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
     else:
-        typer.echo(f"{record['identifier']} written to {write}; until {record['expires']:%Y-%m-%d}")
+        terminal.say(f"{record['identifier']} written to {write}; until {record['expires']:%Y-%m-%d}")
 
 
 @app.command()
@@ -179,7 +179,7 @@ def check(config: ConfigOption) -> None:
     tools, now = ToolRecords.of(theatre), datetime.now(UTC)
     require_valid(theatre.calibration, now, options_of(config))
     tools.check(theatre.calibration, now)
-    typer.echo(f"{', '.join(one.identifier for one in tools.records.values())}: fit")
+    terminal.say(f"{', '.join(one.identifier for one in tools.records.values())}: fit")
 
 
 @app.command(name="list")

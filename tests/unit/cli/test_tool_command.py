@@ -74,6 +74,12 @@ def test_a_defined_tool_takes_flange_and_tip_from_the_file_and_is_listed(theatre
     assert in_this_process(app, "check", "--config", new).returncode == 0
 
 
+def test_names_of_records_are_printed_without_control_characters(theatre: Path) -> None:
+    theatre.write_text(theatre.read_text().replace('"tool-guide', '"\\u009b2Jtool-guide'))
+    fit = in_this_process(app, "check", "--config", theatre)
+    assert (fit.returncode, "\\x9b2Jtool-guide" in fit.stdout) == (0, True), fit.stderr
+
+
 def test_a_guide_without_a_bore_is_refused(theatre: Path) -> None:
     options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
     done = in_this_process(app, "define", "guide", *options, *PLAIN, *GAUGE)

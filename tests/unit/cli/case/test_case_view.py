@@ -98,6 +98,14 @@ def test_a_live_view_that_reappears_keeps_text_written_meanwhile() -> None:
     assert CURSOR_UP not in after.partition("starting")[0]
 
 
+def test_brackets_in_what_a_case_is_doing_are_text() -> None:
+    terminal = io.StringIO()
+    display = LiveDisplay(Console(file=terminal, force_terminal=True, width=80), errors=False)
+    with display.shown():
+        display.status("reading [/a] and [red]b")
+    assert "reading [/a] and [red]b" in terminal.getvalue()
+
+
 def test_an_error_during_a_live_view_is_written_above_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -14,10 +14,14 @@ from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.procedure import app
 from procedures.cli.runs import resume as runs_resume
+from procedures.cli.runs.showing import draw_lineage
+from procedures.engine import run_folder
+from procedures.engine.run_folder import RunFolder
 from procedures.journal.journal import Entry
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import Truth
 from ronna_hw.evidence.seal import is_sealed
+from ronna_hw.records import Record
 
 
 @pytest.mark.parametrize("sealed", [True, False])
@@ -52,6 +56,22 @@ def test_lineage_shows_every_result_with_its_parents(run: Path) -> None:
     chart = in_this_process(app, "lineage", run, "--mermaid").stdout
     assert chart.startswith("flowchart TD")
     assert chart.count(":::superseded") == 2
+
+
+def test_lineage_of_a_long_chain_of_strange_names_is_drawn_without_control_characters(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    names = [f"{number}-\x1b[2J" for number in range(2000)]
+    made = tuple(
+        Record(name, "image", dict.fromkeys(parents, ""), {})
+        for name, parents in zip(names, [[], *([one] for one in names)], strict=False)
+    )
+    monkeypatch.setattr(run_folder, "read_run", lambda folder: RunFolder(folder, (), made, frozenset()))
+    for as_mermaid in (False, True):
+        draw_lineage(tmp_path, as_mermaid=as_mermaid)
+        drawn = capsys.readouterr().out
+        assert "\x1b" not in drawn
+        assert "1999-" in drawn
 
 
 def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> None:
