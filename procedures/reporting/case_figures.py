@@ -100,6 +100,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
         predictions=tuple(
             PredictionFigure(one.target, one.rms_mm, one.limit_mm, one.confidence, margins_mm[one.target])
             for one in predictions
+            if one.target in margins_mm
         ),
         tables=(
             *(budget_table(one) for one in predictions),

@@ -60,20 +60,21 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     localization = _standing(found, "fiducial_localization")
     if localization is None and not samples:
         raise NothingToVerify(f"{run} located no sphere and reached no target")
-    ct = _verify_ct(scene, localization)
+    try:
+        ct = _verify_ct(scene, localization)
+        targets = [
+            _verify_target(scene, trajectory, samples[trajectory["id"]])
+            for trajectory in _planned(found)
+            if trajectory["id"] in samples
+        ]
+    except (LookupError, TypeError, ValueError, ArithmeticError) as error:
+        raise NothingToVerify(f"a record of {run} is not what a run writes: {error!r}") from error
     if theatre is not None and ct is not None and not ct["found"]:
         raise NothingToVerify(
             f"{theatre} has another patient than {run}: none of the spheres found is there",
             action=WHERE_IT_WAS_MADE,
         )
-    return {
-        "ct": ct,
-        "targets": [
-            _verify_target(scene, trajectory, samples[trajectory["id"]])
-            for trajectory in _planned(found)
-            if trajectory["id"] in samples
-        ],
-    }
+    return {"ct": ct, "targets": targets}
 
 
 def _own_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:

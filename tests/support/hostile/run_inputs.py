@@ -22,6 +22,7 @@ from prepared_results import (
 from procedures.engine.run_folder import typed
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
+from procedures.reporting.case_figures import read_case_figures
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.postoperative import SUMMARY_FILE, kept_check
 from procedures.reporting.report import write_report
@@ -84,6 +85,7 @@ def run_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         new = replace(ours, payload=dict(change["payload"]))
         _rewrite(run, lines, [new if one is ours else one for one in records])
         write_report(run, truth=TRUTH, out=folder / "out")
+        read_case_figures(run)
         typed(new, _MODELS[new.kind])
 
     def checked(data: bytes) -> None:

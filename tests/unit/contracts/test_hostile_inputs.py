@@ -88,6 +88,10 @@ LINK = ("payload", "link")
 FAR_AWAY = [b"%d,%d,%d" % (i % 90, -i % 90, i % 50) for i in range(20_000)]
 FAR_AWAY += [b"%de%d,0,0" % (i + 1, 200 + i % 100) for i in range(19_000)]
 FOUND: dict[str, tuple[str, Change]] = {
+    "a plan without the registered target": (
+        "results of a run",
+        changed(2, "payload", "plan", "trajectories", to=[]),
+    ),
     "spheres left out that are none": ("results of a run", changed(9, "payload", "left_out", to=[1])),
     "more spheres than looks": ("results of a run", changed(9, "payload", "looks", to=[1])),
     "fewer counts than bins": ("results of a run", changed(11, *LINK, "histogram_counts", to=[1])),

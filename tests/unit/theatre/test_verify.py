@@ -129,6 +129,18 @@ def test_a_localization_without_spheres_counts_all_of_them_as_missed(
     }
 
 
+@pytest.mark.parametrize("centre_mm", [["x", 0.0, 0.0], [1.0], None])
+def test_a_record_that_no_run_writes_is_refused(run: Path, centre_mm: list[object] | None) -> None:
+    leave(
+        run,
+        Record(
+            "02-fiducial_localization", "fiducial_localization", {}, {"markers": [{"centre_mm": centre_mm}]}
+        ),
+    )
+    with pytest.raises(NothingToVerify, match="is not what a run writes"):
+        verify_run(run)
+
+
 def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
     with pytest.raises(NothingToVerify, match="no simulated theatre"):
         verify_run(tmp_path)
