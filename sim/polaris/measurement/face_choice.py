@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import acos, degrees
+from math import atan2, degrees
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +67,11 @@ def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Ve
 
 
 def _turned_away_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
-    """Angle between the normal of a face and the direction to the sensor (the origin)."""
+    """Angle between the normal of a face and the direction to the sensor (the origin).
+
+    0 for normals that cancel out, as of markers back to back: such a face is seen from all around.
+    """
     members = [marker for marker, face in enumerate(definition.faces) if face == fitted.face]
     normal = fitted.fit.rotation @ definition.normals[members].mean(axis=0)
     towards = -(fitted.fit.rotation @ definition.markers_mm[members].mean(axis=0) + fitted.fit.translation_mm)
-    cosine = float(normal @ towards) / float(np.linalg.norm(normal) * np.linalg.norm(towards))
-    return degrees(acos(min(1.0, max(-1.0, cosine))))
+    return degrees(atan2(float(np.linalg.norm(np.cross(normal, towards))), float(normal @ towards)))

@@ -71,6 +71,15 @@ def test_switching_between_faces_has_a_hysteresis_of_two_degrees() -> None:
     assert change_away - change_back == pytest.approx(2.0, abs=0.25)
 
 
+def test_a_face_of_markers_back_to_back_is_tracked_from_either_side() -> None:
+    roof = two_faces()
+    up, down = (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)
+    definition = replace(
+        roof, normals=np.vstack([(up, down, up, down), roof.normals[4:]]), maximum_angle_deg=180.0
+    )
+    assert followed(definition, [25.0, -25.0]) == [1, 1]
+
+
 def test_a_disabled_face_is_never_tracked() -> None:
     definition = two_faces()
     measured = seen_turned(definition, 25.0)
