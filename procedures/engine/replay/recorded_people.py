@@ -6,27 +6,45 @@ from collections.abc import Sequence
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
-from procedures.journal.journal import Line
+from procedures.journal.journal import Entry, Line
+from procedures.operator.checkpoint import GO_ON
 from procedures.operator.question import Question
 from procedures.operator.room import Task
+from procedures.operator.topic import Topic
+
+AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
 
 
 class RecordedOperator:
     """Answers as the journal has it, question by question."""
 
     def __init__(self) -> None:
-        self._confirmations: list[Line] = []
+        self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
 
-    def begin(self, confirmations: Sequence[Line]) -> None:
+    def begin(self, section: Sequence[Line]) -> None:
         """From here on the answers are among these lines."""
-        self._confirmations = list(confirmations)
+        self._confirmations, motions = [], 0
+        for line in section:
+            motions += line["entry"] == Entry.MOTION
+            if line["entry"] == Entry.CONFIRMATION:
+                self._confirmations.append((motions, line))
+
+    def asked_first_motion_after(self, motions: int) -> bool:
+        """Whether the run's next question was for a first motion, after that many motions of the section."""
+        for asked_after, line in self._confirmations:
+            topic = str(line["topic"]).partition(":")[0]
+            if topic not in AT_CHECKPOINTS:
+                return topic == Topic.FIRST_MOTION and asked_after == motions
+        return False
 
     def ask(self, question: Question) -> str:
         """The recorded answer to the next question of that name. Raises PRO-024 when it was not asked."""
-        for place, line in enumerate(self._confirmations):
+        for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
                 return str(line["answer"])
+        if question.topic is Topic.PAUSE:  # a guard asked in its place
+            return GO_ON
         raise NotRecorded(f"the run did not ask {question.name}: {question.subject}")
 
 

@@ -69,6 +69,28 @@ def replay(
         return tuple(results)
 
 
+class _RecordedStops:
+    """Where the run's arm was stopped between two motions: the next one is a first motion here as well.
+
+    It is asked before each motion, like a guard, and is always met.
+    """
+
+    name = "recorded stops"
+
+    def __init__(self, operator: RecordedOperator, workcell: Workcell) -> None:
+        self._operator = operator
+        self._workcell = workcell
+        self._before = 0
+
+    def begin(self) -> None:
+        """From here on motions are those of the next section."""
+        self._before = self._workcell.history.motions
+
+    def unmet(self) -> None:
+        if self._operator.asked_first_motion_after(self._workcell.history.motions - self._before):
+            self._workcell.supervised.begin_anew()
+
+
 class _Replay:
     def __init__(self, run: RunFolder, given: ReplayInput, answers: RecordedAnswers, folder: Path) -> None:
         def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
@@ -102,6 +124,8 @@ class _Replay:
         )
         steps = tuple(_begun(step, answers) for step in given.order.steps)
         self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)
+        self._stops = _RecordedStops(self._operator, setting.workcell)
+        self._engine.checkpoint.guards.append(self._stops)
 
     def run(self) -> Iterator[ReplayedRecord]:
         """Everything that began in the run, one after the other."""
@@ -110,7 +134,8 @@ class _Replay:
             self._answers.begin(begin)
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
             self._engine.setting.workcell.take_up_hands(arm_history(self._run.journal[:begin]))
-            self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
+            self._operator.begin(following)
+            self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
             end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)
             if line["entry"] == Entry.HOME:

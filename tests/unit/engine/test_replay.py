@@ -14,6 +14,7 @@ from bounded_cost import bounded_cost
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
+from drivers.kuka_rsi.errors import MotionStopped
 from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder
@@ -113,6 +114,55 @@ def test_a_replay_equals_its_run_even_where_a_path_was_blocked(tmp_path: Path) -
     recorded.cell.arm.blocked = lambda _start, _target: next(blocked)
     recorded.run(*CASE)
     assert len(recorded.cell.arm.motions) == 2
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
+
+
+def test_a_replay_equals_a_run_whose_arm_was_stopped_between_two_motions(tmp_path: Path) -> None:
+    stops = iter([True, False])
+
+    def moves_twice(context: StepContext) -> Outcome[Approach]:
+        outcome = moves(context)
+        if next(stops):  # by somebody else, in the run alone
+            context.workcell.stop()
+        target = context.workcell.joints_rad()
+        context.workcell.go((target[0] + 0.5, *target[1:]))
+        return replace(outcome, result=Approach(number=round(1e6 * context.workcell.joints_rad()[0])))
+
+    recorded = Recorded(tmp_path, approach=moves_twice)
+    recorded.run(*CASE)
+    asked = [question.topic for question in recorded.cell.operator.asked]
+    assert asked == [Topic.FIRST_MOTION, Topic.APPROACH, Topic.FIRST_MOTION]
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
+
+
+class Occluded:
+    """A guard that is unmet once after a motion was stopped, until the operator was asked."""
+
+    name = "line of sight"
+
+    def __init__(self, arm: RecordingArm) -> None:
+        self._arm = arm
+        self.asked = False
+
+    def let_pass(self, asked: Topic) -> None:
+        self.asked |= asked is Topic.GUARD
+
+    def unmet(self) -> str | None:
+        return "something is in the way" if self._arm.state is Lifecycle.HOLD and not self.asked else None
+
+
+def test_a_replay_equals_a_run_that_a_guard_suspended_during_a_motion(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("recording_cell.MotionInterrupted", MotionStopped)  # it has a code, as a tape wants
+    recorded = Recorded(tmp_path)
+    guard = Occluded(recorded.cell.arm)
+    recorded.engine.checkpoint.guards.append(guard)
+    recorded.cell.operator.meanwhile = lambda question: guard.let_pass(question.topic)
+    recorded.cell.arm.interruptions = 1
+    recorded.run(*CASE)
+    asked = [question.topic for question in recorded.cell.operator.asked]
+    assert asked == [Topic.FIRST_MOTION, Topic.GUARD, Topic.FIRST_MOTION, Topic.APPROACH]
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE, EQUAL)
 
 
