@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isinf
 from typing import Any
@@ -12,8 +13,9 @@ from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, SweptPath, motion_mm, sweep_path
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.motion_profile import State
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import duration_s
+from ronna_hw.arm.motion.progress import driven
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
 
 CYCLE_S = 0.004  # of the generator, for computing the duration
@@ -68,22 +70,23 @@ def preview(
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path)
-    speeds = _speeds(path, slowed)
+    states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, CYCLE_S)
+    speeds = _speeds(path, states)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]
     shares = (rates * speeds[:, None]) / np.array(limits.speed_rad_s)
     body = motion_mm(path.swept).max(axis=1, initial=0.0) / np.diff(path.fractions) * speeds
     nearest = float(path.swept.to_head_mm.min())
     return PathPreview(
-        duration_s=0.0 if plan.is_standstill else duration_s(slowed.limits, slowed.speed_steps, CYCLE_S),
+        duration_s=len(states) * CYCLE_S,
         joint_ranges_rad=tuple(
             (float(low), float(high)) for low, high in zip(joints.min(0), joints.max(0), strict=True)
         ),
         closest=path.closest,
         refused=path.refused,
         singularity=_least_singular_measure(kinematics, path),
-        largest_joint_speed_share=0.0 if plan.is_standstill else float(shares.max()),
-        largest_speed_mm_s=0.0 if plan.is_standstill else float(body.max()),
+        largest_joint_speed_share=float(shares.max()),
+        largest_speed_mm_s=float(body.max()),
         nearest_to_head_mm=None if isinf(nearest) else nearest,
     )
 
@@ -94,9 +97,12 @@ def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> Singular
     return SingularMeasure(*(min(kind) for kind in zip(*measures, strict=True)))
 
 
-def _speeds(path: SweptPath, plan: MotionPlan) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The largest speed of the path parameter in each interval, as limited."""
-    limits = np.full(len(path.fractions) - 1, plan.limits.velocity)
-    for step in plan.speed_steps:
-        limits[path.fractions[:-1] >= step.start - 1e-12] = step.velocity
-    return limits
+def _speeds(path: SweptPath, states: Sequence[State]) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The largest speed of the path parameter in each interval, as driven: a short path stays slow."""
+    positions = np.array([0.0, *(state.position[0] for state in states)])
+    velocities = np.array([0.0, *(state.velocity[0] for state in states)])
+    at_ends = np.interp(path.fractions, positions, velocities)
+    speeds: np.ndarray[Any, np.dtype[np.float64]] = np.maximum(at_ends[:-1], at_ends[1:])
+    intervals = np.searchsorted(path.fractions, positions, side="right") - 1
+    np.maximum.at(speeds, np.clip(intervals, 0, len(speeds) - 1), velocities)
+    return speeds

@@ -232,12 +232,12 @@ def _peak(state: State, jerk: float) -> float:
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
-def duration_s(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> float:
-    """Duration of a path from rest to rest, computed by stepping through it."""
+def driven(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
+    """The states of a path driven from rest to rest, one per cycle, found by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
-    cycles = 0
+    states: list[State] = []
     while not progress.finished:
         progress.prepare()
         progress.take_go()
-        cycles += 1
-    return cycles * cycle_s
+        states.append(progress.state)
+    return states

@@ -194,7 +194,7 @@ def test_a_preview_predicts_duration_ranges_singularity_speed_and_clearance() ->
     assert seen.joint_ranges_rad[0] == pytest.approx((0.0, math.radians(50)))
     assert seen.singularity.wrist == pytest.approx(math.sin(math.radians(66)))
     assert seen.singularity.least > 0.2
-    assert 0.9 < seen.largest_joint_speed_share <= 1.0 + 1e-9
+    assert 0.9 < seen.largest_joint_speed_share <= 1.0 + 2e-9  # a profile reaches its limit to 1e-9
     assert seen.nearest_to_head_mm is None
     payload = json.loads(json.dumps(seen.as_payload(), allow_nan=False))
     assert payload["closest"]["second"] == "post"
