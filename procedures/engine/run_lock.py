@@ -9,7 +9,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from procedures.engine.errors import RunInUse
-from ronna_hw.host.port_users import holder_of_lock
+from ronna_hw.host.port_users import PortUser, holder_of_lock
+
+
+def holder_of_run(folder: Path) -> PortUser | None:
+    """The program that holds a run, if it can be seen; locks nothing."""
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return holder_of_lock(file)
+    finally:
+        os.close(file)
 
 
 @contextmanager

@@ -15,7 +15,10 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 @dataclass(frozen=True)
 class Ending:
-    """`word` is one of done, failed, refused, aborted, interrupted, left, killed, not begun."""
+    """`word` is one of done, failed, refused, aborted, interrupted, left, killed, not begun.
+
+    `list` and `show` say running for killed while a program holds the run.
+    """
 
     word: str
     sentence: str

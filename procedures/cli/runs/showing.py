@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.runs.folders import runs_in
+from procedures.engine.run_lock import holder_of_run
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import Entry
-from procedures.reporting.ending import ending_of
+from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
@@ -104,6 +105,9 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
     """A run in plain data: what `list` and `show` print."""
     run = reading.run
     ending = ending_of(run.journal)
+    running = holder_of_run(reading.folder) if ending.word == "killed" else None
+    if running is not None:
+        ending = Ending("running", f"{running} has it open.")
     errors_mm = {} if truth is None else {one.id: one.application_error_mm for one in truth.targets}
     return {
         "run": reading.folder.resolve().name,

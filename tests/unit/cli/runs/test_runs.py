@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -17,6 +19,7 @@ from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.showing import draw_lineage
 from procedures.engine import run_folder
 from procedures.engine.run_folder import RunFolder
+from procedures.engine.run_lock import held_run
 from procedures.journal.journal import Entry
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import Truth
@@ -82,6 +85,19 @@ def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> Non
     assert sorted(shown["superseded"]) == ["02-localization-T1", "03-fit-T1"]
     assert run.name in in_this_process(app, "show", run).stdout
     assert run.name in in_this_process(app, "list", run.parent).stdout
+
+
+@pytest.mark.parametrize(("held", "ended"), [(True, "running"), (False, "killed")])
+def test_a_run_that_a_program_has_open_is_not_listed_as_killed(
+    tmp_path: Path, held: bool, ended: str
+) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    RecordingCell(folder).journal.write(Entry.OPENED, 0.0, run=folder.name)
+    with held_run(folder) if held else nullcontext():
+        (listed,) = json.loads(in_this_process(app, "list", tmp_path, "--json").stdout)["runs"]
+        shown = in_this_process(app, "show", folder).stdout
+    assert listed["ended"] == ended
+    assert (f"(pid {os.getpid()}" in shown, "The program ended" in shown) == (held, not held)
 
 
 def test_home_has_nothing_to_do_when_the_arm_never_moved(tmp_path: Path) -> None:
