@@ -38,7 +38,8 @@ def localizable(context: StepContext) -> tuple[str, ...]:
     """Nothing that the localizations descend from is repeated when they could not be made again."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
-            "the arm carries the guide: if this result changed, the spheres could not be localized again",
+            "the arm carries the guide: if this result changed, the spheres could not be localized again; "
+            "if it must change, send the arm home and start a new run",
         )
     return ()
 
