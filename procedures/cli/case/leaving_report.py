@@ -6,6 +6,7 @@ import contextlib
 import shlex
 import sys
 from collections.abc import Iterator
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,15 +19,21 @@ from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed, not_vouched_for
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import RAW_FOLDER, seal
+from ronna_hw.evidence.seal import RAW_FOLDER, REPORT_FILE, seal
 from ronna_hw.host.folder_walk import remove_folder
 from ronna_hw.host.interruption import interruptible
-from ronna_hw.records import PARTIAL
+from ronna_hw.records import PARTIAL, write_whole
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
 
 FORMER = "former"  # raw readings of before, while new ones take their place
+UNFINISHED = """<!DOCTYPE html><html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1"><title>{run}: not finished</title>
+<h1>{run}: not finished</h1>
+<p>This run has not left its report: it is still running, or it was killed, or the disk was full.
+To write the report: <code>ronna-procedure report {folder}</code></p></html>
+"""
 
 
 def error_of(problem: BaseException) -> RunError | None:
@@ -37,6 +44,16 @@ def error_of(problem: BaseException) -> RunError | None:
         return None
     error = as_ronna_error(problem)
     return RunError(code=error.code, what=error.what)
+
+
+def begin_report(folder: Path) -> None:
+    """Leave a page that says that the run is not finished: a kill must not leave the end of before, or none.
+
+    Nothing may depend on it, so a failure is not reported: the end of the run writes there too.
+    """
+    page = UNFINISHED.format(run=escape(folder.resolve().name), folder=escape(shlex.quote(str(folder))))
+    with contextlib.suppress(OSError):
+        write_whole(folder / REPORT_FILE, page.encode())
 
 
 def leave_report(

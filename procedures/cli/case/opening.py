@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case, recorded_order
+from procedures.cli.case.leaving_report import begin_report
 from procedures.cli.case.operators import (
     SimulatedRoom,
     TerminalRoom,
@@ -131,6 +132,7 @@ def opened_engine(
             left_away=away,
         )
         outcome, ended_by = "failed", None
+        begin_report(folder)
         publish_order(engine)
         watcher.opened(engine)
         workcell = engine.setting.workcell

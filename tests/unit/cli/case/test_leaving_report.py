@@ -5,14 +5,20 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell, mini_theatre_file
 from user_commands import in_this_process
 
-from procedures.cli.case.leaving_report import leaving_report
+from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
+from procedures.cli.case.opening import Watcher, opened_engine
+from procedures.cli.case.request import CaseRequest
 from procedures.cli.procedure import app
+from procedures.composition.procedure import Procedure, Resumption
+from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import Entry, Journal
 from procedures.reporting import report
 from procedures.results.errors import GateFailed
-from ronna_hw.evidence.inspection import REQUEST_FILE
+from ronna_hw.evidence.inspection import REQUEST_FILE, inspected
 
 
 @pytest.mark.hazard(41)
@@ -25,6 +31,32 @@ def test_a_run_that_ends_in_an_error_or_interrupt_leaves_a_report_and_reraises_i
     assert met.value is problem
     text = (tmp_path / "report.html").read_text()
     assert ("PRO-007" in text) == isinstance(problem, GateFailed)
+
+
+@pytest.mark.hazard(41)
+def test_while_a_run_is_open_its_page_says_so_and_not_how_it_ended_before(tmp_path: Path) -> None:
+    theatre = mini_theatre_file(tmp_path, simulated=True)
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.OPENED, 0.0, run="run")
+    cell.engine(plain_order()).close("left")
+    page = leave_report(cell.folder)
+    seal_run(cell.folder)
+    assert page is not None
+    assert "The operator left" in page.read_text()
+    left = read_left_run(cell.folder)
+    opened = opened_engine(
+        CaseRequest(out=tmp_path, config=theatre),
+        cell.folder,
+        lambda _theatre: Procedure(plain_order()),
+        Watcher(),
+        resumption=Resumption(left, accepted=False, only_leaving=True, asks=False),
+    )
+    with opened:
+        text = page.read_text()
+        assert not inspected(cell.folder).changes
+    assert "The operator left" not in text
+    assert "run: not finished" in text
+    assert f"ronna-procedure report {cell.folder}" in text
 
 
 @pytest.mark.parametrize(("moved", "said"), [(True, "the arm is where it stopped"), (False, "has moved")])
