@@ -33,6 +33,7 @@ from procedures.engine.events import (
 
 NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
+MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
 BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
 
 
@@ -138,6 +139,8 @@ def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
 def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
     known = view.devices.get(device)
     if isinstance(what, DeviceState):
+        if known is None and len(view.devices) == MOST_DEVICES:
+            return {}
         row = replace(known, seen=what) if known else DeviceRow(what)
     elif known is None:
         return {}

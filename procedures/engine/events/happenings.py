@@ -13,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue
 from procedures.operator.evidence import Evidence
 
 VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
+MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred
 
 
 class _Happening(BaseModel):
@@ -113,7 +114,7 @@ class Order(_Happening):
     """The steps of the case in their order."""
 
     kind: Literal["order"] = "order"
-    steps: tuple[OrderedStep, ...]
+    steps: tuple[OrderedStep, ...] = Field(max_length=MOST_STEPS)
 
 
 class Waiting(_Happening):

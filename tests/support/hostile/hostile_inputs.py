@@ -51,6 +51,7 @@ from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
 from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
+from console.feed.recorded import RecordedCase
 from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.control.identity import decode_identity
 from drivers.basler_stereo.features.description import parse_description, parse_url, unpacked
@@ -255,7 +256,10 @@ def parsers(folder: Path) -> dict[str, Parser]:
         return list(read_link(path, "link"))
 
     def events(path: Path) -> object:
-        return list(FollowedRun(path).batches())
+        recorded = RecordedCase()
+        for batch in FollowedRun(path).batches(whole=True):
+            recorded.extend(batch)
+        return recorded.latest
 
     bx = (
         struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46],

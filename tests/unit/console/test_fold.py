@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from hypothesis import given
 from hypothesis import strategies as st
 
-from console.feed.fold import JOURNAL_KEPT, fold
+from console.feed.fold import JOURNAL_KEPT, MOST_DEVICES, fold
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView
 from console.panels.devices import devices
@@ -194,3 +194,8 @@ def test_the_notice_of_a_failed_step_is_settled_once_the_step_is_done() -> None:
     assert [one.settled for one in passed.notices] == [True]
     assert "✓ settled TOOL-005" in notices(passed)
     assert "Seat it" not in notices(passed)
+
+
+def test_a_file_of_more_devices_than_any_theatre_has_does_not_fill_every_stored_view() -> None:
+    seen = view_after(*(DeviceState(device=f"d{number}", state="active") for number in range(200)))
+    assert list(seen.devices) == [f"d{number}" for number in range(MOST_DEVICES)]

@@ -84,6 +84,16 @@ def half_written_faults(good: tuple[bytes, ...]) -> bytes:
     return bytes(world[:at] + b"N" + world[at + 1 :])
 
 
+def steps_without_end(_good: tuple[bytes, ...]) -> bytes:
+    """Events of a case with nine thousand."""
+    names = [f"s{number}" for number in range(9000)]
+    order = [{"step": name, "title": "", "phase": "", "moves": False} for name in names]
+    done = ({"kind": "step", "step": name, "state": "done"} for name in names * 4)
+    about = {"version": 1, "number": 1, "host_time": "2026-11-20T12:00:00+00:00", "theatre_time_s": 1.5}
+    lines = (json.dumps({**about, "what": what}) for what in ({"kind": "order", "steps": order}, *done))
+    return "\n".join([*lines, ""]).encode()
+
+
 LINK = ("payload", "link")
 FAR_AWAY = [b"%d,%d,%d" % (i % 90, -i % 90, i % 50) for i in range(20_000)]
 FAR_AWAY += [b"%de%d,0,0" % (i + 1, 200 + i % 100) for i in range(19_000)]
@@ -92,6 +102,7 @@ FOUND: dict[str, tuple[str, Change]] = {
         "results of a run",
         changed(2, "payload", "plan", "trajectories", to=[]),
     ),
+    "events of steps without end": ("events", steps_without_end),
     "spheres left out that are none": ("results of a run", changed(9, "payload", "left_out", to=[1])),
     "more spheres than looks": ("results of a run", changed(9, "payload", "looks", to=[1])),
     "fewer counts than bins": ("results of a run", changed(11, *LINK, "histogram_counts", to=[1])),
