@@ -15,6 +15,8 @@ from procedures.operator.evidence import Evidence
 VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
 MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred
 
+Count = Annotated[int, Field(ge=0, lt=2**63)]  # of which a rate is computed: a longer one is no number there
+
 
 class _Happening(BaseModel):
     """One thing that happened."""
@@ -164,7 +166,7 @@ class DeviceAge(_Happening):
     kind: Literal["age"] = "age"
     device: str
     age_s: float = Field(description="Theatre time.")
-    readings: int | None = Field(default=None, description="How many there were since it was activated.")
+    readings: Count | None = Field(default=None, description="How many there were since it was activated.")
     validity: str = Field(default="", description="Of the reading, such as `ok` or `partial`.")
 
     @property
@@ -232,7 +234,7 @@ class LinkHealth(_Happening):
 
     signal: ClassVar[bool] = True
     kind: Literal["link"] = "link"
-    cycles: int
+    cycles: Count
     late: int
     lost: int
     rejected: int

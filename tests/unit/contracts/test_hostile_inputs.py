@@ -94,6 +94,14 @@ def steps_without_end(_good: tuple[bytes, ...]) -> bytes:
     return "\n".join([*lines, ""]).encode()
 
 
+def more_cycles_than_there_are(good: tuple[bytes, ...]) -> bytes:
+    event, *_ = map(json.loads, good[0].splitlines())
+    link = dict.fromkeys(("late", "lost", "rejected", "turnaround_median_us", "turnaround_p99_us"), 0)
+    what = ({"kind": "link", "cycles": cycles, **link} for cycles in (0, "9" * 400))
+    lines = ({**event, "theatre_time_s": 9.0 * number, "what": one} for number, one in enumerate(what))
+    return b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+
+
 LINK = ("payload", "link")
 FAR_AWAY = [b"%d,%d,%d" % (i % 90, -i % 90, i % 50) for i in range(20_000)]
 FAR_AWAY += [b"%de%d,0,0" % (i + 1, 200 + i % 100) for i in range(19_000)]
@@ -102,6 +110,7 @@ FOUND: dict[str, tuple[str, Change]] = {
         "results of a run",
         changed(2, "payload", "plan", "trajectories", to=[]),
     ),
+    "events of more cycles than there are": ("events", more_cycles_than_there_are),
     "events of steps without end": ("events", steps_without_end),
     "spheres left out that are none": ("results of a run", changed(9, "payload", "left_out", to=[1])),
     "more spheres than looks": ("results of a run", changed(9, "payload", "looks", to=[1])),
