@@ -1,23 +1,25 @@
 """Finds the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
 
 A coarse pass takes the longest bright piece along the trajectory; then a blurred rod is fitted to the voxels
-around it. Scanners clip stored values, so the rod's own intensity is fitted and clipped the same way.
+around it, and then again with its streaks. Scanners clip stored values, so the rod's own intensity is fitted
+and clipped the same way.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import RigidTransform
 from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
 from procedures.postoperative.bone_registration import bone_at
 from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
+from procedures.postoperative.streaks import Line, Slices, Streaks, no_streaks, streaks_along
 from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
 from ronna_hw.robust_scale import robust_sigma
 
@@ -36,8 +38,10 @@ PROFILE_STEP_MM = 0.05
 SATURATED = 0.99  # of the largest stored value
 LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
 MOST_PIECES = 4  # of metal examined per trajectory
-PLACED = 5  # number of fitted parameters that give the position
-# streaks and clipping leave up to 300 HU; from the thinnest lead to the thickest needle
+PLACED, ROD = 5, 8  # numbers of fitted parameters that give the position, and of all the rod's
+MOST_PASSES = 10  # with streaks: tip and streaks are each read better with the other known
+STILL_MM = 0.005  # a smaller change by a pass says that they agree
+# streaks that are not fitted, and clipping, leave up to 300 HU; from the thinnest lead to the thickest needle
 USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
@@ -85,22 +89,31 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     scanned = np.isfinite(values)
     whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends
     local, values = local[scanned], values[scanned]
-    background = _background(local, values)
     ceiling = SATURATED * float(volume.voxels.max())
+    values = np.minimum(values, ceiling)
+    turned = coarse.axes.T @ volume.geometry.axes
+    slices = Slices(local, turned[:, 0], turned[:, 1:], float(volume.geometry.spacing_mm[0]))
     samples = local + _within_voxel(volume, coarse)[:, None, :]
-
-    def residuals(unknown: Array) -> Array:
-        shape = _blurred_rod(samples, unknown, outside_mm).mean(axis=0)
-        model = np.minimum(background + (unknown[5] - background) * shape, ceiling)
-        return np.asarray(model - np.minimum(values, ceiling))
-
     # offsets at the tip and at the outer end, tip depth, intensity, radius, blur
     start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * ceiling, FIRST_RADIUS_MM, FIRST_SPREAD_MM])
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
-    first = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=LEAST_SCALE_HU * 3)
-    scale = max(LEAST_SCALE_HU, robust_sigma(residuals(first.x)))
-    found = least_squares(residuals, first.x, bounds=(low, high), loss="soft_l1", f_scale=2.0 * scale)
+    without = no_streaks(slices, _axis(start, outside_mm))
+    shown = _Shown(samples, outside_mm, ceiling, _background(local, values), without)
+    found = shown.fitted(values, start, (low, high), LEAST_SCALE_HU * 3)
+    for _ in range(MOST_PASSES):
+        placed = found.x[:PLACED]
+        bare = shown.without_streaks(found.x)
+        usable = (values < ceiling) & (bare < ceiling)
+        streaks = streaks_along(slices, _axis(found.x, outside_mm), values - bare, usable)
+        background = _background(local, values - streaks.hu(streaks.start))
+        shown = replace(shown, background=background, streaks=streaks)
+        bounds = np.concatenate([low, streaks.low]), np.concatenate([high, streaks.high])
+        begin = np.concatenate([found.x[:ROD], streaks.start])
+        scale = max(LEAST_SCALE_HU, robust_sigma(shown.hu(begin) - values))
+        found = shown.fitted(values, begin, bounds, 2.0 * scale)
+        if np.abs(found.x[:PLACED] - placed).max() < STILL_MM:
+            break
     tip_u, tip_v, end_u, end_v, depth_mm = found.x[:PLACED]
     share = depth_mm / outside_mm  # the line continues beyond the coarse tip
     at_tip = [coarse.length_mm + depth_mm, tip_u + share * (tip_u - end_u), tip_v + share * (tip_v - end_v)]
@@ -109,11 +122,46 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     quality = FitQuality(
         whole,
         found.success,
-        not at_bound(found.x, low, high)[:PLACED].any(),
-        robust_sigma(residuals(found.x)),
+        not at_bound(found.x[:ROD], low, high)[:PLACED].any(),
+        robust_sigma(shown.hu(found.x) - values),
         float(found.x[6]),
     )
     return FoundRod(tip, outwards, quality)
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What the voxels around a rod show: tissue, the rod and its streaks, clipped as the scanner does."""
+
+    samples: Array
+    length_mm: float
+    ceiling: float
+    background: Array
+    streaks: Streaks
+
+    def without_streaks(self, unknown: Array) -> Array:
+        """HU of tissue and rod, not clipped."""
+        shape = _blurred_rod(self.samples, unknown[:ROD], self.length_mm).mean(axis=0)
+        return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
+
+    def hu(self, unknown: Array) -> Array:
+        """All of it; the streaks' unknowns follow those of the rod."""
+        return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
+
+    def fitted(
+        self, values: Array, start: Array, bounds: tuple[Array, Array], scale_hu: float
+    ) -> OptimizeResult:
+        """The unknowns that come closest to the voxels' HU."""
+        return least_squares(
+            lambda unknown: self.hu(unknown) - values, start, bounds=bounds, loss="soft_l1", f_scale=scale_hu
+        )
+
+
+def _axis(unknown: Array, length_mm: float) -> Line:
+    """The rod's axis, measured outwards from the coarse tip."""
+    tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
+    outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
+    return Line(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
 
 
 def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
