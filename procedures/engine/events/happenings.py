@@ -6,9 +6,9 @@ never a question or a fault.
 
 from __future__ import annotations
 
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from procedures.operator.evidence import Evidence
 
@@ -16,6 +16,8 @@ VERSION = 1  # of all kinds together; raised when a field changes its meaning or
 MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred
 
 Count = Annotated[int, Field(ge=0, lt=2**63)]  # of which a rate is computed: a longer one is no number there
+
+Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 
 
 class _Happening(BaseModel):
@@ -187,13 +189,19 @@ class Pose(_Happening):
     def about(self) -> str:
         return self.arm
 
-    bodies_mm: tuple[tuple[float, ...], ...] = Field(
+    bodies_mm: tuple[Ends, ...] = Field(
         default=(), description="Both ends of the axis of each moving body, in the frame of the robot."
     )
     tool_mm: tuple[float, ...] = Field(
         default=(), description="Origin of the tool, in the frame of the robot; only where it has cameras."
     )
     tool_rows: tuple[float, ...] = Field(default=(), description="Its rotation matrix, row by row.")
+
+    @model_validator(mode="after")
+    def _whole_tool(self) -> Self:
+        if (len(self.tool_mm), len(self.tool_rows)) not in ((0, 0), (3, 9)):
+            raise ValueError("a tool has an origin and a rotation matrix, or neither")
+        return self
 
 
 class Body(BaseModel):
@@ -227,6 +235,17 @@ class Bodies(_Happening):
         "Without the head and what may enter it."
     )
     cameras: tuple[CameraView, ...] = Field(default=(), description="Of the mounted tool.")
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> Self:
+        moving, fixed = len(self.moving), len(self.fixed)
+        if not all(0 <= first < moving and -moving <= second < fixed for first, second in self.pairs):
+            raise ValueError("a pair names a body that is not there")
+        if any(len(one.ends_mm) != 6 for one in self.fixed):
+            raise ValueError("a fixed body has two ends")
+        if any(len(one.points_mm) != 15 for one in self.cameras):
+            raise ValueError("a camera has a centre and four corners")
+        return self
 
 
 class LinkHealth(_Happening):

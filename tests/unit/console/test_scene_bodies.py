@@ -49,3 +49,24 @@ def test_the_closest_checked_pair_is_named_with_its_clearance_and_location() -> 
 
 def test_a_pose_without_matching_bodies_has_no_clearance() -> None:
     assert closest_pair(BODIES, Pose(arm="arm", joints_rad=(0.0,), age_s=0.0)) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pairs": ((7, 0),)},
+        {"pairs": ((0, -9),)},
+        {"fixed": ({"name": "column", "radius_mm": 50.0, "ends_mm": (0, 0)},), "pairs": ()},
+        {"cameras": ({"name": "left", "points_mm": (0, 0)},)},
+    ],
+)
+def test_bodies_that_cannot_be_drawn_are_refused_as_the_events_are_read(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"is not there|two ends|four corners"):
+        Bodies.model_validate({**BODIES.model_dump(), **change})
+
+
+@pytest.mark.parametrize("change", [{"tool_mm": (1.0,)}, {"bodies_mm": ((0.0,),)}])
+def test_a_pose_that_cannot_be_drawn_is_refused(change: dict[str, object]) -> None:
+    pose = {"arm": "arm", "joints_rad": (0.0,), "age_s": 0.0}
+    with pytest.raises(ValueError, match=r"origin|at least 6"):
+        Pose.model_validate({**pose, **change})
