@@ -28,6 +28,7 @@ LARGEST_ARM_ERROR_MM = 1.0  # an arm of this size is off by 0.65 mm without any 
 LARGEST_SEATING_MM = 2.0  # a sphere farther off its place is not on the same post
 LARGEST_DEVIATION_MM, LARGEST_DEVIATION_RAD = 20.0, 0.1  # of one joint or link: fifty times what is usual
 LONGEST_TRAVEL_MM = 100.0  # of a dial gauge
+SHORTEST_BORE_MM = 15.0  # a shorter bore does not guide; 85 mm in centimetres would be less
 LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibration accepts for --days
 
 
@@ -55,6 +56,19 @@ def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterV
     return AfterValidator(in_millimetres)
 
 
+def in_degrees(angles: tuple[float, ...]) -> bool:
+    """Whether joint angles of a pose can be degrees: in radians all would be within one turn."""
+    return any(abs(angle) > math.tau for angle in angles)
+
+
+def _bore(length_mm: float) -> float:
+    if 0.0 < length_mm < SHORTEST_BORE_MM:
+        raise ValueError(
+            f"is {length_mm:g}, expected at least {SHORTEST_BORE_MM:g} mm: give millimetres, not centimetres"
+        )
+    return length_mm
+
+
 def _pixels(focal_px: float) -> float:
     if focal_px < SHORTEST_FOCAL_PX:
         raise ValueError("give the focal length in pixels, not in millimetres or metres")
@@ -69,6 +83,7 @@ def _not_blank(text: str) -> str:
 
 Words = Annotated[str, AfterValidator(_not_blank)]
 Length = not_in_metres(SHORTEST_MM)  # of something large enough to tell metres from millimetres
+BoreLength = AfterValidator(_bore)
 FocalPixels = Annotated[float, Field(gt=0, le=LONGEST_FOCAL_PX), AfterValidator(_pixels)]
 SensorPixels = Annotated[int, Field(ge=16, le=65_535)]  # a GigE Vision image is no larger
 StatedError = Annotated[float, Field(gt=0, le=LARGEST_ERROR_MM), not_in_metres(FINEST_MM)]

@@ -10,7 +10,7 @@ import math
 from enum import StrEnum
 from typing import Annotated, ClassVar, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from ronna_hw.calibration import (
     STEREO_HEAD_NUMBER,
@@ -26,11 +26,13 @@ from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
     LONGEST_TRAVEL_MM,
     SHORTEST_TRANSLATION_MM,
+    BoreLength,
     DialReading,
     JointDegrees,
     Length,
     Words,
     farther_than,
+    in_degrees,
 )
 
 Angles6 = tuple[JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees]
@@ -63,7 +65,7 @@ class GuideBore(Strict):
     reach_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
         description="Distance from the lower end of the guide to the end of the mandrel."
     )
-    length_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
+    length_mm: Annotated[float, Field(gt=0, le=500), BoreLength] = Field(
         description="Length from the upper end, on which a depth stop rests, to the lower end."
     )
     play_mm: Annotated[float, Field(ge=0, le=2.0)] = Field(
@@ -95,6 +97,14 @@ class Gauge(Strict):
         default=10.0,
         description="Travel of a dial, to either side; a reading beyond it is taken as a typing error.",
     )
+
+    @field_validator("joints_deg")
+    @classmethod
+    def _in_degrees(cls, joints_deg: Angles6) -> Angles6:
+        if not in_degrees(joints_deg):  # the arm would go there, stretched out
+            listed = " ".join(f"{angle:g}" for angle in joints_deg)
+            raise ValueError(f"are {listed}, all within 2 pi: give degrees, not radians")
+        return joints_deg
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
@@ -175,6 +185,11 @@ class ToolRecord(Dated):
             raise ValueError(f"a {self.purpose.value} needs `bore`")
         if self.purpose in GUIDES and self.gauge is None:
             raise ValueError(f"a {self.purpose.value} needs `gauge`: where it is checked after mounting")
+        if self.bore is not None and self.gauge is not None and self.bore.reach_mm < self.gauge.base_mm:
+            raise ValueError(
+                f"bore.reach_mm is {self.bore.reach_mm:g}: expected at least gauge.base_mm = "
+                f"{self.gauge.base_mm:g}, where the upper dials touch the mandrel; give millimetres"
+            )
         if self.number == STEREO_HEAD_NUMBER and self.purpose is not ToolPurpose.STEREO_HEAD:
             raise ValueError(
                 f"a {self.purpose.value} has number {self.number}, that of the stereo head: expected another"

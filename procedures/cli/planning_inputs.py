@@ -11,6 +11,7 @@ import typer
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
+from ronna_hw.plausible import in_degrees
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 DEFAULT_STRATEGY = "ocs"
+NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
 SixNumbers = tuple[float, float, float, float, float, float]
 
 StrategyOption = Annotated[
@@ -79,6 +81,18 @@ def require_theatre_options(
             raise UsageMistake(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
+    if 0.0 < (away := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
+        raise UsageMistake(
+            f"--robot-from-ct: X Y Z puts the origin of the CT {away:.3g} mm from the centre of the base",
+            expected=f"at least {NEAREST_CT_MM:g} mm",
+            action="Give millimetres, not metres.",
+        )
+    if home_deg is not None and not in_degrees(home_deg):
+        raise UsageMistake(
+            "--home: all angles are within 2 pi",
+            got=" ".join(f"{value:g}" for value in home_deg),
+            action="Give degrees, not radians.",
+        )
 
 
 def require_one_head(series_dir: Path | None, scene: Path | None) -> None:

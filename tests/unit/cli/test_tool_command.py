@@ -33,6 +33,7 @@ PLAIN = (
 )
 GAUGE = ("--gauge-deg", "-40", "-75", "99", "0", "66", "180")
 DEFINE = (*PLAIN, "--reach-mm", "80", "--bore-mm", "90", "--play-mm", "0.05", *GAUGE)
+GUIDE, DEGREES = "--reach-mm 85 --bore-mm 85 --play-mm 0.04", " ".join(GAUGE)
 
 ONE_READ = "0.01 -0.02 0.03 0.04 -0.05"
 TILT = Rotation.from_euler("x", 5.0, degrees=True)
@@ -255,6 +256,18 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
         (
             "define d --purpose gripper --centre-of-gravity-mm 0.11 0 0.03",
             "has length 0.114: give milli",
+        ),
+        (
+            f"define d --purpose needle_guide {GUIDE} --gauge-deg -0.698 -1.309 1.728 0 1.152 3.1416",
+            "joints_deg: are -0.698 -1.309 1.728 0 1.152 3.1416, all within 2 pi: give degrees, not radians",
+        ),
+        (
+            f"define d --purpose needle_guide {DEGREES} --reach-mm 85 --play-mm 0.04 --bore-mm 8.5",
+            "bore.length_mm: is 8.5, expected at least 15 mm: give millimetres, not centimetres",
+        ),
+        (
+            f"define d --purpose needle_guide {DEGREES} --reach-mm 8.5 --play-mm 0.04 --bore-mm 85",
+            "bore.reach_mm is 8.5: expected at least gauge.base_mm = 60",
         ),
     ],
 )
