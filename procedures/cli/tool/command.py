@@ -123,7 +123,7 @@ def renew(
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
     whose tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
     """
-    from procedures.cli.tool.records import renewed, tip_moved
+    from procedures.cli.tool.records import dials_moved, renewed, tip_moved
 
     _require_another_file(config, write)
     record = renewed(config, name, _signed(name, by, days), gauge_mm)
@@ -131,6 +131,11 @@ def renew(
         off_mm, off_rad = moved
         where = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
         terminal.tell(f"the tip is {where} from where the former record of {name} has it")
+    if (read_off_mm := dials_moved(config, name, record)) is not None:
+        terminal.tell(
+            f"the mandrel reads {read_off_mm:.3f} mm from where the former record of {name} has it; expected "
+            "as much as the tip, unless the gauge was moved or zeroed: is it this tool, and well seated?"
+        )
     _write(config, write, name, record, as_json=as_json)
 
 

@@ -107,6 +107,12 @@ def tip_moved(config: Path, name: str) -> tuple[float, float] | None:
     return recorded.off(theatre.calibration.tip_in_head)
 
 
+def dials_moved(config: Path, name: str, record: dict[str, Any]) -> float | None:
+    """By how much, mm, the dials at the mandrel's end differ from the tool's record; None without a gauge."""
+    former = read_theatre_file(config).tools[name].gauge
+    return None if former is None else math.dist(former.reading_mm, record["gauge"]["reading_mm"])
+
+
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
     """One line of the list."""
     return {

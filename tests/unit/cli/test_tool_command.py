@@ -186,6 +186,19 @@ def test_a_renewed_record_has_the_new_tip_and_the_mean_gauge_readings(theatre: P
     assert in_this_process(app, "check", "--config", last).returncode == 0
 
 
+@pytest.mark.hazard(47)
+def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Path, tmp_path: Path) -> None:
+    was = read_theatre_file(theatre).tools["guide"].gauge
+    assert was is not None
+    x, y, z = was.reading_mm
+    bent = written(tmp_path / "bent.txt", *[f"{x + 3} {y - 4} {z} 0 0"] * 12)
+    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--by", "A. Nurse")
+    done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", bent)
+    told = " ".join(done.stderr.split())
+    assert (done.returncode, "the tip is 0.000 mm" in told) == (0, True), told
+    assert "the mandrel reads 5.000 mm from where the former record of guide has it" in told
+
+
 def shifted(pose: dict[str, list[float]]) -> None:
     pose["translation_mm"][2] += 30.0
 
