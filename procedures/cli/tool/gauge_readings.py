@@ -61,6 +61,8 @@ def _numbers(where: str, line: str) -> tuple[str, list[float]]:
         numbers = []
     if len(numbers) != len(DIALS):
         raise UsageMistake(
-            f"--gauge-mm: {where}: {line.strip()[:40]!r}", expected=f"five numbers, {' '.join(DIALS)}"
+            f"--gauge-mm: {where}: {line.strip()[:40]!r}",
+            expected=f"five numbers, {' '.join(DIALS)}",
+            action="Write them with decimal points, and spaces between them.",
         )
     return where, numbers

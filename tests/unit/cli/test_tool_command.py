@@ -304,9 +304,13 @@ def test_an_impossible_value_is_refused_with_its_name_value_and_range(
         ([*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"], "dials.txt:12: Z is 400; expected -10"),
         ([*[ONE_READ] * 11, "0.01 -0.02 nan 0.04 -0.05"], "dials.txt:12: Z is nan; expected -10"),
         ([*[ONE_READ] * 11, "0.01 -0.02 0.3 0.04 -0.05"], "Z is 0.3; expected within 0.1 mm of the others"),
+        (
+            [ONE_READ.replace(".", ","), *[ONE_READ] * 11],
+            "X Y Z UPPER_X UPPER_Y. Write them with decimal points",
+        ),
         (["0.01 -0.02", *[ONE_READ] * 11], "dials.txt:1: '0.01 -0.02'; expected five numbers, X Y Z UPPER"),
     ],
-    ids=["too few", "beyond the dial", "no number", "misread", "incomplete"],
+    ids=["too few", "beyond the dial", "no number", "misread", "decimal commas", "incomplete"],
 )
 def test_gauge_readings_that_make_no_record_are_refused(
     theatre: Path, dials: Path, lines: list[str], told: str
