@@ -80,7 +80,7 @@ def define(
     Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 the file has
     mistakes, 2 usage.
     """
-    from procedures.cli.tool.records import record_of
+    from procedures.cli.tool.records import left_out, record_of
 
     _require_another_file(config, write)
     signed = _signed(name, by, days)
@@ -100,6 +100,11 @@ def define(
         name,
         gauge_mm,
     )
+    if lost := left_out(config, name, record):
+        terminal.tell(
+            f"the former record of {name} had {', '.join(lost)}, which the new one has not: "
+            "copy what this tool still has, or the case does without"
+        )
     _write(config, write, name, record, as_json=as_json)
 
 

@@ -113,6 +113,12 @@ def dials_moved(config: Path, name: str, record: dict[str, Any]) -> float | None
     return None if former is None else math.dist(former.reading_mm, record["gauge"]["reading_mm"])
 
 
+def left_out(config: Path, name: str, record: dict[str, Any]) -> list[str]:
+    """Tables that the file's record of that name has, and the new one has not."""
+    former = read_toml(config, BadTheatreFile).get("tools", {}).get(name, {})
+    return [f"[tools.{name}.{key}]" for key in former if key not in record]
+
+
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
     """One line of the list."""
     return {

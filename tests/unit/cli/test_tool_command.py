@@ -75,6 +75,16 @@ def test_a_defined_tool_takes_flange_and_tip_from_the_file_and_is_listed(theatre
     assert in_this_process(app, "check", "--config", new).returncode == 0
 
 
+@pytest.mark.hazard(47)
+def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(theatre: Path) -> None:
+    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    again = [option if option != "3" else "2" for option in DEFINE]
+    done = in_this_process(app, "define", "guide", *options, *again)
+    told = " ".join(done.stderr.split())
+    assert (done.returncode, "the former record of guide had [tools.guide.frame]" in told) == (0, True), told
+    assert "copy what this tool still has" in told
+
+
 def test_names_of_records_are_printed_without_control_characters(theatre: Path) -> None:
     theatre.write_text(theatre.read_text().replace('"tool-guide', '"\\u009b2Jtool-guide'))
     fit = in_this_process(app, "check", "--config", theatre)
