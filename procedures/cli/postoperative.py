@@ -108,7 +108,12 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
     if not checked:
         raise RunOfAnotherPlan("the run has no checked plan")
     if checked[-1].result.plan != plan:
-        raise RunOfAnotherPlan("the run followed another plan")
+        followed = checked[-1].result.plan
+        fields = type(plan).model_fields
+        differing = [name for name in fields if getattr(followed, name) != getattr(plan, name)]
+        raise RunOfAnotherPlan(
+            f"the run {run.name} followed another plan: it differs in {' and '.join(differing)}"
+        )
 
 
 def _write(out: Path, after: AfterTheOperation, frames: tuple[str, str]) -> None:

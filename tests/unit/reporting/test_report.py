@@ -314,6 +314,13 @@ def test_the_plan_comes_first_with_its_clearance_and_its_turn_about_the_axis(cel
     assert len(lines) == 1 + 2
 
 
+def test_the_head_of_the_page_names_the_strategies_that_were_used(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    paths = checked_paths(cell).model_copy(update={"replaced": {FIRST: "nos"}})
+    cell.begin(*up_to_correspondence(cell), paths).run_to()
+    assert "strategy ocs asked for, nos and ocs used" in write_report(cell.folder).read_text()
+
+
 def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     (predicted,) = read_for_report(registered).standing(RegisteredRobot)[0].result.predictions
