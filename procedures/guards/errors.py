@@ -54,6 +54,6 @@ class PatientMoved(RefusedError):
     @classmethod
     def by(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
         """A move of that size."""
-        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{beyond(moved_mm, limit_mm, 2)} mm")
+        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{beyond(moved_mm, limit_mm, 2)} mm rms")
         moved.moved_mm = moved_mm
         return moved

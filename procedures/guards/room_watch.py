@@ -232,7 +232,7 @@ def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_ap
     # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
     what = "the head" if told_apart else "the head, or the tracker,"
     return PatientMoved.by(
-        f"{what} has moved since it was localized, by {_in_words(head_mm)} according to "
+        f"{what} has moved since it was localized, by {_in_words(head_mm)}, the mean of "
         f"{head.points} spheres",
         head.rms_mm,
         limit_mm,
