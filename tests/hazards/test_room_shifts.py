@@ -139,7 +139,7 @@ def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
     watch = case.begin()
     reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
     two = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:2])
-    with pytest.raises(PatientMoved, match="the mean of 2 spheres.*mm rms"):
+    with pytest.raises(PatientMoved, match="the mean of 2 spheres"):
         watch.check(two)
 
 
