@@ -24,23 +24,26 @@ SENSOR_MM = 10.0  # how well the places of the sensors are known: it counts with
 def ghosts_of(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
     """Which of the points (m, 3) are crossings of lines to known markers; all in the tracker's frame.
 
-    One of the two lines at least leads to one of the spheres (n, 3), the other to one of these or of the
-    other markers (k, 3).
+    The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two that lead to others are held to
+    what the tracker knows: the wider limit would take too much of the room about the head for crossings.
     """
-    markers = np.vstack([spheres_mm, others_mm])
-    limits = np.repeat([LINE_MM, OTHER_LINE_MM], [len(spheres_mm), len(others_mm)])
-    left, right = (_on_lines(np.array(eye), markers, limits, seen_mm) for eye in SENSORS_MM)
-    pairs = left[:, :, None] & right[:, None, :]  # (m, n + k, n + k)
+    markers, head = np.vstack([spheres_mm, others_mm]), len(spheres_mm)
+    limits = np.repeat([LINE_MM, OTHER_LINE_MM], [head, len(others_mm)])
+    left, right = (_beside_lines_mm(np.array(eye), markers, seen_mm) for eye in SENSORS_MM)
+    pairs = (left < limits)[:, :, None] & (right < limits)[:, None, :]  # (m, n + k, n + k)
+    pairs[:, head:, head:] = (left[:, head:, None] < LINE_MM) & (right[:, None, head:] < LINE_MM)
     pairs &= ~np.eye(len(markers), dtype=bool)  # both lines to one marker: that is the marker itself
-    pairs[:, len(spheres_mm) :, len(spheres_mm) :] = False
     return np.asarray(pairs.any(axis=(1, 2)))
 
 
-def _on_lines(eye_mm: Array, markers_mm: Array, limits_mm: Array, points_mm: Array) -> NDArray[np.bool_]:
-    """Whether each point (m, 3) is on the line of a sensor to each marker (n, 3), before or behind it."""
+def _beside_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
+    """How far each point (m, 3) is beside a sensor's line to each marker (n, 3), before or behind it.
+
+    What the place of the sensor leaves open is taken off.
+    """
     ways = markers_mm - eye_mm
     lengths = np.linalg.norm(ways, axis=1)
     beside = points_mm[:, None] - markers_mm
     along = (beside * (ways / lengths[:, None])).sum(axis=2)
     away = np.sqrt(np.maximum((beside**2).sum(axis=2) - along**2, 0.0))
-    return np.asarray(away < limits_mm + SENSOR_MM * np.abs(along) / lengths)
+    return np.asarray(away - SENSOR_MM * np.abs(along) / lengths)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +177,23 @@ def test_an_intersection_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_
     watch = case.begin()
     reading = with_crossings(case.reading(watch, case.home_rad), watch.spheres_mm)
     assert [finding.split(" in this")[0] for finding in watch.check(reading)] == [
+        "the tracker sees fewer than three known spheres"
+    ]
+
+
+@pytest.mark.hazard(12)
+def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_sphere_either() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad)
+    crossing = watch.spheres_mm.mean(axis=0)
+    markers = [eye + 0.86 * (crossing - eye) for eye in eyes_mm()]
+    crossed = replace(
+        reading,
+        spheres_mm=np.vstack([reading.spheres_mm[:2], crossing]),
+        markers_mm=np.array(markers),
+    )
+    assert [finding.split(" in this")[0] for finding in watch.check(crossed)] == [
         "the tracker sees fewer than three known spheres"
     ]
 
