@@ -3,7 +3,7 @@
 Of what the map calls reachable the path check may refuse nothing; of all places it may pass at most 5 % that
 the map does not allow. Scene and records are those of a simulated theatre, the head its ellipsoid.
 
-    .venv/bin/python -P -m benchmarks.place_map
+    .venv/bin/python -m benchmarks.place_map
 """
 
 from __future__ import annotations
