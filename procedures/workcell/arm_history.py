@@ -95,7 +95,7 @@ class ArmHistory:
     def _after_arrival(self, joints_rad: JointVector) -> ArmHistory:
         if self.unfinished == MotionName.HOME:
             return replace(self, trail=())
-        if self.unfinished == MotionName.INSERT:
+        if self.unfinished in (MotionName.START, MotionName.INSERT):
             return self
         if self.unfinished == MotionName.WITHDRAW and self.insertion is not None:
             return replace(self, insertion=None, withdrawn_from=self.insertion.trajectory)

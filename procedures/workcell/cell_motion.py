@@ -13,6 +13,7 @@ from ronna_hw.devices.readings import ArmReading
 class MotionName(StrEnum):
     """A kind of motion, as the journal calls it."""
 
+    START = "start"  # of the arm, confirmed: a controller that is not verified is tested by a micro-move
     GO = "go"
     HOME = "home"
     BACK = "back"

@@ -16,8 +16,9 @@ def start(devices: Iterable[Device], motion: SupervisedMotion) -> None:
     for device in devices:
         if device.state is not Lifecycle.CONFIGURED:
             continue
-        if isinstance(device, ConfirmedStart):
-            words = device.to_confirm
-            if words is not None and motion.confirm_start(words):
-                device.confirm_start(OPERATOR)
-        device.activate()
+        words = device.to_confirm if isinstance(device, ConfirmedStart) else None
+        if isinstance(device, ConfirmedStart) and words is not None and motion.confirm_start(words):
+            device.confirm_start(OPERATOR)
+            motion.start(device.activate)
+        else:
+            device.activate()

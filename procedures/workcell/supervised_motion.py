@@ -111,6 +111,15 @@ class SupervisedMotion:
         self._confirmed = False
         return self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words))
 
+    def start(self, activate: Callable[[], None]) -> None:
+        """Start the arm as confirmed: its driver may move it out and back. Raises what `activate` raises."""
+
+        def drive() -> ArmReading:
+            activate()
+            return self._arm().read_state()
+
+        self._recorded({"what": MotionName.START, "to": [], "trajectory": None}, drive)
+
     def _require_yes(self, question: Question) -> bool:
         """False when there is nobody to ask; raises PRO-002 unless the answer is yes."""
         if self._ask is None:
@@ -157,7 +166,11 @@ class SupervisedMotion:
                 self._confirmed = False
                 continue
             try:
-                return self._recorded(motion, drive)
+                intent: dict[str, JournalValue] = {"what": motion.what, "to": list(motion.to)}
+                intent["trajectory"] = motion.trajectory
+                if motion.axis is not None:
+                    intent["axis"] = motion.axis.as_plain()
+                return self._recorded(intent, drive)
             except (MotionInterrupted, WrongState) as error:
                 # A stop right before the motion, or between its legs, puts the arm into HOLD: it refuses.
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
@@ -165,14 +178,10 @@ class SupervisedMotion:
                 self._confirmed = False
                 checkpoint.stopped(named, "re-plans it from the arm's present position")
 
-    def _recorded(self, motion: CellMotion, drive: Callable[[], ArmReading]) -> ArmReading:
+    def _recorded(self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]) -> ArmReading:
         """The last reading of a motion that is written down before and after."""
         number = self._log.history.motions + 1
-        intent: dict[str, JournalValue] = {"number": number, "what": motion.what, "to": list(motion.to)}
-        intent["trajectory"] = motion.trajectory
-        if motion.axis is not None:
-            intent["axis"] = motion.axis.as_plain()
-        self._log.write(Entry.MOTION, **intent)
+        self._log.write(Entry.MOTION, number=number, **intent)
         try:
             reached = drive()
         except BaseException as error:  # also an interruption: every intent has its result

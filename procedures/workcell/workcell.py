@@ -239,7 +239,9 @@ class Workcell:
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
-        """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
+        """Start the correction stream, and the cameras, where they do not run. Raises PRO-002, TOOL-001."""
+        if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
+            self.instrument.require_out("start the arm")
         start((self._arm, self._stereo) if cameras else (self._arm,), self.supervised)
 
     def going(self, joints_rad: JointVector) -> CellMotion:

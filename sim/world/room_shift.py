@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.faults import Fault, FaultBoard
-from sim.world.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, UNLOCKED
+from sim.world.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
+from sim.world.rigid import Matrix, rotation_from_vector
 from sim.world.world import World
 
 Array = NDArray[np.float64]
@@ -28,6 +30,7 @@ class RoomShift:
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
     guide_mm: Vector = STILL  # displacement of the mounted tool by a hand
+    guide_rad: Vector = STILL  # turn of it about the tracked frame, a rotation vector
     spheres_mm: tuple[tuple[int, Vector], ...] = ()
 
     def of_spheres_mm(self, numbers: Sequence[int]) -> Array:
@@ -53,16 +56,31 @@ class ShiftedRoom:
             return NOTHING_MOVED
         faults = self._board.active(SHIFT.name)
         cart = _total([_sum(faults, CART), *rolled_mm(self._board, self._world.clock.now_s())])
-        pushes = self._board.active(PUSH.name)
-        x_N, y_N, z_N = (sum(float(one.arguments[axis]) for one in pushes) for axis in range(3))
+        x_N, y_N, z_N = _total(
+            [[float(each) for each in one.arguments] for one in self._board.active(PUSH.name)]
+        )
+        turns = self._board.active(TURN.name)
         give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
         loose = self._board.active(LOOSEN.name)
         return RoomShift(
             _apart(_sum(faults, HEAD), cart),
             _apart(_sum(faults, TRACKER), cart),
             give,
+            _total([[radians(float(each)) for each in one.arguments] for one in turns]),
             tuple((int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})),
         )
+
+
+def yielded(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
+    """ROBOT <- FLANGE (4, 4) of an arm that yields to the hand on its tool."""
+    if not any((*room.guide_mm, *room.guide_rad)):
+        return flange
+    about_mm = (flange @ flange_from_marker)[:3, 3]
+    turn = rotation_from_vector(room.guide_rad)
+    held = flange.copy()
+    held[:3, :3] = turn @ flange[:3, :3]
+    held[:3, 3] = turn @ (flange[:3, 3] - about_mm) + about_mm + room.guide_mm
+    return held
 
 
 def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:

@@ -11,7 +11,7 @@ from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, matrix_from, matrix_of, rotation_from_vector
-from sim.world.room_shift import ShiftedRoom
+from sim.world.room_shift import ShiftedRoom, yielded
 from sim.world.world import World
 
 Vector = NDArray[np.float64]
@@ -36,8 +36,10 @@ class TrueGuide:
 
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
         """The same for an unbent guide: for what is above the bore."""
-        pose = (self._world.arm().robot_from_flange if flange is None else flange).copy()
-        pose[:3, 3] += self._room.now().guide_mm
+        flange = self._world.arm().robot_from_flange if flange is None else flange
+        mount = self._scene.mount
+        marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
+        pose = yielded(flange, marker, self._room.now()).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
         return pose @ calibrated_tip(self._world) @ self._seated()
 

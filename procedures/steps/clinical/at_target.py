@@ -157,7 +157,7 @@ def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, be
     begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)
     if rest.unseen:
         begun.watched = False
-        if rest.frame_mm is not None:  # else it was told before the work began
+        if rest.seen_mm is not None:  # else it was told before the work began
             context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
 
 
@@ -172,7 +172,7 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
     if rest is None or rest.trajectory != context.trajectory:
         rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory)
         memory.keep(rest)
-    if rest.frame_mm is None:
+    if rest.seen_mm is None:
         context.find(f"at {context.trajectory}: {UNSEEN}")
     rest.worked = True
     try:

@@ -15,7 +15,7 @@ from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.room_shift import NOTHING_MOVED, RoomShift
+from sim.world.room_shift import NOTHING_MOVED, RoomShift, yielded
 from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME_NAME
 from sim.world.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
@@ -43,7 +43,7 @@ class TrueScene:
         scene = world.scene
         self._world = world
         self._tracker_from_robot = inverse(matrix_of(scene.tracker.robot_from_tracker))
-        self._tool_from_marker = matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(
+        self._flange_from_marker = matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(
             scene.mount.tool_from_marker_true
         )
         self._places = tuple(matrix_of(place) for place in scene.tracker.places)
@@ -147,11 +147,8 @@ class TrueScene:
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """The reference frame M on the mount, whether loaded or not."""
         tool = self.frame_on_mount
-        flange = arm.robot_from_flange
-        if any(disturbance.room.guide_mm):
-            flange = flange.copy()
-            flange[:3, 3] += disturbance.room.guide_mm
-        pose = self._tracker_from(disturbance.room) @ flange @ self._tool_from_marker
+        flange = yielded(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
+        pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
 

@@ -50,6 +50,12 @@ PUSH = lasting(
     "A hand pushes or pulls the mounted tool with that force, along the robot's x, y and z; "
     "the arm yields according to its stiffness.",
 )
+TURN = lasting(
+    "turn",
+    "turn guide SIGNED SIGNED SIGNED deg",
+    "A hand turns the mounted tool about the tracked frame on the mount, by that rotation vector along the "
+    "robot's x, y and z: the frame stays in its place, the guide's end does not, the encoders see nothing.",
+)
 WRONG_STOP = lasting("wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep.")
 BENT_TIP = lasting(
     "bent_tip",
@@ -82,6 +88,7 @@ ROOM_FAULTS = (
     UNLOCKED,
     LOOSEN,
     PUSH,
+    TURN,
     WRONG_STOP,
     BENT_TIP,
     WRONG_TOOL,

@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingTracker, theatre_of
+from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.engine.context import StepContext
@@ -93,6 +94,7 @@ class SeeingTracker(RecordingTracker):
     cell: ClinicalCell | None = None
     spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
+    frame_turn_rad: Numbers3 = (0.0, 0.0, 0.0)  # about its own place
     hidden: bool = False  # the frame
     guide_shift_mm: Numbers3 | None = (0.0, 0.0, 0.0)  # of the frame on the guide; None: not seen
     frames_read: int = 0
@@ -115,6 +117,7 @@ class SeeingTracker(RecordingTracker):
                 records.stereo_head.flange_from_tool,
                 records.tracker_frame.tool_from_marker,
                 self.frame_shift_mm,
+                turn_rad=self.frame_turn_rad,
             )
             reading = ToolReading(records.tracker_frame.tool, Validity.OK, *pose, 0.1)
         strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
@@ -145,6 +148,7 @@ def _frame_on_the_arm(
     tool_from_marker: PoseRecord,
     shift_mm: Numbers3,
     mount_from_frame: PoseRecord | None = None,
+    turn_rad: Numbers3 = (0.0, 0.0, 0.0),
 ) -> tuple[Numbers4, Numbers3]:
     """Rotation and place of the tracked frame on the mount, or of one that is fixed to it, in mm."""
     tool = flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
@@ -152,7 +156,8 @@ def _frame_on_the_arm(
     if mount_from_frame is not None:
         marker = marker @ mount_from_frame.transform(Frame.MARKER, Frame.MARKER)
     pose = shifted(kinematics.flange_pose(joints_rad) @ tool @ marker, shift_mm)
-    w, qx, qy, qz = pose.quaternion_wxyz.tolist()
+    turned = Rotation.from_rotvec(turn_rad) * Rotation.from_matrix(pose.rotation_matrix)
+    w, qx, qy, qz = turned.as_quat(scalar_first=True).tolist()
     x, y, z = pose.translation_mm.tolist()
     return (w, qx, qy, qz), (x, y, z)
 

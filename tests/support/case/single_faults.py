@@ -386,6 +386,7 @@ ROWS = (
     Row("room push guide 0 40 0 N", "tool_check", "TOOL-005", theatre_s=15),
     Row("room push guide 0 40 0 N", "positioning", "PRO-017", theatre_s=20),  # when it is let go
     Row("room push guide 0 40 0 N", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
+    Row("room turn guide 0 0.3 0 deg", "at_target", "PRO-017", theatre_s=5, branch="GUIDE_PUSHED"),
     Row("room depth stop off by 0.5 mm", "at_target", "TOOL-004", theatre_s=5, branch="WRONG_STOP"),
     *(
         Row(

@@ -129,17 +129,27 @@ class TrackedCase:
         return self._at(joints)[1]
 
     def frame_noise_mm(self, joints: JointVector) -> Array:
-        """Of the place of the frame on the arm in one frame, (3, 3) mm for each of three standard normals."""
+        """Of the frame on the arm and of the lower end of the guide, in one frame of the tracker.
+
+        (6, 6) mm for each of six standard normals.
+        """
+        mount = self.scene.mount
+        end_in_tool_mm = (0.0, 0.0, -mount.guide.reach_mm)
+        end_mm = apply(inverse(matrix_of(mount.tool_from_marker_true)), [end_in_tool_mm])[0]
         flange = self.true_flange(joints)
         sight = self._optics.sight(
             apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
         )
+
+        def ends_mm(drawn: Array) -> Array:
+            fit = fit_rigid_body(self._body_mm, sight.measured(drawn))
+            return np.concatenate([fit.translation_mm, fit.rotation @ end_mm + fit.translation_mm])
+
         step = 1e-3  # the fit is linear in noise as small as this
-        still = fit_rigid_body(self._body_mm, sight.mean_mm).translation_mm
+        still = ends_mm(np.zeros(sight.mean_mm.shape))
         drawn = step * np.eye(sight.mean_mm.size).reshape(-1, *sight.mean_mm.shape)
-        fits = [fit_rigid_body(self._body_mm, sight.measured(one)).translation_mm for one in drawn]
-        each = np.array([(fit - still) / step for fit in fits])
-        return np.asarray(np.linalg.cholesky(each.T @ each))
+        each = np.array([(ends_mm(one) - still) / step for one in drawn])
+        return np.asarray(np.linalg.qr(each, mode="r").T)
 
     def direction(self) -> Array:
         """A random unit vector."""

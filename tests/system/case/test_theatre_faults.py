@@ -42,6 +42,7 @@ NOISE_MM = (-0.025, 0.09)
 FAULTS = {
     "a hand load of 10 N": Promise("push guide 0 10 0 N", "at_target", pushed_mm=HAND_MM),
     "the surgeon pulling the guide": Promise("push guide 0 -30 -26 N", "at_target", "PRO-017"),
+    "a hand that turns the wrist": Promise("turn guide 0 0.3 0 deg", "at_target", "PRO-017"),
     "a bent tip": Promise("bent tip 0.07 0.07 0 mm", "tool_check", "TOOL-005"),
     "a wrong mandrel": Promise("wrong mandrel 2 mm", "tool_check", "TOOL-005"),
     "a badly seated changer": Promise("bad seat 0.1 mm 0.2 deg", "tool_check", "TOOL-005"),

@@ -1,5 +1,6 @@
 """The depth stop is verified, then the instrument goes in by stages; nothing moves before it is out."""
 
+import math
 from contextlib import AbstractContextManager
 
 import pytest
@@ -22,7 +23,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards import GuideStill, patient_watch
 from procedures.guards.errors import BaseShifted
-from procedures.guards.guide_still import PUSHED_MM, RUNNING_FRAMES
+from procedures.guards.guide_still import PUSHED_MM
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
@@ -33,6 +34,9 @@ from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
 from procedures.workcell import MountedTool
 
+READINGS = 10  # host time passes between them
+LEVER_MM = 161.0  # from the frame on the mount to the lower end of the guide
+TURN_RAD = math.radians(0.15)
 STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
 
 
@@ -41,6 +45,8 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_still.PLACE_READINGS", READINGS // 2)
+    monkeypatch.setattr("procedures.guards.guide_still.END_READINGS", READINGS)
 
 
 def before_the_entry(cell: ClinicalCell) -> Engine:
@@ -264,25 +270,48 @@ def test_a_pushed_guide_suspends_the_case_until_it_is_released(
 
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
+def test_a_turn_of_the_wrist_that_leaves_the_frame_in_its_place_suspends_the_case(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    def turn(question: Question) -> None:
+        cell.tracker.frame_turn_rad = (0.0, TURN_RAD if question.topic is Topic.DRILL else 0.0, 0.0)
+
+    cell.operator.meanwhile = turn
+    work(engine)
+    (told,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
+    pushed_mm = cell.case.get(ReachedTarget, FIRST).result.pushed_mm
+    assert f"pushed or pulled by {pushed_mm:.2f} mm" in told
+    assert pushed_mm is not None
+    assert PUSHED_MM < pushed_mm <= LEVER_MM * TURN_RAD
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+@pytest.mark.parametrize(
+    ("shift_mm", "turn_rad", "at_most_mm"), [(1.0, 0.0, 1.0), (0.0, TURN_RAD, LEVER_MM * TURN_RAD)]
+)
 def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_again(
-    cell: ClinicalCell,
+    cell: ClinicalCell, shift_mm: float, turn_rad: float, at_most_mm: float
 ) -> None:
     engine = before_the_entry(cell)
     engine.checkpoint.watching = patient_watch(engine, lambda _moved: None).watching
     reader = engine.events.subscribe()
 
     def push(question: Question) -> None:
-        cell.tracker.frame_shift_mm = (1.0 if question.topic is Topic.SKIN else 0.0, 0.0, 0.0)
+        pushed = question.topic is Topic.SKIN
+        cell.tracker.frame_shift_mm = (shift_mm if pushed else 0.0, 0.0, 0.0)
+        cell.tracker.frame_turn_rad = (0.0, turn_rad if pushed else 0.0, 0.0)
         read = cell.tracker.frames_read
         if question.topic in (Topic.SKIN, Topic.DRILL):
-            eventually(lambda: cell.tracker.frames_read > read + RUNNING_FRAMES)
-        cell.tracker.frame_shift_mm = (0.0, 0.0, 0.0)
+            eventually(lambda: cell.tracker.frames_read > read + READINGS)
+        cell.tracker.frame_shift_mm = cell.tracker.frame_turn_rad = (0.0, 0.0, 0.0)
 
     cell.operator.meanwhile = push
     work(engine)
     # the readings of the watch are not replayed: no result is computed from them
-    assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(0.0)
-    assert f"the guide was pushed or pulled by up to 1.00 mm during the hold at {FIRST}" in findings(cell)
+    assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(0.0, abs=1e-9)
+    (found,) = (text for text in findings(cell) if text.endswith(f" mm during the hold at {FIRST}"))
+    assert PUSHED_MM < float(found.removesuffix(f" mm during the hold at {FIRST}").split()[-1]) <= at_most_mm
     told = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
     assert len([text for text in told if "from where it was held" in text]) == 1
 
