@@ -20,6 +20,7 @@ from ronna_hw.devices.readings import AreaOfInterest
 
 TAKEN = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
+UNSEEN = f"{NoCamera.action} If `ronna-procedure doctor` shows that it replies, use the driver basler_stereo."
 LONGEST_WAIT_S = 60.0
 READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ignored
 
@@ -73,7 +74,9 @@ class PylonCamera:
             self._camera = self._pylon.InstantCamera(self._pylon.TlFactory.GetInstance().CreateDevice(wanted))
         except self._genicam.GenericException as error:
             sought = self._serial if self._device_class == EMULATED else f"at {self._address}"
-            raise NoCamera(f"no camera {sought}", got=str(error).splitlines()[0]) from error
+            raise NoCamera(
+                f"the installed pylon sees no camera {sought}", got=str(error).splitlines()[0], action=UNSEEN
+            ) from error
         info = self._camera.GetDeviceInfo()
         return CameraIdentity(
             address=self._address,

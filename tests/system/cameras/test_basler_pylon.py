@@ -8,6 +8,7 @@ from importlib.util import find_spec
 
 import numpy as np
 import pytest
+from spoilt_cameras import Stand
 
 from drivers.basler_stereo.errors import (
     BadOptions,
@@ -18,6 +19,7 @@ from drivers.basler_stereo.errors import (
     WrongModel,
 )
 from drivers.basler_stereo.pylon.pair import PylonStereoPair
+from drivers.basler_stereo.pylon.probe import probe
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance.case import Case, Outcome
@@ -201,9 +203,35 @@ class LonelyLibrary:
 def test_a_real_camera_is_looked_up_by_its_address_whatever_its_serial_number(make_pair, monkeypatch):
     library = LonelyLibrary()
     monkeypatch.setattr("drivers.basler_stereo.pylon.camera.load_pylon", lambda: (library, library))
-    with pytest.raises(NoCamera, match=r"GEV-001: no camera at 127\.0\.0\.1: No device is available\."):
+    unseen = r"GEV-001: the installed pylon sees no camera at 127\.0\.0\.1: No device is available\."
+    with pytest.raises(NoCamera, match=unseen):
         make_pair(device_class="BaslerGigE").connect()
     assert library.asked == {"DeviceClass": "BaslerGigE", "IpAddress": "127.0.0.1"}
+
+
+def test_the_doctor_says_when_a_camera_replies_and_the_library_does_not_see_it(monkeypatch):
+    library, stand = LonelyLibrary(), Stand()
+    monkeypatch.setattr("drivers.basler_stereo.pylon.camera.load_pylon", lambda: (library, library))
+    config = DeviceConfig(driver="basler_pylon", endpoints=stand.pair.endpoints)
+    try:
+        *_, left, right, device = probe("stereo", config, lambda share: None)
+    finally:
+        stand.close()
+    assert (left.well, right.well, device.well) == (True, True, False)
+    assert "GEV-001 the installed pylon sees no camera at" in device.seen
+    assert device.advice.endswith(
+        "If `ronna-procedure doctor` shows that it replies, use the driver basler_stereo."
+    )
+
+
+def test_the_doctor_shows_emulated_cameras_and_the_missing_library(monkeypatch):
+    (device,) = probe("stereo", configured(), lambda share: None)
+    assert device.well
+    assert "Emulation 0815-0000+0815-0001" in device.seen
+    monkeypatch.setitem(sys.modules, "pypylon", None)
+    (device,) = probe("stereo", configured(), lambda share: None)
+    assert "GEV-018" in device.seen
+    assert "ronna-hw[pylon]" in device.advice
 
 
 def test_without_the_library_the_error_names_how_to_install_it(make_pair, monkeypatch):

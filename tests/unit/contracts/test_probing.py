@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import tomllib
+from pathlib import Path
+
 import pytest
 from force_sensor import ScaledForceSensor, install
 
@@ -9,6 +13,7 @@ from ronna_hw import registry
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, endpoints_of
 
+ROOT = Path(__file__).resolve().parents[3]
 ENDPOINT = "tcp://127.0.0.1:1"
 CLOSED: list[str] = []
 
@@ -42,6 +47,15 @@ def test_a_driver_can_provide_its_own_probe(monkeypatch: pytest.MonkeyPatch) -> 
     assert probed().seen == "no load cell"
     assert CLOSED == []
     assert registry.endpoint_probes() == {}  # it has no endpoint schemes
+
+
+def test_every_driver_of_the_project_brings_its_own_probe() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    drivers, probes = (project["entry-points"][group] for group in (registry.GROUP, registry.PROBE_GROUP))
+    assert set(probes) == set(drivers)
+    for target in probes.values():
+        module, _, name = target.partition(":")
+        assert callable(getattr(importlib.import_module(module), name))
 
 
 def test_a_device_without_a_probe_is_identified_and_closed() -> None:

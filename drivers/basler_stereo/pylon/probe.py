@@ -1,0 +1,29 @@
+"""Diagnoses a pair behind the vendor's library: each address without it, then as a procedure connects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from drivers.basler_stereo import probe as cameras
+from drivers.basler_stereo.pylon.camera import EMULATED
+from drivers.basler_stereo.pylon.pair import PylonStereoPair
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    Inspection,
+    Progress,
+    connect_and_leave,
+    endpoints_of,
+    leave_alone,
+)
+
+
+def probe(
+    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+) -> Sequence[Diagnostic]:
+    """See `Probe`. Cameras that the library emulates have no address of their own."""
+    emulated = config.options.get("device_class") == EMULATED
+    addresses = [each for each in endpoints_of(config) if each.scheme == "gev" and not emulated]
+    found = cameras.probe.look_at(addresses, progress)
+    advice = next((each.advice for each in found if not each.well), "")
+    return (*found, *connect_and_leave(name, config, PylonStereoPair, advice, inspect))
