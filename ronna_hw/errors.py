@@ -40,11 +40,12 @@ class RonnaError(Exception):
     """Base class of all our errors: what happened, what was expected, the limit, and what to do.
 
     `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
-    and, if helpful, `expected`, `limit` and `got`. `wire` keeps the last bytes of a protocol error.
+    and, if helpful, `expected`, `limit`, `got` and what to do instead of the class's `action`. `wire` keeps
+    the last bytes of a protocol error.
     """
 
     code: ClassVar[str] = ""
-    action: ClassVar[str] = ""
+    action: str = ""
     exit_code: int = EXIT_FAILED  # of an error that quotes a program: that program's
 
     def __init__(
@@ -61,7 +62,7 @@ class RonnaError(Exception):
         self.expected = expected and printable(expected)
         self.limit = limit and printable(limit)
         self.got = got and printable(got)
-        self.advice = printable(action or self.action)
+        self.action = self.advice = printable(action or self.action)
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder
         self.shown = False  # already, at the terminal, by a command that continued; not printed again

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from sim.world.faults.kinds import (
     WHOLE_PERCENT,
     Arguments,
+    Both,
     DeviceFaults,
     OneOf,
     at_most,
-    both,
     fiducial_number,
 )
 from sim.world.scene.model import Scene
@@ -43,7 +43,7 @@ SIGHT_FAULTS = (
         "stain",
         "stain marker INT NUMBER %",
         "Spots of blood cover that share of a fiducial's film.",
-        both(fiducial_number, at_most(MOST_STAINED_PERCENT, "%", argument=1)),
+        Both(fiducial_number, at_most(MOST_STAINED_PERCENT, "%", argument=1)),
     ),
     SIGHT.lasting(
         "glare",
@@ -55,7 +55,7 @@ SIGHT_FAULTS = (
         "occluder",
         "occlude NAME NUMBER %",
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
-        both(_side, at_most(WHOLE_PERCENT, "%", argument=1)),
+        Both(_side, at_most(WHOLE_PERCENT, "%", argument=1)),
     ),
     TWIST,
     SIGHT.lasting(

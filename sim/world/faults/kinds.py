@@ -15,7 +15,7 @@ WHOLE_PERCENT = 100.0
 # Arguments as terminals of the grammar, and as shown in usage and examples.
 USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
 EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))
-EXAMPLE_NAMES = {"tracker": "robot_frame", "camera": "left"}
+EXAMPLE_NAME = "robot_frame"  # of a tool
 TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 
@@ -42,9 +42,15 @@ class FaultKind:
         return _replaced(f"{self.device} {self.phrase}", USAGE)
 
     @property
+    def choices(self) -> Sequence[str]:
+        """The words that the first argument may be; none if any, or if that depends on the scene."""
+        check = self.check.first if isinstance(self.check, Both) else self.check
+        return check.known if isinstance(check, OneOf) else ()
+
+    @property
     def example(self) -> str:
         """A whole line of a script."""
-        name = self.check.known[0] if isinstance(self.check, OneOf) else EXAMPLE_NAMES.get(self.device, "")
+        name = self.choices[0] if self.choices else EXAMPLE_NAME
         phrase = _replaced(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
@@ -75,14 +81,16 @@ def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
     return check
 
 
-def both(first: Check, second: Check) -> Check:
-    """Apply two checks."""
+@dataclass(frozen=True)
+class Both:
+    """Applies two checks."""
 
-    def check(arguments: Arguments, scene: Scene) -> Iterator[str]:
-        yield from first(arguments, scene)
-        yield from second(arguments, scene)
+    first: Check
+    second: Check
 
-    return check
+    def __call__(self, arguments: Arguments, scene: Scene) -> Iterator[str]:
+        yield from self.first(arguments, scene)
+        yield from self.second(arguments, scene)
 
 
 def expected(what: str, known: Sequence[str], got: str) -> Iterator[str]:
@@ -127,7 +135,7 @@ class DeviceFaults:
 
     def _kind(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
         if self._first is not None:
-            check = self._first if check is anything else both(self._first, check)
+            check = self._first if check is anything else Both(self._first, check)
         return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
 
 

@@ -46,11 +46,9 @@ def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
         if len(said) in (len(phrase), len(phrase) - 1):  # so is the unit at the end
             pairs = zip(phrase, [*said, ""], strict=False)
             filled = [word if known in TERMINALS else known for known, word in pairs]
-            if all(filled) and all(
-                _ARGUMENT.fullmatch(word)
-                for known, word in zip(phrase, filled, strict=True)
-                if known in TERMINALS
-            ):
+            arguments = [word for known, word in zip(phrase, filled, strict=True) if known in TERMINALS]
+            known_one = not (arguments and kind.choices) or arguments[0] in kind.choices
+            if all(filled) and known_one and all(map(_ARGUMENT.fullmatch, arguments)):
                 yield " ".join(filled)
 
 

@@ -47,6 +47,12 @@ def test_an_error_is_one_line_with_expectation_limit_and_action() -> None:
     assert str(error) == "no answer; expected OKAY, limit 2 s, got -; last bytes 01 ff. Try."
 
 
+def test_the_action_of_an_error_is_what_its_message_says_to_do() -> None:
+    assert RonnaError("no file", action="Give the path.").action == "Give the path."
+    rejected = CommandRejected(1, "TX")
+    assert rejected.action == rejected.advice == CommandRejected.action
+
+
 def test_a_value_without_an_expectation_or_limit_follows_a_colon() -> None:
     assert str(RonnaError("no way to the host", got="no route")) == "no way to the host: no route"
 
