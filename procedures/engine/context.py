@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -129,7 +129,11 @@ class StepContext:
     def _asked_for(self, model: type[R]) -> Stored[R]:
         if model not in self.spec.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
-        stored = self._case.get(model, self.key.trajectory)
+        return self._read_from_case(model, self.key.trajectory)
+
+    def _read_from_case(self, model: type[R], trajectory: str | None) -> Stored[R]:
+        """The one way to a result: whatever is handed out is a parent, and its file is as it was written."""
+        stored = self._case.get(model, trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored
 
@@ -139,8 +143,7 @@ class StepContext:
         if not all(map(self._case.stands, others)):
             return False
         for other in others:
-            record = self._case.get(self.spec.result, other.trajectory).record
-            self._read[record.identifier] = record
+            self._read_from_case(self.spec.result, other.trajectory)
         return True
 
     @property
@@ -227,21 +230,28 @@ class StepContext:
         """Identifier of the record of a valid result; as `result`."""
         return self._asked_for(model).record.identifier
 
-    def standing(self, model: type[R]) -> tuple[R, ...]:
-        """Every standing result of a step, of any trajectory, the last one last.
+    def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
+        """The one that `pick` chooses of a step's standing results, of any trajectory, the last one last.
 
-        None is a parent by this alone: see `take`. Those of finished trajectories are left aside that were
-        made before something moved.
+        It need not be declared in the reads, which say what must come first: there may be none. What is not
+        chosen is no parent, as nothing of it is used. Which ones stand: see `stands`. Raises REC-001.
         """
-        past = self._case.past
-        stands = [one for one in self._case.standing if one.record.identifier not in past]
-        return tuple(one.result for one in stands if isinstance(one.result, model))
+        standing = self._standing(model)
+        picked = pick([one.result for one in standing])
+        chosen = next((one for one in standing if one.result is picked), None)
+        return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
-    def take(self, result: StepResult) -> None:
-        """A `standing` result, of whatever trajectory, is used in this step: it becomes a parent."""
-        for one in self._case.standing:
-            if one.result is result:
-                self._read[one.record.identifier] = one.record
+    def stands(self, model: type[StepResult]) -> bool:
+        """Whether a step has standing results, of any trajectory; none is read by that.
+
+        Those of finished trajectories are left aside that were made before something moved.
+        """
+        return bool(self._standing(model))
+
+    def _standing(self, model: type[R]) -> list[Stored[R]]:
+        past = self._case.past
+        kept = (one for one in self._case.standing if one.record.identifier not in past)
+        return [Stored(one.record, one.result) for one in kept if isinstance(one.result, model)]
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:
         """As `void`, for every trajectory that has a standing result of a step."""

@@ -6,6 +6,8 @@ on the arm, in poses with the orientation in which both were recorded.
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from procedures.engine.engine import Engine
@@ -30,8 +32,9 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
     watch = watch_over(workcell, stored.record.identifier, stored.result, pairs)
-    registrations = engine.context(engine.order.sequence[0]).standing(RegisteredRobot)
-    watch.follow(spheres_followed(that_followed(registrations, None)))
+    context = engine.context(engine.order.sequence[0])
+    followed = context.result_among(RegisteredRobot, partial(that_followed, trajectory=None))
+    watch.follow(spheres_followed(followed))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker)
     head, base_mm = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift_mm(reading)
     if head is None:
@@ -39,7 +42,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     try:
         findings = watch.check(reading)
     except PatientMoved as moved:
-        if registrations or workcell.tool is not MountedTool.GUIDE:
+        if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
             comparison.differs("room", f"all within {moved.limit}", moved.what)
         else:  # hence none is valid: the step registration asks whether to follow the move
             comparison.note(f"patient: {moved.what}; no registration is valid")

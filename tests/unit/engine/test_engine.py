@@ -68,9 +68,8 @@ def test_whatever_is_asked_of_a_result_makes_it_a_parent(
 
 def test_a_standing_result_of_another_trajectory_is_a_parent_where_it_is_used(cell: RecordingCell) -> None:
     def uses_first(context: StepContext) -> Outcome[StepResult]:
-        first, *_others = context.standing(Localization) or (None,)
-        if first is not None:
-            context.take(first)
+        if context.stands(Localization):
+            context.result_among(Localization, lambda found: found[0])
         return Outcome(Localization())
 
     engine = cell.engine(plain_order(localization=uses_first))
@@ -78,6 +77,23 @@ def test_a_standing_result_of_another_trajectory_is_a_parent_where_it_is_used(ce
     first = engine.run_step(engine.order.find("localization:T1"))
     assert first.parents == {}
     assert engine.run_step(engine.order.find("localization:T2")).parents == {first.identifier: first.sha256}
+    again = engine.run_step(engine.order.find("localization:T2"))  # of two it looks at, it uses one
+    assert again.parents == {first.identifier: first.sha256}
+
+
+def test_a_standing_result_whose_file_was_changed_is_not_handed_out(cell: RecordingCell) -> None:
+    def uses_last(context: StepContext) -> Outcome[StepResult]:
+        context.result_among(Localization, lambda found: found[-1] if found else None)
+        return Outcome(Localization())
+
+    engine = cell.engine(plain_order(localization=uses_last))
+    run(engine, "image")
+    first = engine.run_step(engine.order.find("localization:T1"))
+    path = cell.folder / "records" / f"{first.identifier}.json"
+    path.chmod(0o644)
+    path.write_text(path.read_text().replace(first.created, "2020-01-01T00:00:00+00:00"))
+    with pytest.raises(BadRecord, match="REC-001"):
+        run(engine, "localization:T2")
 
 
 def test_a_record_that_was_not_read_is_not_a_parent(cell: RecordingCell) -> None:

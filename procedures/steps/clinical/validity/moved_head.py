@@ -21,11 +21,11 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
         isinstance(moved, PatientMoved)
         and moved.moved_mm <= MOST_FOLLOWED_MM
         and context.workcell.tool is MountedTool.GUIDE
-        and context.standing(RegisteredRobot)
+        and context.stands(RegisteredRobot)
     )
     if may_follow:
         context.void_each(RegisteredRobot, moved)
-    elif isinstance(moved, BaseShifted) and moved.cart and context.standing(LockedCart):
+    elif isinstance(moved, BaseShifted) and moved.cart and context.stands(LockedCart):
         context.void(LockedCart, moved)
     else:
         context.void(GlobalLocalization, moved)

@@ -107,8 +107,6 @@ def _watch(context: StepContext) -> RoomWatch:
     if watch is None or watch.localization != name:
         watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
         context.setting.memory.keep(watch)
-    registered = that_followed(context.standing(RegisteredRobot), context.key.trajectory)
-    if registered is not None:
-        context.take(registered)
-    watch.follow(spheres_followed(registered))
+    followed = partial(that_followed, trajectory=context.key.trajectory)
+    watch.follow(spheres_followed(context.result_among(RegisteredRobot, followed)))
     return watch
