@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import struct
 from collections.abc import Iterator
 from typing import Annotated, NamedTuple
 
@@ -30,6 +29,7 @@ from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.host.byte_ring import ByteRing
 from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import RowCodec
 
 HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256
@@ -72,7 +72,18 @@ _JITTER = _MAP.counters(HISTOGRAM_BINS)
 _RECORDER = _MAP.rows(Record, RECORDER_CYCLES)
 _SURROUNDINGS = _MAP.checked_bytes(LONGEST_SURROUNDINGS_BYTES)
 _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
-_KEPT_HEAD = struct.Struct("<qqII")  # received and sent, host monotonic ns; lengths of telegram and reply
+
+
+class KeptHead(NamedTuple):
+    """What precedes a kept telegram and its reply. Host monotonic time."""
+
+    received_ns: Annotated[int, "q"]
+    sent_ns: Annotated[int, "q"]
+    telegram_bytes: Annotated[int, "I"]
+    reply_bytes: Annotated[int, "I"]
+
+
+_KEPT_HEAD = RowCodec(KeptHead)
 
 
 class KeptCycle(NamedTuple):
@@ -192,7 +203,7 @@ class Mailbox:
 
     def keep(self, received_ns: int, sent_ns: int, telegram: bytes, reply: bytes) -> None:
         """Keep a cycle's traffic until the driver fetches it or it is overwritten."""
-        head = _KEPT_HEAD.pack(received_ns, sent_ns, len(telegram), len(reply))
+        head = _KEPT_HEAD.pack(KeptHead(received_ns, sent_ns, len(telegram), len(reply)))
         _KEPT.write(self._memory, head + telegram + reply)
 
     # ... and read by the driver.
@@ -229,10 +240,11 @@ class Mailbox:
 def _kept_cycles(content: bytes) -> Iterator[KeptCycle]:
     at = 0
     while at < len(content):
-        received_ns, sent_ns, telegram_bytes, reply_bytes = _KEPT_HEAD.unpack_from(content, at)
-        at += _KEPT_HEAD.size
-        middle, end = at + telegram_bytes, at + telegram_bytes + reply_bytes
-        yield KeptCycle(received_ns, sent_ns, content[at:middle], content[middle:end])
+        head = _KEPT_HEAD.unpack_from(content, at)
+        at += _KEPT_HEAD.size_bytes
+        middle = at + head.telegram_bytes
+        end = middle + head.reply_bytes
+        yield KeptCycle(head.received_ns, head.sent_ns, content[at:middle], content[middle:end])
         at = end
 
 

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 from enum import IntEnum
+from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import pytest
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 from ronna_hw.host.memory_map import MemoryMap
 from ronna_hw.host.shared_layout import IPV4_HOST, RowCodec, one_of, text
 
+ROOT = Path(__file__).resolve().parents[3]
 SIDES = ("left", "right")
 
 
@@ -140,3 +142,10 @@ def test_memory_of_another_program_is_recognised_by_its_mark() -> None:
     places = MemoryMap(b"TESTMARK")
     assert places.is_marked(b"TESTMARK....")
     assert not places.is_marked(b"RONNARSI....")
+
+
+def test_modules_with_shared_memory_leave_packing_to_its_tables() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "drivers").rglob("*.py")}
+    sharing = {path for path, text in texts.items() if "memory_map import MemoryMap" in text}
+    assert sharing
+    assert not [path for path in sharing if "import struct" in texts[path]]
