@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from urllib.request import urlopen
 
 import psutil
 
@@ -107,21 +108,19 @@ def _share_percent(process: psutil.Process) -> float:
 
 @contextmanager
 def bare_page() -> Iterator[tuple[psutil.Process, str]]:
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
     program = Path(__file__).parents[1] / "peers" / "bare_page.py"
-    child = subprocess.Popen(
-        [sys.executable, "-P", str(program), str(port)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        number = listening.fileno()
+        address = f"http://127.0.0.1:{listening.getsockname()[1]}/"
+        child = subprocess.Popen(
+            [sys.executable, "-P", str(program), str(number)],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            pass_fds=[number],
+        )
     try:
-        deadline_s = time.monotonic() + READY_S
-        while time.monotonic() < deadline_s:
-            with socket.socket() as knock:
-                if knock.connect_ex(("127.0.0.1", port)) == 0:
-                    break
-            time.sleep(0.05)
-        yield psutil.Process(child.pid), f"http://127.0.0.1:{port}/"
+        urlopen(address, timeout=READY_S).close()
+        yield psutil.Process(child.pid), address
     finally:
         child.kill()
         child.wait()

@@ -1,4 +1,7 @@
-"""A bare page of the console's page library: one element that shows a number, at 20 Hz."""
+"""A bare page of the console's page library: one element that shows a number, at 20 Hz.
+
+Its argument is the number of the listening socket that it inherits.
+"""
 
 from __future__ import annotations
 
@@ -20,4 +23,4 @@ def page() -> None:
     ui.timer(PERIOD_S, show)
 
 
-ui.run(host="127.0.0.1", port=int(sys.argv[1]), reload=False, show=False, tailwind=False)
+ui.run(fd=int(sys.argv[1]), reload=False, show=False, tailwind=False)

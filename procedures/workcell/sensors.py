@@ -10,7 +10,7 @@ from ronna_hw.devices import StereoPair
 
 
 class Sensors:
-    """Both of them alike."""
+    """Area and exposure of both cameras."""
 
     def __init__(self, stereo: Callable[[], StereoPair], head: StereoHeadCalibration) -> None:
         self._stereo = stereo

@@ -153,7 +153,7 @@ class Workcell:
 
     @property
     def at_home(self) -> bool:
-        """Whether the measured joints are those of home."""
+        """Whether the measured joints are those of home. Raises the arm's error where it reports none."""
         return self._way_home.at_home
 
     @property
@@ -228,7 +228,7 @@ class Workcell:
 
     @property
     def away(self) -> bool:
-        """Whether the arm was led away from home and is not known to be back. Raises what it raises."""
+        """Whether the arm was led away from home and is not known to be back. Raises as `at_home`."""
         unknown = self.insertion is not None or self._arm.state is Lifecycle.FAULT  # which reports no joints
         return self._log.history.left_home and (unknown or not self.at_home)
 
