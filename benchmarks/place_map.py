@@ -62,7 +62,7 @@ def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> Ca
         theatre = theatre_arm(file, (x + away_mm, y, z, a, b, c), None, strategy_named("ocs"))
     fiducials = tuple(one.centre_ct_mm for one in head.fiducials)
     shape = HeadEllipsoid(centre_mm=head.centre_ct_mm, semi_axes_mm=head.semi_axes_mm)
-    surroundings = PlanningScene(theatre.cell, shape, fiducials).with_reserve(theatre.reserve_mm)
+    surroundings = PlanningScene(theatre.surroundings, shape, fiducials).with_reserve(theatre.reserve_mm)
     trajectories = []
     for target in head.targets:
         turn_rad = math.radians(target.free_angle_deg)

@@ -170,7 +170,7 @@ class CollisionConfig(Strict):
             raise ValueError("live_margin_mm must be less than margin_mm, the clearance of planned paths")
         return self
 
-    def surroundings(
+    def around_head(
         self,
         tool: tuple[ToolBody, ...],
         flange_from_tool: Pose,

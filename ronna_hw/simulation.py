@@ -19,7 +19,7 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.theatre import Theatre
 
 NAME = "ronna-sim theatre"
-PENDANT = "pendant at "  # prefix of a message on the simulated controller's pendant
+CONTROLLER_SAYS = "pendant at "  # prefix of a message on the simulated controller's pendant
 
 
 class TheatreProcess:
@@ -31,7 +31,7 @@ class TheatreProcess:
         """`on_controller_message` is called with each message on the simulated controller's pendant."""
 
         def on_message(line: str) -> None:
-            if line.startswith(PENDANT):
+            if line.startswith(CONTROLLER_SAYS):
                 on_controller_message(line)
 
         self.child = ChildProcess(

@@ -138,7 +138,7 @@ class Theatre:
         return failures
 
     def close(self) -> None:
-        """Stop the arms, then end all sessions, the arms' first. Bounded in time; never raises.
+        """Stop the arms, then end all connections, the arms' first. Bounded in time; never raises.
 
         An interruption in the meantime takes effect afterwards.
         """

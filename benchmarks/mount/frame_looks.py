@@ -129,7 +129,7 @@ class FrameCell:
         )
 
     def _measured(self) -> PoseRecord | None:
-        self._measurer.begin_session()
+        self._measurer.begin_tracking()
         self._measurer.forget_tools()
         poses = []
         for number in range(FRAMES):

@@ -65,7 +65,7 @@ def _surroundings(flange: Pose) -> Surroundings:
     tip = flange.apply(TOOL_MM)
     head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)
     spheres = tuple((tip[0] + x, tip[1] + y, tip[2] - HEAD_BELOW_MM + 105.0) for x, y in SPHERES_MM)
-    return cell.surroundings(cell.guide, Pose(TOOL_MM), head, HEAD_SEMI_AXES_MM, spheres)
+    return cell.around_head(cell.guide, Pose(TOOL_MM), head, HEAD_SEMI_AXES_MM, spheres)
 
 
 def _slowed(plan: MotionPlan, around: Surroundings) -> MotionPlan:

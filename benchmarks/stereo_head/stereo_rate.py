@@ -41,12 +41,12 @@ SERVO_AREA_PX = 1024
 DRAWINGS = 20
 DRAWING_LIMIT_MS = 40.0
 
-Told = dict[str, float]
+Sums = dict[str, float]
 
 
 def measure() -> list[Figure]:
     """Alternating rounds; 3,000 pairs of each client in total. Takes about five minutes as superuser."""
-    measured: dict[str, list[Told]] = {}
+    measured: dict[str, list[Sums]] = {}
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
         job = json.dumps({"addresses": addresses, "pairs": PAIRS_PER_ROUND, "packet_bytes": PACKET_BYTES})
@@ -69,7 +69,7 @@ def _clients() -> dict[str, list[str]]:
     return clients
 
 
-def _round(line: list[str]) -> Told | None:
+def _round(line: list[str]) -> Sums | None:
     """A client's report on one round, and what the kernel dropped in the meantime; None if it did not run."""
     dropped = _kernel_drops()
     try:
@@ -90,7 +90,7 @@ def _kernel_drops() -> int:
     return int(dict(zip(names, values, strict=True))["RcvbufErrors"])
 
 
-def _figures(measured: dict[str, list[Told]]) -> Iterator[Figure]:
+def _figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
     for who, rounds in measured.items():
         total, pairs = _sums(rounds), len(rounds) * PAIRS_PER_ROUND
         ours = who.startswith(OURS)
@@ -116,7 +116,7 @@ def _figures(measured: dict[str, list[Told]]) -> Iterator[Figure]:
         yield cpu
 
 
-def _sums(rounds: list[Told]) -> Told:
+def _sums(rounds: list[Sums]) -> Sums:
     return {name: sum(each[name] for each in rounds) for name in rounds[0]}
 
 

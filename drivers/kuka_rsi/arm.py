@@ -45,7 +45,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
-ANSWERS_S = 0.5  # host time: a session silent for longer is reopened in a recovery
+ANSWERS_S = 0.5  # host time: a connection silent for longer is reopened in a recovery
 RUNS_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 UNVERIFIED = (
     "the controller does not report which program it runs: to verify it, each axis in turn moves out and "
@@ -239,7 +239,7 @@ class KukaRsiArm:
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, re-reads everything.
 
-        Moves nothing. A broken or silent EKI session is reopened, with retries until the time limit. While
+        Moves nothing. A broken or silent EKI connection is reopened, with retries until the time limit. While
         CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
         prevents it, such as EKI-007; a fault then stays latched.
         """
@@ -266,7 +266,7 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop the arm, end the RSI program and the session. Bounded in time, never raises."""
+        """Stop the arm, end the RSI program and the connection. Bounded in time, never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
         connections = self._connections

@@ -1,4 +1,4 @@
-"""The two connections to the controller: the EKI session, and the real-time process behind the RSI port."""
+"""The two connections to the controller: EKI, and the real-time process behind the RSI port."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class Connections:
 
     @property
     def eki(self) -> EkiClient:
-        """The EKI session; raises EKI-001 if there is none."""
+        """The EKI connection; raises EKI-001 if there is none."""
         if self.open_eki is None:
-            raise ControllerNotFound(f"{self._name}: no EKI session is open")
+            raise ControllerNotFound(f"{self._name}: no EKI connection is open")
         return self.open_eki
 
     @property
@@ -50,7 +50,7 @@ class Connections:
         return self.open_link
 
     def eki_answers(self, limit_s: float) -> bool:
-        """Whether there is an EKI session that is not broken and in which the controller replies in time."""
+        """Whether there is an EKI connection, unbroken, on which the controller replies in time."""
         if self.open_eki is None or self.open_eki.failure is not None:
             return False
         try:
@@ -60,7 +60,7 @@ class Connections:
         return True
 
     def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
-        """Open the EKI session and identify the controller; `retry`: repeatedly until the time limit.
+        """Open the EKI connection and identify the controller; `retry`: repeatedly until the time limit.
 
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
@@ -78,7 +78,7 @@ class Connections:
         self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)
 
     def close_eki(self) -> None:
-        """End the EKI session, if there is one."""
+        """End the EKI connection, if there is one."""
         if self.open_eki is not None:
             self.open_eki.close()
             self.open_eki = None

@@ -191,7 +191,7 @@ class ControllerLost(ProtocolError):
     """The connection to the controller broke."""
 
     code = "EKI-002"
-    action = f"To open a new session and read everything again, {ACKNOWLEDGE}."
+    action = f"To open a new connection and read everything again, {ACKNOWLEDGE}."
 
 
 class NoAnswer(LinkTimeout):

@@ -39,7 +39,7 @@ class _Asked(NamedTuple):
 
 
 class FaultWatch:
-    """One per arm. Also the listener of its EKI session."""
+    """One per arm. Also the listener of its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
@@ -149,7 +149,7 @@ class FaultWatch:
             return None
         link = self._connections.open_link
         if state.error and link is not None and (count := link.state.foreign):
-            # A stranger that opened the session is answered in the controller's place, which then times out.
+            # A stranger that opened the stream is answered in the controller's place, which then times out.
             telegrams = f"{count} telegram{'s' * (count > 1)}"
             causes.append(
                 f"note: {telegrams} came from another sender, the last from {link.state.foreign_host}"

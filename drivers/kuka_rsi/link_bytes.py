@@ -1,4 +1,4 @@
-"""The bytes of the arm's two links, for recording: the EKI session and the RSI telegrams."""
+"""The bytes of the arm's two links, for recording: the EKI connection and the RSI telegrams."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class LinkBytes:
 
     @property
     def of_eki(self) -> BytesPassed | None:
-        """Receives the bytes of the EKI session; None without a recorder."""
+        """Receives the bytes of the EKI connection; None without a recorder."""
         sink, link = self.sink, f"{self._arm}.eki"
         if sink is None:
             return None

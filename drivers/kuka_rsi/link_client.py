@@ -65,7 +65,7 @@ class LinkClient:
         self._words: str | None = None
         self._commands = 0
         self._stops = 0
-        self._stop_kind = StopOrder.HOLD  # the strongest since the session was opened
+        self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
@@ -125,7 +125,7 @@ class LinkClient:
     def stop(self, kind: StopOrder) -> int:
         """Order a stop; it takes effect with the next reply. Returns its number.
 
-        A weaker one does not take the place of a stronger one of the same session, which the process may not
+        A weaker one does not take the place of a stronger one of the same stream, which the process may not
         have seen yet.
         """
         with self._lock:
@@ -159,7 +159,7 @@ class LinkClient:
         return LinkProcessDied(f"the real-time process ended: {self._words}")
 
     def histogram(self) -> tuple[int, ...]:
-        """Turnaround counts since the session began; edges are in `drivers.kuka_rsi.realtime.histogram`."""
+        """Turnaround counts since the stream began; edges are in `drivers.kuka_rsi.realtime.histogram`."""
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:

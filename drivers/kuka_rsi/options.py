@@ -45,7 +45,7 @@ class KukaOptions(Strict):
         description="Connect to a controller that does not report its context; a micro-move verifies it.",
     )
     controller_host: ControllerHost = Field(
-        "", description="The only address that may open an RSI session; empty: the first sender."
+        "", description="The only address that may open the RSI stream; empty: the first sender."
     )
     silence_limit_s: float = Field(
         SILENCE_LIMIT_S,

@@ -28,7 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
-FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI session; doubled each time
+FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
@@ -197,7 +197,7 @@ def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadl
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
-    """End the RSI program with the STOP object, or by EKI if that fails, and close the session."""
+    """End the RSI program with the STOP object, or by EKI if that fails, and close the connection."""
     number = link.command(CommandKind.END)
     state = link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     ended = None

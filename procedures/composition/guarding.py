@@ -1,4 +1,4 @@
-"""The guards and watches of a session: what suspends a step, before and while the arm moves."""
+"""The guards and watches of a case: what suspends a step, before and while the arm moves."""
 
 from __future__ import annotations
 

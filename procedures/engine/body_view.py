@@ -79,7 +79,7 @@ class BodyView:
     def _publish_link(self, events: EventStream) -> None:
         try:
             link = self._workcell.link_statistics()
-        except RonnaError:  # its session has just ended
+        except RonnaError:  # its connection has just ended
             return
         events.publish(
             LinkHealth(

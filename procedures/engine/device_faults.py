@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
-EARLIER = "a message from before this session"  # drivers do not say which
+EARLIER = "a message from before this connection"  # drivers do not say which
 _log = logger(part="engine")
 
 
@@ -50,7 +50,7 @@ def as_it_stands(role: str, seen: LastKnown[object]) -> str:
 def acknowledged(
     devices: Mapping[str, DeviceView], recover: Callable[[str], None]
 ) -> Iterator[tuple[str, str]]:
-    """Recover each device that is in fault or, only connected yet, holds a message of an earlier session.
+    """Recover each device that is in fault or, only connected yet, holds a message of an earlier connection.
 
     Yields its role, and what was acknowledged. Raises what `recover` raises, which is called with the role.
     """

@@ -318,7 +318,7 @@ class Engine:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
     def close(self, outcome: str, problem: RonnaError | None = None) -> None:
-        """End the sessions and the journal; `problem` is what ended the case, where something did."""
+        """End the connections and the journal; `problem` is what ended the case, where something did."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
             self.faults.doubt_results()

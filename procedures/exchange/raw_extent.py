@@ -1,4 +1,4 @@
-"""How far the raw readings in a folder reach: a later session of the run may not have written its own."""
+"""How far the raw readings in a folder reach: a later program of the run may not have written its own."""
 
 from __future__ import annotations
 
@@ -48,5 +48,5 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
     since = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
     if since:
         first = since[0].get("step", "home")
-        return f"{RAW_FOLDER}/ is from an earlier session: readings from {first} on are missing"
+        return f"{RAW_FOLDER}/ is from before the run was resumed: readings from {first} on are missing"
     return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing"

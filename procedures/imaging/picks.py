@@ -29,7 +29,7 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
 
-REACH = 1.0  # of the radius: a sphere's centre may be this far from its pick
+PICK_TOLERANCE = 1.0  # of the radius: a sphere's centre may be this far from its pick
 CROP = 3.2  # of the radius: the neighbourhood that is searched
 MIN_SURFACE_SHARE = 0.3
 IN_RAS = (
@@ -113,7 +113,7 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
         outcome = examine(volume, peak, radius_mm, known, min_surface_share=MIN_SURFACE_SHARE)
         if not isinstance(outcome, Sphere):
             refused.append(outcome)
-        elif np.linalg.norm(outcome.combined.centre_mm - grid_mm) <= REACH * radius_mm:
+        elif np.linalg.norm(outcome.combined.centre_mm - grid_mm) <= PICK_TOLERANCE * radius_mm:
             return outcome
     reason = "no sphere within reach"
     if refused:
@@ -135,7 +135,7 @@ def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[Peak]:
     peaks = [
         Peak(peak.position_mm + offset_mm, peak.contrast_hu)
         for peak in find_peaks(part, radius_mm)
-        if np.linalg.norm(peak.position_mm + offset_mm - grid_mm) <= REACH * radius_mm
+        if np.linalg.norm(peak.position_mm + offset_mm - grid_mm) <= PICK_TOLERANCE * radius_mm
     ]
     shifts = sorted(product((0.0, -1.0, 1.0), repeat=3), key=lambda shift: sum(map(abs, shift)))
     around = [Peak(grid_mm + START_STEP * radius_mm * np.array(shift), 0.0) for shift in shifts]

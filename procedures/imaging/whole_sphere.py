@@ -32,7 +32,7 @@ Rays = NDArray[np.bool_]
 Span = tuple[float, float]
 
 # radii as multiples of the fitted one
-REACH, STEPS = 1.6, 65
+OUTERMOST, STEPS = 1.6, 65
 CORE, INNER_CORE = 0.72, 0.5  # a post ends at 0.74
 MIDDLE, BEFORE_SURFACE = (0.2, 0.5), (0.65, 0.85)
 METAL_FROM = 0.6
@@ -86,7 +86,7 @@ def _doubts(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
     """With `streaked`, remaining streaks shift a ray's levels: the edge is halfway between its own."""
-    shares = np.linspace(0.0, REACH, STEPS)
+    shares = np.linspace(0.0, OUTERMOST, STEPS)
     ways = ray_directions()
     profiles = region.sample(
         centre_mm + edge.radius_mm * shares[None, :, None] * ways[:, None, :], smooth=True

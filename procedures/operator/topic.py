@@ -17,7 +17,7 @@ class Topic(StrEnum):
     CART_MOVED = "cart_moved"  # or the tracker, after the localization: the case goes on from there
     SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
     UNMATCHED_SPHERE = "unmatched_sphere"  # one is not where the CT has it, as the tracker sees
-    REACH = "reach"  # the arm cannot reach a trajectory
+    UNREACHABLE = "reach"  # the arm cannot reach a trajectory
     SPHERE = "sphere"  # the stereo head cannot measure one
     MOVED_SPHERE = "moved_sphere"  # one alone explains why the fit disagrees
     MARGIN = "margin"  # the predicted error exceeds the plan's

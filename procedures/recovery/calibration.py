@@ -16,19 +16,19 @@ TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from
 
 def surround_calibration(engine: Engine) -> None:
     """Set the arm's surroundings from what the calibration knows so far, before anything moves."""
-    workcell, cell = engine.setting.workcell, engine.setting.surroundings
+    workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
     if workcell.tool is MountedTool.GUIDE:
         stand = () if place is None else stand_under(place.result.ball_mm)
-        workcell.surround(in_free_room(cell, tool, cell.guide, stand))
+        workcell.surround(in_free_room(surroundings, tool, surroundings.guide, stand))
     elif place is not None:
-        workcell.surround(around_ball(cell, tool, place.result.ball_mm, place.result.others_mm))
+        workcell.surround(around_ball(surroundings, tool, place.result.ball_mm, place.result.others_mm))
     elif found is not None and len(found.result.points_mm):
         ball_mm, *others_mm = found.result.points_mm
-        workcell.surround(around_ball(cell, tool, ball_mm, others_mm))
+        workcell.surround(around_ball(surroundings, tool, ball_mm, others_mm))
     else:
-        workcell.surround(in_free_room(cell, tool, cell.stereo_head))
+        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
 
 
 def guide_at_divot(engine: Engine) -> bool:

@@ -8,7 +8,7 @@ from procedures.steps.branches import CART_MOVED, GO_ON
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
 from ronna_hw.errors import RonnaError
 
-MOST_MOVES = 3  # per session: a cart that keeps moving needs another lock, not another localization
+MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another lock, not another localization
 
 
 class MovedCart:

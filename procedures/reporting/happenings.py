@@ -61,7 +61,7 @@ def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
 def announced_advisories(journal: Sequence[Line]) -> tuple[Happening, ...]:
     """What the operator was told, or stated, that stopped nothing; identical texts once."""
     first: dict[str, Happening] = {}
-    for one in _of_kinds(journal, _TOLD):
+    for one in _of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
     return tuple(first.values())
 
@@ -129,7 +129,7 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.ACCEPTED: ("repetition", lambda _line: "The run was resumed; the findings were accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
 }
-_TOLD: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+_NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
     Entry.SEAT: (
         "seat",

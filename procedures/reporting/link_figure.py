@@ -1,4 +1,4 @@
-"""Turnaround and jitter of the robot's real-time link, over all its sessions, on logarithmic axes."""
+"""Turnaround and jitter of the robot's real-time link, over all its streams, on logarithmic axes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEFT, HEIGHT, TOP = 44.0, 150.0, 20.0
 
 
 def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Bins (from us, to us, turnaround, jitter) over all sessions; empty ends are dropped."""
+    """Bins (from us, to us, turnaround, jitter) over all streams; empty ends are dropped."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []

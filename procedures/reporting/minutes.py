@@ -36,7 +36,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
     """Phases and steps in the order of their first occurrence, then questions and manual work.
 
     Steps of all trajectories are added up. A step that was restarted counts again; one that never ended
-    counts until the last line of its session.
+    counts until the last line of its program.
     """
     found: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
 
@@ -46,7 +46,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
     begun: Line | None = None
     before: Line | None = None
     for line in (*journal, None):
-        over = line is None or line["entry"] == Entry.RESTARTED  # with it the clock of its session
+        over = line is None or line["entry"] == Entry.RESTARTED  # with it the clock of its program
         ends = line is None or over or line["entry"] == Entry.INTENT or line["entry"] in ENDS_OF_A_STEP
         last, before = before if over else line, line
         if begun is not None and last is not None and ends:

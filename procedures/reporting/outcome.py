@@ -85,7 +85,7 @@ class FinishedRun(RunOutcome):
     left_out: dict[str, str] = Field(default={}, description="Trajectories that were left out, and why.")
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
-    late_cycles: int = Field(description="Late or lost cycles, over all sessions of the robot link.")
+    late_cycles: int = Field(description="Late or lost cycles, over all streams of the robot link.")
     sim_s: float = Field(description="Theatre time.")
     wall_s: float
     report: str | None = None

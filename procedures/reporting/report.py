@@ -21,6 +21,7 @@ from procedures.reporting.embedded import embedded, picture_of
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
 from procedures.reporting.happenings import announced_advisories, happenings, questions
+from procedures.reporting.link_counters import link_counters
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.minutes import ALGORITHM_S, LOCALIZATION, OPERATOR_S, times_taken
@@ -29,7 +30,6 @@ from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
-from procedures.reporting.sessions import sessions
 from procedures.reporting.target_figure import target_figure
 from procedures.reporting.target_table import TargetRow, target_rows
 from procedures.reporting.timeline import timeline
@@ -110,7 +110,7 @@ def write_report(
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
         "links": (links := _links(reading)),
-        "sessions": sessions(reading.log),
+        "link_counters": link_counters(reading.log),
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
         "markers_in_ct": {"step": LOCALIZATION, "operator_s": OPERATOR_S, "algorithm_s": ALGORITHM_S},
@@ -234,7 +234,7 @@ def _read_twice(
 
 
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
-    """Health of the robot link, by session, with the tool the arm carried."""
+    """Health of the robot link, by stream, with the tool the arm carried."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = [stored.result.link for stored in reading.standing(Retreated)]
     return [*changes, *(("guide", link) for link in retreats if link is not None)]

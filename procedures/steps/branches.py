@@ -218,7 +218,7 @@ UNREACHABLE = Branch(
     "that reaches it, or the others continue without it",
     Ending.ASK,
     (NotReachable,),
-    Topic.REACH,
+    Topic.UNREACHABLE,
     (*(use(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
 )
 NOT_CLEAR_NOW = Branch(

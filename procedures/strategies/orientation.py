@@ -52,9 +52,9 @@ def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
 
     For a refined registration: follows the small change of the axis without any turn about it.
     """
-    present = np.asarray(orientation.as_matrix(), dtype=float)[:, 2]
-    turn_axis = np.cross(present, axis)
-    sine, cosine = float(np.linalg.norm(turn_axis)), float(present @ axis)
+    tool_z = np.asarray(orientation.as_matrix(), dtype=float)[:, 2]
+    turn_axis = np.cross(tool_z, axis)
+    sine, cosine = float(np.linalg.norm(turn_axis)), float(tool_z @ axis)
     if sine == 0.0:
         return orientation
     return Rotation.from_rotvec(turn_axis / sine * math.atan2(sine, cosine)) * orientation

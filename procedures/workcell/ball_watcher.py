@@ -149,7 +149,10 @@ class BallWatcher:
 
 
 def around_ball(
-    cell: CollisionConfig, flange_from_tool: Transform, ball_mm: ArrayLike, neighbours_mm: ArrayLike = ()
+    surroundings: CollisionConfig,
+    flange_from_tool: Transform,
+    ball_mm: ArrayLike,
+    neighbours_mm: ArrayLike = (),
 ) -> Surroundings:
     """What the arm carries and its surroundings: the ball on its post, other balls (n, 3) mm, the room."""
     ball = _three(ball_mm)
@@ -159,7 +162,7 @@ def around_ball(
     for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
         place = _three(centre)
         obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
-    return in_free_room(cell, flange_from_tool, cell.stereo_head, obstacles)
+    return in_free_room(surroundings, flange_from_tool, surroundings.stereo_head, obstacles)
 
 
 def stand_under(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
@@ -171,21 +174,22 @@ def stand_under(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
 
 
 def in_free_room(
-    cell: CollisionConfig,
+    surroundings: CollisionConfig,
     flange_from_tool: Transform,
     tool: Sequence[ToolBody],
     obstacles: Sequence[Obstacle] = (),
 ) -> Surroundings:
     """A tool on the arm, without a patient: the bodies of the room, and what else stands there."""
     flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
-    room = [Obstacle(body.name, body.capsule) for body in cell.bodies if body.frame is BodyFrame.ROBOT]
-    arm, zone = cell.arm, cell.zone
+    standing = (body for body in surroundings.bodies if body.frame is BodyFrame.ROBOT)
+    room = [Obstacle(body.name, body.capsule) for body in standing]
+    arm, zone = surroundings.arm, surroundings.zone
     return Surroundings(
         tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in tool),
         obstacles=(*obstacles, *room),
         radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
-        margin_mm=cell.margin_mm,
-        live_margin_mm=cell.live_margin_mm,
+        margin_mm=surroundings.margin_mm,
+        live_margin_mm=surroundings.live_margin_mm,
         zone=SpeedZone(zone.near_mm, zone.near_speed_mm_s, zone.far_mm, zone.far_speed_mm_s),
     )
 

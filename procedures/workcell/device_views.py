@@ -12,7 +12,7 @@ from ronna_hw.devices.readings import TrackerFrame, Vector3
 
 
 class DeviceView(Protocol):
-    """A device of whatever kind: to open its session, and to see what it last knew."""
+    """A device of whatever kind: to open its connection, and to see what it last knew."""
 
     @property
     def state(self) -> Lifecycle:
@@ -51,7 +51,7 @@ class StereoView(DeviceView, Protocol):
 
 
 class TrackerView(Protocol):
-    """The tracker: to measure with it. Its session is opened as any device's."""
+    """The tracker: to measure with it. Its connection is opened as any device's."""
 
     @property
     def state(self) -> Lifecycle:

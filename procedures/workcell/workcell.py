@@ -363,7 +363,7 @@ class Workcell:
         self.supervised.begin_anew()
 
     def close(self) -> None:
-        """End all sessions, the arm's first; never raises."""
+        """End all connections, the arm's first; never raises."""
         self._theatre.close()
 
     def _require_allowed(self, motion: CellMotion) -> None:

@@ -81,7 +81,7 @@ class MonitorLimits:
 def monitor_limits(
     arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
-    """Limits of the monitor for a session that started at `start_rad`.
+    """Limits of the monitor for a stream that started at `start_rad`.
 
     The total correction is limited by the end switches minus the start pose, as in the controller's context.
     """
@@ -107,7 +107,7 @@ def monitor_limits(
 
 
 class Monitor:
-    """One per session. `check` changes nothing; `sent` and the methods after it record what happened."""
+    """One per stream. `check` changes nothing; `sent` and the methods after it record what happened."""
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits

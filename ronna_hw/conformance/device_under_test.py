@@ -1,4 +1,4 @@
-"""The device under test: creates drivers for the cases; cases that only read share one session."""
+"""The device under test: creates drivers for the cases; cases that only read share one connection."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class DeviceUnderTest:
             self.offers |= protocol.offers(self)
 
     def make(self, *, endpoint: str | None = None, options: dict[str, Any] | None = None) -> Any:
-        """A new, unconnected driver object. Closes every other session first."""
+        """A new, unconnected driver object. Closes every other connection first."""
         self.release()
         changes: dict[str, Any] = {}
         if endpoint is not None:
@@ -79,7 +79,7 @@ class DeviceUnderTest:
         return device
 
     def release(self) -> None:
-        """Close every session, so that the endpoint is free."""
+        """Close every connection, so that the endpoint is free."""
         for device in self._made:
             device.close()
         self._made.clear()

@@ -97,7 +97,7 @@ def run_suite(
 
 
 def run_case(case: Case, dut: DeviceUnderTest) -> CaseResult:
-    """Run one case or skip it with the reason. Never raises; closes the sessions of a failed case."""
+    """Run one case or skip it with the reason. Never raises; closes the connections of a failed case."""
     began_s = time.monotonic()
     needs = sorted(case.needs, key=lambda need: need.name)
     outcome, reason = Outcome.PASS, ""

@@ -259,8 +259,8 @@ def close_is_bounded(dut: DeviceUnderTest) -> None:
     closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
-@SUITE.case("R17", "reconnecting opens a new session with the same device, in the same pose")
-def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
+@SUITE.case("R17", "reconnecting opens a new connection to the same device, in the same pose")
+def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
     first = dut.make()
     identity = first.connect()
     before = dut.brought_to(Lifecycle.ACTIVE, first).read_state().joints_rad

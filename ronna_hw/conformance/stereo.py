@@ -30,7 +30,7 @@ SUITE = Suite("stereo", driver="basler_stereo")
 
 
 def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
-    """Readings of the shared session, one trigger each."""
+    """Readings of the shared connection, one trigger each."""
     pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 

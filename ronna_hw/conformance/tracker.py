@@ -43,7 +43,7 @@ SUITE = Suite("tracker", driver="ndi_polaris")
 
 
 def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
-    """Consecutive readings of the shared session, no faster than the tracker measures."""
+    """Consecutive readings of the shared connection, no faster than the tracker measures."""
     tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
     for _ in range(count):
@@ -62,7 +62,7 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
 
 @contextlib.contextmanager
 def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
-    """(line, tracker): an active tracker on a line that can misbehave; closes every session afterwards."""
+    """(line, tracker): an active tracker on a line that can misbehave; closes every connection afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()
@@ -166,7 +166,7 @@ def strays_have_places(dut: DeviceUnderTest) -> None:
         check(stray.validity in (Validity.OK, Validity.OUT_OF_VOLUME), "validity OK or OUT_OF_VOLUME", stray)
 
 
-@SUITE.case("T13", "tracking can be stopped and started again in one session")
+@SUITE.case("T13", "tracking can be stopped and started again on one connection")
 def stop_and_start_again(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.ACTIVE)
     tracker.deactivate()
@@ -181,8 +181,8 @@ def close_is_bounded(dut: DeviceUnderTest) -> None:
     closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 
 
-@SUITE.case("T15", "reconnecting opens a new session with the same device")
-def reconnect_is_a_full_session(dut: DeviceUnderTest) -> None:
+@SUITE.case("T15", "reconnecting opens a new connection to the same device")
+def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
     first = dut.brought_to(Lifecycle.ACTIVE, dut.make())
     first.read_frame()
     first.close()

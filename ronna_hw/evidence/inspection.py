@@ -88,7 +88,7 @@ class Inspection:
     def not_as_left(self) -> dict[str, str | None]:
         """Changed, missing and added files, with their hash when the run last ended; None without one.
 
-        Files that every session continues, such as the log, are excluded unless added; so is a renamed
+        Files that every program continues, such as the log, are excluded unless added; so is a renamed
         folder, which is found whenever it is read.
         """
         end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
@@ -154,7 +154,7 @@ def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
     """Files that were not as left when the run was resumed after an end, as in `Inspection.not_as_left`.
 
-    Those of every session since then, up to the one that has just ended: one that was killed vouches for
+    Those of every program since then, up to the one that has just ended: one that was killed vouches for
     nothing. What the first of them found says how a file was left.
     """
     expected: dict[str, str | None] = {}
@@ -285,7 +285,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 
 def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
-    """What a session that was killed found changed or added, as long as it is."""
+    """What a program that was killed found changed or added, as long as it is."""
     expected = not_vouched_for(lines)
     yield from _against(folder, {name: sha256 for name, sha256 in expected.items() if sha256 is not None})
     vouched = {

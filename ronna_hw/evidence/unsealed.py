@@ -1,4 +1,4 @@
-"""What a program that took a run up had to take as it lay: nothing confirmed it since its session ended.
+"""What a program that took a run up took as it lay: nothing confirmed it since the one before it ended.
 
 A run that was killed has no seal, and may go on. The next seal covers its log too, and would hide that this
 could have been changed in between; so the journal says what lay there without one.

@@ -13,7 +13,7 @@ from typing import Any
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
-from sim.kuka.controller.message_display import PENDANT
+from sim.kuka.controller.message_display import LINE_BEGINS
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file
 from sim.theatre.tool_records import refer_to_tip
@@ -161,6 +161,6 @@ class Theatre:
 
 def _show_pendant(line: str) -> None:
     """A message on the robot's pendant is one of the theatre."""
-    if line.startswith(PENDANT):
+    if line.startswith(LINE_BEGINS):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()

@@ -34,8 +34,8 @@ class Phase(IntEnum):
     """Phase of the real-time process."""
 
     STARTING = 0
-    IDLE = 1  # no session: telegrams are not answered
-    ARMED = 2  # a session is open, the first telegram has not arrived
+    IDLE = 1  # no stream: telegrams are not answered
+    ARMED = 2  # a stream is open, the first telegram has not arrived
     RUNNING = 3
     FAULT = 4  # latched: stopping or at rest, telegrams are answered with the last point
     ENDING = 5  # Stop is being sent
@@ -129,7 +129,7 @@ class LinkState(NamedTuple):
     dropped: Annotated[int, "Q"]  # older ones queued up behind a stall
     foreign: Annotated[int, "Q"]  # from senders other than the controller
     foreign_host: Annotated[str, IPV4_HOST]  # of the last such sender, or the next one; "" for none
-    disagreeing: Annotated[int, "Q"]  # reported other axes than expected before the session began
+    disagreeing: Annotated[int, "Q"]  # reported other axes than expected before the stream began
     measured_rad: Annotated[JointVector, "6d"]
     commanded_rad: Annotated[JointVector, "6d"]
     base_rad: Annotated[JointVector, "6d"]

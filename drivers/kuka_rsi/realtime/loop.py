@@ -2,7 +2,7 @@
 
 The controller sends first and clocks everything. Nothing is computed between receiving and sending that could
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
-anyone but the session's controller are counted and otherwise ignored.
+anyone but the stream's controller are counted and otherwise ignored.
 
 This process has priority over all others, so whatever transmits the reply on this processor (the network's
 soft interrupt, or a controller's stand-in) would have to wait until the next set-point is prepared. The
@@ -116,7 +116,7 @@ class LinkLoop:
         late = self._received_ns - self._answered_ns >= self._late_ns
         if late:
             time.sleep(BUNCH_S)
-        # Before a session, anyone's may be the newest: each is checked.
+        # Before a stream, anyone's may be the newest: each is checked.
         if (late or self._receiver.queued) and self.responder.phase is not Phase.ARMED:
             newest = self._drain(newest)
         return newest
@@ -139,7 +139,7 @@ class LinkLoop:
         self._sockets.meet(peer)
 
     def _part(self) -> None:
-        """The session has ended: the next may come from another port."""
+        """The stream has ended: the next may come from another port."""
         self._peer = None
         self._sockets.part()
         self._processor.free()
@@ -149,7 +149,7 @@ class LinkLoop:
             address = self._sockets.stranger()
             if address is None:
                 return
-            if address != self._peer:  # the controller's own may still be queued from before the session
+            if address != self._peer:  # the controller's own may still be queued from before the stream
                 self.responder.strangers.met(address[0])
 
     def _is_foreign(self, address: Address) -> bool:

@@ -1,4 +1,4 @@
-"""The replies of one session, prepared before their telegrams arrive."""
+"""The replies of one stream, prepared before their telegrams arrive."""
 
 from __future__ import annotations
 

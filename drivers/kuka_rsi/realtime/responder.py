@@ -185,7 +185,7 @@ class Responder:
         self._make_ready(points)
 
     def expects(self, telegram: Telegram) -> bool:
-        """Whether this telegram may open the session; otherwise it gets no reply."""
+        """Whether this telegram may open the stream; otherwise it gets no reply."""
         self._axes_deg = telegram.axes_deg
         self._measure()
         return self.strangers.agrees(telegram.axes_deg)

@@ -1,4 +1,4 @@
-"""The set-points of one session: prepared between telegrams, judged, and one of them sent.
+"""The set-points of one stream: prepared between telegrams, judged, and one of them sent.
 
 Generator and monitor meet only here. If the monitor rejects the path's own stop, a stop computed only from
 what was actually sent replaces it: onwards along the arm's present motion.

@@ -30,7 +30,7 @@ class LinkSettings:
     speed_fraction: float
     real_time_priority: int
     rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
-    controller_host: str = ""  # only telegrams from this host open a session; "" for any
+    controller_host: str = ""  # only telegrams from this host open a stream; "" for any
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:

@@ -1,4 +1,4 @@
-"""The sockets of one link: an unconnected one, and during a session one connected to its controller.
+"""The sockets of one link: an unconnected one, and during a stream one connected to its controller.
 
 A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
 reply. The kernel also records which processor received the last one.
@@ -36,15 +36,15 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """Telegrams arrive on the session's socket between `meet` and `part`."""
+    """Telegrams arrive on the stream's socket between `meet` and `part`."""
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
         self._line = listening  # the socket that telegrams arrive on now
-        self._peer: Address | None = None  # only while the session has its own socket
+        self._peer: Address | None = None  # only while the stream has its own socket
 
     def meet(self, peer: Address) -> None:
-        """A session with this controller begins."""
+        """A stream with this controller begins."""
         self.part()
         own: Address = self._listening.getsockname()
         if own[0] == ANY_HOST:
@@ -66,7 +66,7 @@ class LinkSockets:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
     def part(self) -> None:
-        """The session is over: a telegram may come from anywhere again."""
+        """The stream is over: a telegram may come from anywhere again."""
         if self._peer is not None:
             self._line.close()
             self._line, self._peer = self._listening, None
@@ -94,7 +94,7 @@ class LinkSockets:
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def stranger(self) -> Address | None:
-        """Sender of the next datagram that is not the session's; None if there is none."""
+        """Sender of the next datagram that is not the stream's; None if there is none."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:

@@ -10,7 +10,7 @@ AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at diffe
 
 
 class Strangers:
-    """Counts since a session was opened."""
+    """Counts since a stream was opened."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
         """`expected_rad` are the axes as reported by the controller; None if it was not asked."""

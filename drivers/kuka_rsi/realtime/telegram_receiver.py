@@ -50,7 +50,7 @@ class TelegramReceiver:
         return received
 
     def paced(self) -> bool:
-        """The last datagram was a telegram of the session, a whole cycle after the previous one.
+        """The last datagram was a telegram of the stream, a whole cycle after the previous one.
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """

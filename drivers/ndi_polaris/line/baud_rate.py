@@ -40,13 +40,13 @@ def raise_baud(
 
 
 def _switch(
-    link: CommandLink, code: str, baud: int, present: int, deadline_s: float, pause: Callable[[float], None]
+    link: CommandLink, code: str, baud: int, current: int, deadline_s: float, pause: Callable[[float], None]
 ) -> bool:
     try:  # our own end first: a unit at a rate we do not support would be lost
         link.transport.set_baud(baud)
-        link.transport.set_baud(present)
+        link.transport.set_baud(current)
     except PortUnavailable:
-        link.transport.set_baud(present)
+        link.transport.set_baud(current)
         return False
     try:
         link.ask("COMM", code + COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
@@ -58,7 +58,7 @@ def _switch(
     link.transport.set_baud(baud)
     if inquire(link, deadline_s).answered:
         return True
-    link.transport.set_baud(present)
+    link.transport.set_baud(current)
     if not inquire(link, deadline_s).answered:
-        raise LinkLost(f"no reply at {baud} baud nor at {present}")
+        raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False

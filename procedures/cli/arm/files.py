@@ -16,8 +16,8 @@ from ronna_hw.config import Calibrations
 def records_of(result: ArmResult) -> dict[str, Any]:
     """The new records by the names that the theatre file has for them."""
     records = {"arm": result.arm, "stereo_head": result.stereo_head, "tool_tip": result.tool_tip}
-    present = {name: record for name, record in records.items() if record is not None}
-    return {name: record.model_dump(exclude_none=True) for name, record in present.items()}
+    given = {name: record for name, record in records.items() if record is not None}
+    return {name: record.model_dump(exclude_none=True) for name, record in given.items()}
 
 
 def figures_of(result: ArmResult) -> ArmFigures:

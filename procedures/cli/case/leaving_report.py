@@ -103,9 +103,9 @@ def _wants_raw(folder: Path) -> bool:
 
 
 def _keep_raw(folder: Path, *, at_once: bool) -> None:
-    """Pictures and frames as files, again after each session of a run; those of before stay until then."""
+    """Pictures and frames as files, again after each program of a run; those of before stay until then."""
     way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
-    later = f"raw readings of this session were not written; to write them: {way}"
+    later = f"the last raw readings were not written; to write them: {way}"
     if at_once:
         tell(later)
         return

@@ -56,7 +56,7 @@ def run_case(
 
 
 def wall_time_s(journal: Sequence[Line]) -> float:
-    """Host time that the sessions of a run took, by the dates of its journal."""
+    """Host time that the programs of a run took, by the dates of its journal."""
     total_s, began, last = 0.0, None, None
     for line in journal:
         if line["entry"] == Entry.RESTARTED and began is not None and last is not None:

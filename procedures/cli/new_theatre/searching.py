@@ -117,8 +117,8 @@ def search_all(
         proposals = finder.find(search, advance)
         if finder.table == "stereo":
             proposals = _of_cameras(proposals, cameras)
-        present = [one for one in proposals if not one.absent]
-        chosen = _one_of(finder.table, present, choose)
+        connected = [one for one in proposals if not one.absent]
+        chosen = _one_of(finder.table, connected, choose)
         instead = proposals[0] if proposals else finder.example(search)
         found.append(Found(finder.table, chosen or instead, chosen is not None))
         advance(1.0)

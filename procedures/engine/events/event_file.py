@@ -22,15 +22,15 @@ from ronna_hw.logs import logger
 EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
 LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
-SIGNALS_BYTES = 8 << 20  # of signals in one session; some ten hours of an arm, a tracker and a stereo head
-LARGEST_BYTES = 100_000_000  # of the file: a dozen sessions with all their signals
+SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, a tracker and a stereo head
+LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
 
 _log = logger(part="events")
 
 
 class EventFile:
-    """Writes the events of a session to the file of its run, in a thread of its own."""
+    """Writes the events of a program to the file of its run, in a thread of its own."""
 
     def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
         """Never raises: a file that cannot be written is logged, and the case continues without it."""
@@ -57,7 +57,7 @@ class EventFile:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             begin = max(0, os.fstat(file).st_size - LARGEST_BYTES)
-            tail = os.pread(file, LARGEST_BYTES, begin)  # of a killed session the last line may be torn
+            tail = os.pread(file, LARGEST_BYTES, begin)  # of a killed program the last line may be torn
             os.ftruncate(file, begin + tail.rfind(b"\n") + 1)
         except OSError as error:
             self._complain(error)

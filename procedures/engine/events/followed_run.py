@@ -51,10 +51,10 @@ class FollowedRun:
         if whole:
             yield _in_order(course)
         else:
-            present = CurrentState()
+            current = CurrentState()
             for event in course:
-                present.take_in(event)
-            yield present.events
+                current.take_in(event)
+            yield current.events
         while not over:
             self._sleep(LOOK_AGAIN_S)
             over = self.over  # before the last look
@@ -93,10 +93,10 @@ class FollowedRun:
 
 def _in_order(course: Sequence[Event]) -> list[Event]:
     """As it happened: signals are written late, and numbers restart each time a run is resumed."""
-    session, latest, sessions = 0, 0, list[tuple[int, int, Event]]()
+    program, latest, placed = 0, 0, list[tuple[int, int, Event]]()
     for event in course:
         if not event.what.signal:  # facts are written in their order
-            session += event.number < latest
+            program += event.number < latest
             latest = event.number
-        sessions.append((session, event.number, event))
-    return [event for _, _, event in sorted(sessions, key=lambda one: one[:2])]
+        placed.append((program, event.number, event))
+    return [event for _, _, event in sorted(placed, key=lambda one: one[:2])]

@@ -289,7 +289,7 @@ class SignalsLost(_Happening):
     """A follower of the file sees fewer signals than there were. No fact is ever among them."""
 
     kind: Literal["signals_lost"] = "signals_lost"
-    count: int = Field(ge=1, description="Signals of this session so far that the file does not hold.")
+    count: int = Field(ge=1, description="Signals of this program so far that the file does not hold.")
 
 
 class JournalLine(_Happening):

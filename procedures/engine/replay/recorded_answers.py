@@ -70,7 +70,7 @@ class _Raised(_Strict):
         return error
 
 
-class _Answer(_Strict):
+class _AnswerLine(_Strict):
     """A line of the tape: an answer, as it was given."""
 
     section: int
@@ -108,10 +108,10 @@ class RecordedAnswers:
 
     opening: Opening
     _pixels: Path
-    _sections: Mapping[int, Mapping[tuple[str, str], deque[_Answer]]]
+    _sections: Mapping[int, Mapping[tuple[str, str], deque[_AnswerLine]]]
     moment_s: float = 0.0
     peeks: bool = False
-    _section: Mapping[tuple[str, str], deque[_Answer]] = field(default_factory=dict)
+    _section: Mapping[tuple[str, str], deque[_AnswerLine]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
         """From here on the answers are those of that section, whose process may have had its own clock."""
@@ -179,7 +179,7 @@ class RecordedAnswers:
 
 def read_answers(run: Path) -> RecordedAnswers:
     """Read a run's tape; a torn last line is left out. Raises PRO-024 when there is none."""
-    sections: dict[int, dict[tuple[str, str], deque[_Answer]]] = defaultdict(lambda: defaultdict(deque))
+    sections: dict[int, dict[tuple[str, str], deque[_AnswerLine]]] = defaultdict(lambda: defaultdict(deque))
     opening: Opening | None = None
     for line in _lines(run / READINGS_FOLDER):
         if isinstance(line, Opening):
@@ -191,24 +191,24 @@ def read_answers(run: Path) -> RecordedAnswers:
     return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
 
 
-class ToldAt(NamedTuple):
+class ValueAt(NamedTuple):
     """An answer that was no error, and when it was given."""
 
     theatre_time_s: float
     value: object
 
 
-def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ToldAt]]:
+def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ValueAt]]:
     """Section, device, call and answer of all calls that raised nothing, as they came. Raises PRO-024."""
     answers = read_answers(run)
     for line in _lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
             continue
         value = answers.value_of(line.device, line.call, line.answer, ANSWERS[line.call])
-        yield line.section, line.device, line.call, ToldAt(line.theatre_time_s, value)
+        yield line.section, line.device, line.call, ValueAt(line.theatre_time_s, value)
 
 
-def _lines(folder: Path) -> Iterator[Opening | _Answer]:
+def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
     """Openings and answers, in order; what a process was writing when it was killed is left out."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
@@ -233,7 +233,7 @@ def _lines(folder: Path) -> Iterator[Opening | _Answer]:
             if begins:
                 yield Opening.model_validate(line["opening"])
             elif "section" in line:
-                yield _Answer.model_validate(line)
+                yield _AnswerLine.model_validate(line)
         except ValidationError as error:
             why = "; ".join(describe_mistakes(error))
             raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {why}") from error

@@ -40,7 +40,7 @@ class TheatreArm:
     """The arm of a theatre file with its surroundings, and the errors that the file states."""
 
     arm: ArmSetting
-    cell: CollisionConfig
+    surroundings: CollisionConfig
     sight: StereoSight
     stereo_from_marker: Transform  # the frame on the arm that the tracker sees
     bore: GuideBore
@@ -55,8 +55,8 @@ class TheatreArm:
             frame = frame_bodies(fiducials, markers_mm)
         except LayoutNotFound:  # refused by the check itself
             frame = ()
-        scene = PlanningScene(self.cell, head_shape(volume), markers_mm, frame).with_reserve(self.reserve_mm)
-        return replace(self.arm, scene=scene)
+        scene = PlanningScene(self.surroundings, head_shape(volume), markers_mm, frame)
+        return replace(self.arm, scene=scene.with_reserve(self.reserve_mm))
 
 
 def theatre_arm(
@@ -89,7 +89,7 @@ def theatre_arm(
     )
     return TheatreArm(
         arm=arm,
-        cell=theatre.cell_with_tools,
+        surroundings=theatre.cell_with_tools,
         sight=StereoSight.of(calibration.stereo_head),
         stereo_from_marker=calibration.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER),
         bore=guide.bore,

@@ -1,4 +1,4 @@
-"""The arm's surroundings when a motion is planned: the head in the CT with its spheres, and the cell."""
+"""The arm's surroundings when a motion is planned: the head in the CT, its spheres, and what is around."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class PlanningScene:
-    """The head as shown by the CT, and the cell of the theatre file around it."""
+    """The head as shown by the CT, and the bodies of the theatre file around it."""
 
-    cell: CollisionConfig
+    surroundings: CollisionConfig
     head: HeadEllipsoid
     fiducials_ct_mm: Points = ()
     frame_ct: tuple[Obstacle, ...] = ()  # bars and foot of the x-shaped frame
@@ -32,14 +32,14 @@ class PlanningScene:
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:
         """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
-        around = self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, trajectory)
+        around = self._around(self.surroundings.stereo_head, robot_from_ct, flange_from_tool, trajectory)
         return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
         """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
-        return self._around(self.cell.guide, robot_from_ct, flange_from_tool, trajectory)
+        return self._around(self.surroundings.guide, robot_from_ct, flange_from_tool, trajectory)
 
     def _around(
         self,
@@ -51,9 +51,9 @@ class PlanningScene:
         corridor = None
         if trajectory is not None:
             entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
-            corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
+            corridor = Corridor(tuple(entry), tuple(target), self.surroundings.corridor_mm)
         in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
-        around = self.cell.surroundings(
+        around = self.surroundings.around_head(
             tool,
             Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
             Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),

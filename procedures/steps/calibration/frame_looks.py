@@ -64,8 +64,8 @@ class FrameTurning:
             "poses. Nobody and nothing else may be within its reach",
             f"{total} poses",
         )
-        cell, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
-        workcell.surround(in_free_room(cell, tool, cell.stereo_head))
+        surroundings, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
+        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
         workcell.start()
         turning = _Turning(context)
         turning.look_at(workcell.home_rad, Use.RETURN)

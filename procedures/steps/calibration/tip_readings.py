@@ -64,8 +64,8 @@ class TipReadings:
             "moved, and nobody and nothing else is within the arm's reach",
             f"{len(stand.looks)} orientations",
         )
-        cell, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
-        workcell.surround(in_free_room(cell, guide, cell.guide, stand_under(place.ball_mm)))
+        surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
+        workcell.surround(in_free_room(surroundings, guide, surroundings.guide, stand_under(place.ball_mm)))
         workcell.start()
         reading = _Reading(context, self._observed(context, stand))
         for look in range(len(stand.looks)):

@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
 
 def _not_connected_yet(context: StepContext) -> tuple[str, ...]:
-    """Devices are connected once in a run: a second session would meet the first."""
+    """Devices are connected once in a run: a second connection would meet the first."""
     connected = [
         role
         for role, device in context.workcell.devices.items()

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Sequence
 
 SILENT_S = 10.0
 
-Told = Callable[[str], None]
+Tell = Callable[[str], None]
 
 
 class Silence:
     """Reports once each unit that has been running for `limit_s`."""
 
-    def __init__(self, names: Sequence[str], tell: Told, limit_s: float = SILENT_S) -> None:
+    def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
         """`names` are those of the user methods; without any, nothing is reported."""
         self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
         self._since: dict[str, float] = {}

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from procedures.studies.campaign.ledger import Ledger
-from procedures.studies.campaign.silence import Silence, Told
+from procedures.studies.campaign.silence import Silence, Tell
 from procedures.studies.campaign.unit import Study, Sums, Unit
 from procedures.studies.errors import (
     ExtraMissing,
@@ -42,7 +42,7 @@ def run_study(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
-    tell: Told = lambda text: None,
+    tell: Tell = lambda text: None,
 ) -> None:
     """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
@@ -63,7 +63,7 @@ def run_study(
 
 @contextmanager
 def _runner(
-    study: Study, units: list[Unit], workers: int | None, scheduler: str | None, tell: Told
+    study: Study, units: list[Unit], workers: int | None, scheduler: str | None, tell: Tell
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from difflib import get_close_matches
 
-from procedures.studies.campaign.silence import Told
+from procedures.studies.campaign.silence import Tell
 from procedures.studies.correspondence.study import Method
 from procedures.studies.errors import MethodRefused
 from procedures.studies.own.contracts import MethodKind
@@ -22,7 +22,7 @@ NAMES = {
 
 
 def chosen_methods(
-    names: Sequence[str], tell: Told = lambda text: None
+    names: Sequence[str], tell: Tell = lambda text: None
 ) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
     """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
-from procedures.studies.campaign.silence import Silence, Told
+from procedures.studies.campaign.silence import Silence, Tell
 from procedures.studies.campaign.workers import ENDED_ITS_PROCESS
 from procedures.studies.correspondence.readings import draw_readings
 from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
@@ -40,7 +40,7 @@ BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
 
 
-def tried_apart(kind: MethodKind, text: str, tell: Told = lambda text: None) -> OwnMethod:
+def tried_apart(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> OwnMethod:
     """Like `tried`, but first in a separate process: a crash there is reported and does not end the campaign.
 
     `tell` is called if it does not respond.

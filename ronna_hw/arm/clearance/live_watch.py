@@ -39,7 +39,7 @@ def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
 
 
 class LiveWatch:
-    """One per session and surroundings. `check` does not count a set-point as sent; `sent` does."""
+    """One per stream and surroundings. `check` does not count a set-point as sent; `sent` does."""
 
     def __init__(
         self,

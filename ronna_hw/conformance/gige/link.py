@@ -139,7 +139,7 @@ class GigeLink:
 
 
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
-    """A link to each camera in turn; closes every session of the driver first."""
+    """A link to each camera in turn; closes every connection of the driver first."""
     dut.release()
     for text in dut.config.endpoints.values():
         with GigeLink(parse_endpoint(text).require("gev").host) as link:

@@ -149,7 +149,7 @@ class RsiLine:
 
 @contextmanager
 def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
-    """A plain client of the EKI channel; closes every session of the driver first."""
+    """A plain client of the EKI channel; closes every connection of the driver first."""
     endpoint = _endpoint(dut, "eki_project")
     dut.release()
     with EkiLine(parse_endpoint(endpoint).require("tcp")) as line:

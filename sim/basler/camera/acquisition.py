@@ -38,9 +38,9 @@ FRAMES_LATE = 3  # of a free-running camera, before it drops frames
 
 @dataclass(frozen=True)
 class _Exposure:
-    """One frame to take: its session, its number within the session, its time and settings."""
+    """One frame to take: its acquisition, its number within that, its time and settings."""
 
-    session: int
+    acquisition: int
     number: int
     start_ns: int
     frame: FrameSettings
@@ -76,7 +76,7 @@ class Acquisition:
         self._faults = faults
         self._changed = threading.Condition()
         self._waiting: deque[_Exposure] = deque()
-        self._session = 0
+        self._acquisition = 0
         self._running = False
         self._closed = False
         self._triggers = TriggerCount()
@@ -124,7 +124,7 @@ class Acquisition:
             if self._running or self._closed:
                 return
             settings = self._settings()
-            self._session += 1
+            self._acquisition += 1
             self._running = True
             self._triggers.start()
             self._free_frames = self._missed_triggers = 0
@@ -138,7 +138,7 @@ class Acquisition:
         """AcquisitionStop: a frame being sent is completed, no other follows."""
         with self._changed:
             self._running = False
-            self._session += 1
+            self._acquisition += 1
             self._waiting.clear()
 
     def software_trigger(self) -> None:
@@ -198,7 +198,7 @@ class Acquisition:
         if settings.acquisition_mode == AcquisitionMode.SINGLE_FRAME:
             self._running = False
         self._report(EventKind.FRAME_START, 0, start_ns)
-        return _Exposure(self._session, number, start_ns, frame)
+        return _Exposure(self._acquisition, number, start_ns, frame)
 
     def _work(self) -> None:
         while True:
@@ -243,7 +243,7 @@ class Acquisition:
         # In real time rows are sent while they are read out, in lock-step once the time has passed.
         self._clock.wait_until_ns(exposed_ns if self._clock.paced else read_ns)
         with self._changed:
-            if exposure.session != self._session:
+            if exposure.acquisition != self._acquisition:
                 return
             if triggered:
                 self._waiting.popleft()

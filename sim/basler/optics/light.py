@@ -20,7 +20,7 @@ class Lighting:
 
     def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
         self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
-        self._reach = sensor_px[0] / 2
+        self._half_width_px = sensor_px[0] / 2
         slopes = noise(seed, f"light of camera {serial}", 0).uniform(-1.0, 1.0, 4)
         self._slope = slopes[:2] * SLOPE
         self._background_slope = slopes[2:] * BACKGROUND_SLOPE
@@ -34,8 +34,8 @@ class Lighting:
         return self._surface(area, self._background_slope, 0.0) * np.float32(BACKGROUND_ELECTRONS_PER_US)
 
     def _surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
-        x = (area.x + np.arange(area.width) - self._centre[0]) / self._reach
-        y = (area.y + np.arange(area.height) - self._centre[1]) / self._reach
+        x = (area.x + np.arange(area.width) - self._centre[0]) / self._half_width_px
+        y = (area.y + np.arange(area.height) - self._centre[1]) / self._half_width_px
         columns = 1.0 + slope[0] * x - fall_off * x * x
         rows = slope[1] * y - fall_off * y * y
         total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]

@@ -62,9 +62,9 @@ class CycleLoop:
         self._takes_second = controller.parameters.second_reply == "taken"
         self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
-        self._cell = ControllerFaults(board, controller, self._servers, self._link, log)
+        self._faults = ControllerFaults(board, controller, self._servers, self._link, log)
         self._log = logger(device="kuka")
-        self._pendant = MessageDisplay(world.clock.now_s)
+        self._display = MessageDisplay(world.clock.now_s)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
         self._autostart = autostart
@@ -91,7 +91,7 @@ class CycleLoop:
         self._autostart.begin()
         try:
             while not self._ending:
-                self._cell.poll()
+                self._faults.poll()
                 self._show()
                 if self._controller.run is not None:
                     self._cycle(self._controller.run)
@@ -140,7 +140,7 @@ class CycleLoop:
             self._silent = reply is None
         else:
             reply = self._datagram = None
-        self._cell.poll()  # a fault may have become due while the client worked
+        self._faults.poll()  # a fault may have become due while the client worked
         if not self._link.idle:
             reply = self._link.incoming(self._datagram, run.read)
         if controller.run is not run:
@@ -243,7 +243,7 @@ class CycleLoop:
 
     def _show(self) -> None:
         run = self._controller.run
-        self._pendant.look(self._controller.message, run.notice if run is not None else "")
+        self._display.look(self._controller.message, run.notice if run is not None else "")
         if run is not None:
             run.rejected.tell(time.monotonic(), self._tell_rejected)
 
@@ -325,7 +325,7 @@ class CycleLoop:
         timeout_s = min(timeout_s, IDLE_WAIT_S, max(0.0, self._tick_s - now_s))
         ready, _, _ = select.select(waiting, (), (), timeout_s)
         if ready and self._controller.run is None:
-            self._cell.poll()  # a fault that was given before a client connected acts on it
+            self._faults.poll()  # a fault that was given before a client connected acts on it
         heard = False
         for one in ready:
             if one is rsi:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from sim.kuka.controller.messages import Message
 
-PENDANT = "pendant at "  # beginning of each of its lines
+LINE_BEGINS = "pendant at "  # beginning of each of its lines
 
 
 class MessageDisplay:
@@ -33,7 +33,7 @@ class MessageDisplay:
 
     def _write(self, what: str) -> None:
         text = "".join(letter if letter.isprintable() else " " for letter in what)
-        sys.stderr.write(f"{PENDANT}{self._now_s():.3f} s: {text}\n")
+        sys.stderr.write(f"{LINE_BEGINS}{self._now_s():.3f} s: {text}\n")
         sys.stderr.flush()
 
 

@@ -51,8 +51,8 @@ def _accessories(unit: Unit, port: Port) -> str:
     tool = port.definition
     if tool is None or not (port.wired_port or unit.behaviour.accessories_of_passive):
         return NO_ACCESSORIES
-    present = (tool.in_port, *tool.switches, tool.tracking_led, *tool.lit)
-    return f"{sum(bit for bit, has in zip(ACCESSORY_BITS, present, strict=True) if has):02X}"
+    fitted = (tool.in_port, *tool.switches, tool.tracking_led, *tool.lit)
+    return f"{sum(bit for bit, has in zip(ACCESSORY_BITS, fitted, strict=True) if has):02X}"
 
 
 def _marker_type(_unit: Unit, port: Port) -> str:

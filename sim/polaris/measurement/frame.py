@@ -1,6 +1,6 @@
 """One frame: every enabled tool and every stray, measured marker by marker.
 
-The noise of a frame is a function of the scene's seed, the session and the frames since it started, so
+The noise of a frame is a function of the scene's seed, the tracking and the frames since it started, so
 requesting the same frame again, or skipping others, changes nothing.
 """
 
@@ -67,22 +67,22 @@ class Measurer:
         self._usual_reflections = truth.reflections
         self._first_volume = volumes[0]
         self._faces: dict[int, int] = {}  # by handle: the face tracked in the previous frame
-        self._sessions = 0  # of tracking
+        self._trackings = 0  # how often it has started
         self._noise_key = DEVICE
 
     def hangs_on_mount(self, port: Port) -> bool:
         """Whether this port's tool is the reference frame M on the mount."""
         return port.definition is not None and self._scene.hangs_on_mount(port.definition)
 
-    def begin_session(self) -> None:
-        """Tracking starts: every session after the first has its own noise.
+    def begin_tracking(self) -> None:
+        """Tracking starts: every one after the first has its own noise.
 
         A guard that reads the tracker between the steps of a case therefore changes none of its numbers, and
-        does not see the noise of an earlier session again.
+        does not see the noise of an earlier one again.
         """
-        self._sessions += 1
-        if self._sessions > 1:
-            self._noise_key = f"{DEVICE}, session {self._sessions}"
+        self._trackings += 1
+        if self._trackings > 1:
+            self._noise_key = f"{DEVICE}, session {self._trackings}"
 
     def forget_tools(self) -> None:
         """Drop caches: tools were loaded, freed or enabled."""

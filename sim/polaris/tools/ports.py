@@ -121,12 +121,12 @@ class PortTable:
             return tuple(self)
         if query is HandleQuery.TO_BE_FREED:
             return tuple(port for port in self if port.unoccupied)
-        present = tuple(port for port in self if not port.unoccupied)
+        occupied = tuple(port for port in self if not port.unoccupied)
         if query is HandleQuery.OCCUPIED:
-            return tuple(port for port in present if not port.initialised)
+            return tuple(port for port in occupied if not port.initialised)
         if query is HandleQuery.INITIALISED:
-            return tuple(port for port in present if port.initialised and not port.enabled)
-        return tuple(port for port in present if port.enabled)
+            return tuple(port for port in occupied if port.initialised and not port.enabled)
+        return tuple(port for port in occupied if port.enabled)
 
     def _new(
         self,

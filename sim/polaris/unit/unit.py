@@ -87,7 +87,7 @@ class Unit:
     def start_tracking(self, *, restart: bool) -> None:
         """To tracking mode; with `restart` the frame number starts at zero."""
         self._begin(restart=restart)
-        self.measurer.begin_session()
+        self.measurer.begin_tracking()
         self.mode = Mode.TRACKING
 
     def start_diagnostic(self) -> None:

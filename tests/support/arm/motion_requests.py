@@ -128,7 +128,7 @@ def _room(rng: random.Random, start: JointVector) -> Surroundings:
         x + rng.uniform(-150, 250), y + rng.gauss(0, 150), z - rng.uniform(60, 350), *angles
     )
     tool = CELL.guide if rng.random() < 0.5 else CELL.stereo_head
-    return CELL.surroundings(tool, TOOL, head, HEAD_SEMI_AXES_MM)
+    return CELL.around_head(tool, TOOL, head, HEAD_SEMI_AXES_MM)
 
 
 def _somewhere(rng: random.Random) -> JointVector:

@@ -423,7 +423,7 @@ ROWS = (
         Row("", "correspondence", DONE, scene=scene, markers=5, branch="UNMATCHED_SPHERE", asks=UNMATCHED)
         for scene in (MISSING, FAR_OFF)
     ),
-    Row("", "path_check", DONE, scene=OUT_OF_REACH, branch="UNREACHABLE", asks=Topic.REACH),
+    Row("", "path_check", DONE, scene=OUT_OF_REACH, branch="UNREACHABLE", asks=Topic.UNREACHABLE),
     Row("", "registration", "PRO-007", theatre_s=5, scene=OFF, markers=5, branch="FIT_DISAGREES"),
     Row("", "registration", DONE, scene=OFF, markers=6, branch="MOVED_SPHERE", asks=Topic.MOVED_SPHERE),
     Row("", "registration", "PRO-007", theatre_s=5, scene=STRICT, branch="BEYOND_MARGIN"),

@@ -33,8 +33,8 @@ from procedures.reporting.calibration.result_file import figures_if_readable
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.happenings import happenings, questions
+from procedures.reporting.link_counters import link_counters
 from procedures.reporting.run_reading import read_for_report
-from procedures.reporting.sessions import sessions
 from procedures.reporting.timeline import timeline
 from procedures.steps.calibration.recipe import Recipe
 from procedures.studies.campaign import ledger
@@ -148,7 +148,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "run": ((JOURNAL_OF_A_RUN,), of("journal.jsonl", _read_run)),
         "log": (
             (b'{"event":"opened","part":"log","a":{"b":1}}\n',),
-            of("log.jsonl", lambda _run: sessions(read_for_report(folder).log), folder),
+            of("log.jsonl", lambda _run: link_counters(read_for_report(folder).log), folder),
         ),
         "tape": ((_tape(run / "readings"),), of("readings/readings.jsonl", _replayed)),
         "truth": (
@@ -203,7 +203,7 @@ def _read_run(run: Path) -> None:
     happenings(reading.run.journal)
     questions(reading.run.journal)
     timeline(reading.run.journal)
-    sessions(reading.log)
+    link_counters(reading.log)
 
 
 def _tape(folder: Path) -> bytes:

@@ -218,7 +218,8 @@ def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Pat
         done = in_this_process(app, command, run)
         assert done.returncode == 0
         assert (
-            "raw/ is from an earlier session: readings from relocalization:T2 on are missing" in done.stdout
+            "raw/ is from before the run was resumed: readings from relocalization:T2 on are missing"
+            in done.stdout
         )
 
 

@@ -75,7 +75,7 @@ def plan_with_one_out_of_reach() -> CheckedPlan:
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
 def test_a_trajectory_out_of_reach_is_refused_without_consent(cell: ClinicalCell) -> None:
-    cell.operator = RecordingOperator(Topic.REACH)
+    cell.operator = RecordingOperator(Topic.UNREACHABLE)
     given = (correspondence(), localized_fiducials(), plan_with_one_out_of_reach(), checked_set_up(cell))
     with pytest.raises(NotReachable, match=f"{LAST}/"):
         cell.run(*given, STEP)

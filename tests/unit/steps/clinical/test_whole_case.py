@@ -121,7 +121,7 @@ def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
     engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
     engine.run_to()
     assert engine.machine.state == "finished"
-    (question,) = (one for one in cell.operator.asked if one.topic is Topic.REACH)
+    (question,) = (one for one in cell.operator.asked if one.topic is Topic.UNREACHABLE)
     assert question.name == f"reach:{first.id}"
     assert f"{first.id}/" in question.value
     paths = cell.case.get(CheckedPaths).result

@@ -1,17 +1,17 @@
-"""Statistics of the drivers' links at the end of each session, from the log."""
+"""Statistics of the drivers' links whenever they end, from the log."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-SESSION_ENDS = "active"  # the state that a device left
+ACTIVE = "active"  # the state that a device left
 FRAME = ("timestamp", "level", "event", "device", "before")
 
 
-def sessions(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
-    """Device, and its counters in words, for every session that ended."""
-    ended = [line for line in log if line.get("before") == SESSION_ENDS and "device" in line]
+def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
+    """Device, and its counters in words, for every time that it was active."""
+    ended = [line for line in log if line.get("before") == ACTIVE and "device" in line]
     counted = [
         (str(line["device"]), ", ".join(f"{name} {count}" for name, count in _counters(line, "")))
         for line in ended
