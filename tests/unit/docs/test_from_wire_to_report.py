@@ -8,6 +8,7 @@ import struct
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import groupby
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -102,6 +103,15 @@ def links() -> set[str]:
     )
     shared = of_image[of_image.index("| [registration]") :]
     return {str(path) for path in re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", of_tracker + shared)}
+
+
+@pytest.mark.parametrize("walk", ["A motion", "An image", "A pose"])
+def test_each_walk_crosses_a_layer_at_most_once(walk: str) -> None:
+    text = PAGE.read_text(encoding="utf-8").split(f"## {walk}")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| \*?\[[^]]*\]\(\.\./\.\./(drivers|ronna_hw|procedures/\w+)/", text, re.MULTILINE)
+    layers = [layer for layer, _ in groupby(rows)]
+    assert len(layers) > 3
+    assert len(layers) == len(set(layers))
 
 
 def numbers_of(report: str, sphere: int) -> str:
