@@ -112,6 +112,11 @@ class Transform:
         """Map points (3,) or (n, 3) in mm from source to target."""
         return np.asarray(self.rigid.apply(np.asarray(points_mm, dtype=float)), dtype=float)
 
+    def displaced(self, by_mm: ArrayLike) -> Transform:
+        """The same rotation, with its origin displaced by (3,) mm in the target frame."""
+        place_mm = self.translation_mm + np.asarray(by_mm, dtype=float)
+        return Transform(self.target, self.source, rigid_of(place_mm, self.rigid.rotation))
+
     def inverse(self) -> Transform:
         """The transform source <- target."""
         return Transform(self.source, self.target, self.rigid.inv())

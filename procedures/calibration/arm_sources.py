@@ -129,6 +129,14 @@ def arm_sources(
     )
 
 
+def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Array:
+    """Covariances (p, 3, 3) of a tool at points (p, 3) mm that rests on an unknown side of every backlash."""
+    arm = sizes.identified
+    backlash_rad = BACKLASH_RAD if arm is None else arm.backlash_rad
+    half = FLANK_SHARE * backlash_rad * displacements(chain, joints_rad, points_mm, sizes).swings_mm
+    return np.asarray(half @ half.transpose(0, 2, 1))
+
+
 @dataclass(frozen=True)
 class Displacements:
     """Displacement of a tool at `p` poses by each error at one standard deviation."""

@@ -37,7 +37,7 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.error_budget.arm import arm_errors
+from procedures.steps.clinical.error_budget.arm import arm_errors, unknown_sides_mm2
 from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
 from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.error_budget.held_guide import held_guide
@@ -125,11 +125,12 @@ class _Pairs:
     ct_mm2: Array  # in the frame of the room, as all covariances here
     seating_mm2: Array
     stereo_mm2: Array
+    sides_mm2: Array  # of backlashes, where the strategy does not control them
     tool_mm: Array  # what each standard deviation of the tool frame displaces
 
     @property
     def measured_mm2(self) -> Array:
-        return self.ct_mm2 + self.seating_mm2 + self.stereo_mm2
+        return self.ct_mm2 + self.seating_mm2 + self.stereo_mm2 + self.sides_mm2
 
     @classmethod
     def of(cls, context: StepContext) -> _Pairs:
@@ -146,6 +147,7 @@ class _Pairs:
                 np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
             ),
             stereo_mm2=np.array(fine.covariances_mm2),
+            sides_mm2=unknown_sides_mm2(context, fiducials, fine.points_mm),
             tool_mm=displaced_spheres_mm(context, fine.fiducials),
         )
 
@@ -158,6 +160,7 @@ class _Pairs:
             ct_mm2=self.ct_mm2[kept],
             seating_mm2=self.seating_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
+            sides_mm2=self.sides_mm2[kept],
             tool_mm=self.tool_mm[kept],
         )
 

@@ -37,7 +37,6 @@ from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
-from ronna_hw.frames import Frame, Transform
 from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
@@ -107,8 +106,11 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
+        if spheres:  # the pose is displaced by what was seen: so is the head beside which the arm goes there
+            x, y, z = offset_mm.tolist()
+            surround_stereo_head(context, item.joints_rad, offset_mm=(x, y, z))
         try:
-            sphere = centring.onto(item.fiducial, _shifted(coarse, offset_mm), item.approach_rad)
+            sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:
             left_out.append(_agreed(context, item.fiducial, problem, len(planned) - len(left_out) - 1))
             centring.back_off()
@@ -173,15 +175,6 @@ def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: in
     if context.choose(question) != LEAVE_OUT:
         raise problem
     return LeftOutSphere(fiducial=fiducial, reason=problem.summary)
-
-
-def _shifted(pose: Transform, offset_mm: Array) -> Transform:
-    return Transform.of(
-        Frame.ROBOT,
-        Frame.TOOL,
-        translation_mm=pose.translation_mm + offset_mm,
-        quaternion_wxyz=pose.quaternion_wxyz,
-    )
 
 
 def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, backlash_mm2
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.steps.clinical.error_budget.held_guide import HeldGuide
@@ -28,13 +28,12 @@ def arm_errors(
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Of localizations of spheres (n, 3) mm, robot frame, as planned, and of the tip at a target."""
     paths = context.result(CheckedPaths)
-    planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
-    looks = [planned[index] for index in fiducials]
+    joints_rad = _planned_rad(context, fiducials)
     signs = arriving(context, paths)
-    sides = None if signs is None else np.array([signs] * len(looks), dtype=float)
+    sides = None if signs is None else np.array([signs] * len(joints_rad), dtype=float)
     return arm_sources(
         context.workcell.arm.kinematics.chain,
-        ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, sides),
+        ArmPoses(joints_rad, spheres_mm, sides),
         ArmPoses(
             np.array([held.joints_rad]),
             held.tip_mm[None],
@@ -43,3 +42,23 @@ def arm_errors(
         ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm),
         servo_mm=0.0,
     )
+
+
+def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:
+    """Covariances (n, 3, 3) of spheres where no strategy says on which side of its backlash a joint rests.
+
+    Of a calibrated arm: what is said of one that is not calibrated has it already.
+    """
+    arm = context.workcell.calibrations.arm
+    if arm is None or arriving(context, context.result(CheckedPaths)) is not None:
+        return np.zeros((len(fiducials), 3, 3))
+    sizes = ErrorSizes.stated(context.setting.settings, arm)
+    chain = context.workcell.arm.kinematics.chain
+    return backlash_mm2(chain, _planned_rad(context, fiducials), spheres_mm, sizes)
+
+
+def _planned_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
+    """Joints (n, axes) of the localizations as planned."""
+    localizations = context.result(CheckedPaths).localizations_for(context.key.trajectory)
+    planned = {one.fiducial: one.joints_rad for one in localizations}
+    return np.array([planned[index] for index in fiducials])

@@ -15,6 +15,8 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
+Offset = tuple[float, float, float]
+
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
 
 
@@ -37,15 +39,18 @@ def planning_scene(
 
 
 def surround_stereo_head(
-    context: StepContext, near_rad: JointVector, trajectory: Trajectory | None = None
+    context: StepContext,
+    near_rad: JointVector,
+    trajectory: Trajectory | None = None,
+    offset_mm: Offset = (0.0, 0.0, 0.0),
 ) -> None:
     """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
     `near_rad` is where it works: see `Workcell.surround`. With a trajectory its corridor into the head is
-    open.
+    open. `offset_mm` is how far from there the stereo head has seen the head, as the arm has it.
     """
     workcell = context.workcell
-    robot_from_ct = context.result(Correspondence).robot_from_ct.transform
+    robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displaced(offset_mm)
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
     workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
 

@@ -1,5 +1,8 @@
 """The fit is gated by its error budget and accepted by its predicted error at its targets."""
 
+from contextlib import nullcontext
+from pathlib import Path
+
 import numpy as np
 import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
@@ -12,18 +15,23 @@ from prepared_results import (
     localized_fiducials,
     relocalization,
 )
-from recording_cell import RecordingOperator
+from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
+from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
+from sim.world.process import load_scene
 
 Array = NDArray[np.float64]
+
+
+SIDEWAYS_MM = 0.7  # the largest that the gate takes without the backlash of 0.25 mm is 0.6
 
 
 def registered(
@@ -106,6 +114,18 @@ def test_a_registration_that_is_not_accepted_is_not_kept(cell: ClinicalCell) -> 
     with pytest.raises(NotConfirmed, match="PRO-002"):
         registered(cell)
     assert cell.case.find(RegisteredRobot, FIRST) is None
+
+
+@pytest.mark.parametrize(("strategy", "passes"), [("thesis-ocs", True), ("ocs", False)])
+def test_the_gate_of_a_calibrated_arm_counts_backlash_where_the_strategy_does_not_control_it(
+    tmp_path: Path, strategy: str, passes: bool
+) -> None:
+    scene = load_scene("mini", seed=3, markers=4, targets=2, calibrated=True)
+    cell = ClinicalCell(tmp_path, theatre=theatre_of(scene), strategy=strategy_named(strategy))
+    points_mm = SPHERES_MM.copy()
+    points_mm[::2, 1] += SIDEWAYS_MM  # some on one side of the first joint's, some on the other
+    with nullcontext() if passes else pytest.raises(GateFailed, match="disagrees with its own error budget"):
+        registered(cell, points_mm)
 
 
 def moved(*spheres: int) -> Array:

@@ -21,6 +21,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import APPROACH_RAD
+from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -73,12 +74,30 @@ def test_the_surroundings_are_exact_at_the_spheres_and_not_at_home(
     near: list[object] = []
     monkeypatch.setattr(cell.workcell, "surround", lambda _room, near_rad: near.append(near_rad))
     relocalize(cell)
-    assert near == [checked_paths(cell).localizations["T1"][len(SPHERES_MM) // 2].joints_rad]
+    middle, *others = near
+    planned = [one.joints_rad for one in checked_paths(cell).localizations["T1"]]
+    assert middle == planned[len(SPHERES_MM) // 2]
+    assert others == planned[1:]
 
 
-def test_the_step_sends_the_surroundings_and_starts_the_stream_and_the_cameras(cell: ClinicalCell) -> None:
+def test_from_the_second_sphere_on_the_head_is_where_the_stereo_head_has_seen_it(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rooms: list[Surroundings] = []
+    monkeypatch.setattr(cell.workcell, "surround", lambda room, _near_rad: rooms.append(room))
+    relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM))
+    spheres_mm = [
+        next(one.capsule.start_mm for one in room.obstacles if one.name == "fiducial 1") for room in rooms
+    ]
+    seen_mm = np.array(spheres_mm[1:]) - spheres_mm[0]
+    np.testing.assert_allclose(seen_mm, [np.negative(COARSE_OFF_MM)] * len(seen_mm), atol=1e-3)
+
+
+def test_the_step_sends_the_surroundings_and_then_starts_the_stream_and_the_cameras(
+    cell: ClinicalCell,
+) -> None:
     relocalize(cell)
-    assert cell.arm.calls == ["surround", "activate"]
+    assert cell.arm.calls[:2] == ["surround", "activate"]
     assert cell.stereo.calls == ["activate"]
 
 
