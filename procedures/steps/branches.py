@@ -262,9 +262,11 @@ TOOL_BESIDE_GAUGE = Branch(
     "mandrel, or the arm sags because the configured load is wrong",
     "dials of a gauge on the table, 0.05 mm and 0.1 deg from the tool's record",
     ("tool_check",),
-    "it is mounted again and checked again; nothing moves towards the patient",
-    Ending.HOLD,
+    "it is mounted again and checked again, once, if the operator agrees; nothing moves towards the patient",
+    Ending.ASK,
     (ToolBesideGauge,),
+    Topic.TOOL_CHANGE,
+    (YES, NO),
 )
 WRONG_STOP = Branch(
     "the depth stop of the instrument is set wrong",

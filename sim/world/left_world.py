@@ -47,6 +47,7 @@ class LeftWorld(Strict):
 
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
+    mountings: Count = Field(default=0, description="How often a tool was mounted: the last one's seat.")
     arm: ArmAsLeft | None = Field(description="None until the robot has started.")
     standing_faults: str = Field(
         default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
@@ -59,6 +60,7 @@ class LeftWorld(Strict):
         return cls(
             theatre_time_ns=world.clock.now_ns(),
             mounted_tool=world.mounted_tool(),
+            mountings=world.mountings(),
             arm=None
             if arm is None
             else ArmAsLeft(
@@ -73,7 +75,7 @@ class LeftWorld(Strict):
     def go_on(self, scene: Scene, *, paced: bool) -> World:
         """A world of that scene that starts from this state."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
-        world.mount_tool(self.mounted_tool)
+        world.mount_tool(self.mounted_tool, self.mountings)
         world.set_fault_script(self.standing_faults)
         if (arm := self.arm) is not None:
             # The robot simulator publishes the flange's true pose before anyone can read it.

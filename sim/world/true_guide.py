@@ -59,7 +59,8 @@ class TrueGuide:
 
     def _seated(self) -> Matrix:
         mount = self._scene.mount
-        off = noise(self._scene.seed, SEAT, 0).normal(0.0, mount.guide.seat_mm, 3)
+        again = max(0, self._world.mountings() - 1)
+        off = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
         tilt_rad = 0.0
         for fault in self._acting(BAD_SEAT):
             off[2] -= float(fault.argument)

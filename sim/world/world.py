@@ -64,6 +64,7 @@ _CLOCK = _MAP.rows(ClockRow)
 _ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
 _ARM = _MAP.rows(ArmRow)
 _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
+_MOUNTINGS = _MAP.word()
 _STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
 _STEP = _MAP.rows(StepRow)
 _FAULTS_VERSION = _MAP.word()
@@ -177,9 +178,17 @@ class World:
         """Number of the mounted tool."""
         return _TOOL.read(self._memory)
 
-    def mount_tool(self, number: int) -> None:
-        """Mount another tool. For the control port only."""
+    def mountings(self) -> int:
+        """How often a tool was mounted: each time it is seated a little differently."""
+        return _MOUNTINGS.read(self._memory)
+
+    def mount_tool(self, number: int, mountings: int | None = None) -> None:
+        """Mount a tool, or the same one again: one mounting more, unless a world goes on from their count.
+
+        For the control port only.
+        """
         _TOOL.write(self._memory, number)
+        _MOUNTINGS.write(self._memory, self.mountings() + 1 if mountings is None else mountings)
 
     def on_stand(self) -> OnStand:
         """The object on the calibration stand."""

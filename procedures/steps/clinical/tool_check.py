@@ -15,9 +15,11 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.hands import IN_GAUGE
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.question import NO, YES
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
+from procedures.steps.branches import TOOL_BESIDE_GAUGE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -61,6 +63,27 @@ class CheckedTool(StepResult, kind="tool_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedTool]:
+    """Check the guide; one that differs is mounted again and checked anew, if the operator agrees.
+
+    Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
+    """
+    try:
+        return _checked(context)
+    except ToolBesideGauge as problem:
+        context.find(problem.summary)
+        tip = context.workcell.calibrations.tool_tip
+        question = TOOL_BESIDE_GAUGE.question(
+            "the guide differs from its record: mount it again",
+            f"{problem.summary}; {YES}: guide and mandrel have been seated anew, check once more; {NO}: the "
+            "step ends",
+        )
+        context.setting.room.change_tool(tip.tool_number, "the surgical guide")
+        if context.choose(question) != YES:
+            raise
+    return _checked(context)
+
+
+def _checked(context: StepContext) -> Outcome[CheckedTool]:
     """Have the mandrel put into the gauge, read and taken out, three times; go home.
 
     Where the guide bears a frame, the tracker looks at it first. Raises TOOL-005 to TOOL-007, PRO-002.

@@ -77,6 +77,18 @@ def test_faults_move_the_tip_by_their_stated_amounts(
     assert tip_mm(world, tmp_path) - planned_mm() == pytest.approx(moved_mm, abs=1e-9)
 
 
+def test_each_mounting_seats_the_guide_a_little_differently(tmp_path: Path) -> None:
+    seats_mm = []
+    for mountings in (1, 1, 2):
+        world = a_world(EXACT.model_copy(update={"seat_mm": 0.008}))
+        for _ in range(mountings - 1):
+            assert Room(world, None).answer({"do": "mount", "number": SCENE.mount.tool_number_guide})["ok"]
+        seats_mm.append(tip_mm(world, tmp_path) - planned_mm())
+    first, same, again = seats_mm
+    assert first == pytest.approx(same, abs=0.0)
+    assert 0.0 < np.linalg.norm(again - first) < 0.1
+
+
 @pytest.mark.parametrize("mistaken", [0, SCENE.mount.tool_number_stereo])
 def test_hands_mount_the_wrong_tool_as_long_as_the_fault_lasts(mistaken: int) -> None:
     world, guide = a_world(), SCENE.mount.tool_number_guide

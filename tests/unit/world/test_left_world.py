@@ -42,7 +42,7 @@ def test_arm_tool_and_time_continue_from_where_they_were_left(scene: Scene, tmp_
     assert left is not None
     again = left.go_on(scene, paced=False)
     after = Manipulator(scene.arm, scene.seed, again.publish_arm, ControllerParameters(), again.arm())
-    assert (again.clock.now_s(), again.mounted_tool()) == (12.5, 2)
+    assert (again.clock.now_s(), again.mounted_tool(), again.mountings()) == (12.5, 2, 1)
     assert after.axes_deg == pytest.approx(before.axes_deg, abs=1e-12)
     np.testing.assert_allclose(again.arm().robot_from_flange, world.arm().robot_from_flange, atol=1e-9)
     assert again.arm().motion_number == world.arm().motion_number

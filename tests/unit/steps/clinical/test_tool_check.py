@@ -12,6 +12,7 @@ from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 from recording_cell import RecordingOperator
 
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
@@ -67,6 +68,32 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
         check(cell, *dials_mm)
     assert cell.workcell.at_home
     assert not cell.workcell.streaming  # hands seat the guide anew
+    assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * APPROACHES
+
+
+@pytest.mark.hazard(47)
+def test_a_guide_that_comes_right_when_it_is_mounted_again_is_accepted(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def seated_well(number: int, _description: str) -> None:
+        assert (number, cell.workcell.streaming) == (2, False)
+        cell.room.dials_mm = tuple(dial - 0.06 for dial in cell.room.dials_mm)
+
+    monkeypatch.setattr(cell.room, "change_tool", seated_well)
+    assert check(cell, *(0.06,) * 5).off_mm == pytest.approx(0.0)
+    again = [question for question in cell.operator.asked if question.topic is Topic.TOOL_CHANGE]
+    assert [question.subject for question in again] == ["the guide differs from its record: mount it again"]
+    (finding,) = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == "finding"]
+    assert "limit 0.05 mm, 0.1 deg, got 0.104 mm" in finding["text"]
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.branch("TOOL_BESIDE_GAUGE")
+def test_a_guide_that_is_not_mounted_again_is_refused_at_once(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
+    with pytest.raises(ToolBesideGauge):
+        check(cell, *(0.06,) * 5)
+    assert [task.name for task in cell.room.worked].count(GAUGE) == APPROACHES
 
 
 @pytest.mark.hazard(47)
