@@ -32,6 +32,12 @@ if TYPE_CHECKING:
     from procedures.planning.head.shape import HeadEllipsoid
     from procedures.planning.path_check.motions import PreviewedMotion
     from procedures.planning.plan.check import PlanCheck
+    from ronna_hw.tool_record import GuideBore
+
+STOP_NOT_JUDGED = (
+    "whether the depth stop fits on the instrument was not judged: the length of the guide is in the theatre "
+    "file; give --config and --robot-from-ct"
+)
 
 app = typer.Typer(
     name="ronna-plan",
@@ -104,13 +110,14 @@ def check(
         bore=theatre.bore if theatre else None,
     )
     head = head_shape(volume) if result.passed else None
-    result = replace(result, warnings=(*result.warnings, *uncounted), head=head)
+    unjudged = () if theatre else (STOP_NOT_JUDGED,)
+    result = replace(result, warnings=(*result.warnings, *uncounted, *unjudged), head=head)
     for sentence in (*volume.warnings, *result.warnings):
         terminal.tell(f"warning: {sentence}")
     if as_json:
         terminal.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif head is not None:
-        _print_trajectories(result, head)
+        _print_trajectories(result, head, theatre.bore if theatre else None)
         if result.distances:
             _print_distances(result)
         if result.motions:
@@ -200,7 +207,9 @@ def marker_places(
     propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
 
 
-def _print_trajectories(result: PlanCheck, head: HeadEllipsoid) -> None:
+def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore | None) -> None:
+    from procedures.planning.plan.guide_hold import depth_stop_mm
+
     rows = [
         [
             one.id,
@@ -208,6 +217,8 @@ def _print_trajectories(result: PlanCheck, head: HeadEllipsoid) -> None:
             " ".join(f"{value:.1f}" for value in one.entry_mm),
             " ".join(f"{value:.1f}" for value in one.target_mm),
             f"{one.depth_mm:.1f}",
+            f"{result.plan.standoff_mm:g}",
+            "-" if bore is None else f"{depth_stop_mm(result.plan, one, bore):.1f}",
             f"{one.free_angle_deg:.0f}",
             f"{one.margin_mm:.2f}",
         ]
@@ -215,7 +226,10 @@ def _print_trajectories(result: PlanCheck, head: HeadEllipsoid) -> None:
     ]
     terminal.print_table(
         f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}",
-        ["trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
+        [
+            *("trajectory", "side", "entry LPS mm", "target LPS mm", "depth mm"),
+            *("stand-off mm", "depth stop mm", "free angle deg", "margin mm"),
+        ],
         rows,
     )
 

@@ -33,7 +33,7 @@ def propose(
     *,
     as_json: bool,
 ) -> None:
-    """Raises PLAN-001, PLAN-002, PLAN-014, PLAN-016, PLAN-021 and what reading a series raises."""
+    """Raises PLAN-001 to PLAN-003, PLAN-014, PLAN-016, PLAN-021 and what reading a series raises."""
     picture = out.with_suffix(".png")
     require_one_head(series_dir, scene)
     require_new(out, picture)
@@ -41,7 +41,7 @@ def propose(
     trajectories = [one.trajectory for one in plan.trajectories]
     volume: Volume | None = None
     if scene is not None:
-        head = head_of_scene(scene)
+        head = head_of_scene(scene, plan)
     else:
         assert series_dir is not None
         volume = read_volume(series_dir)

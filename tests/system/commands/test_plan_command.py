@@ -93,7 +93,9 @@ def test_a_good_plan_is_accepted_with_a_table(case):
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert done.returncode == 0, done.stderr
     assert "T1" in done.stdout
-    assert "50.2" in done.stdout  # depth in mm
+    assert "\t50.2\t30\t-\t" in done.stdout  # depth, stand-off, no depth stop
+    assert "depth stop fits on the instrument was not judged" in done.stderr
+    assert "give --config and --robot-from-ct" in done.stderr
     assert "left" in done.stdout
     assert "Secret" not in done.stdout + done.stderr
 
@@ -105,7 +107,8 @@ def test_json_output_is_one_object_on_standard_output(case):
     assert document["passed"] is True
     assert document["trajectories"] == [{"id": "T1", "side": "left", "depth_mm": 50.249, "margin_mm": 1.5}]
     assert document["findings"] == []
-    (uncounted,) = document["warnings"]
+    uncounted, unjudged = document["warnings"]
+    assert unjudged.startswith("whether the depth stop fits on the instrument was not judged")
     assert uncounted.startswith("the fiducials in the CT were not counted: CT-")
 
 
@@ -198,6 +201,16 @@ def test_an_impossible_template_gives_one_line(tmp_path, monkeypatch, arguments,
     assert not Path("t.toml").exists()
 
 
+def test_markers_are_proposed_only_on_the_head_of_the_plan(case, tmp_path):
+    scene = tmp_path / "scene.toml"
+    for target_mm, exit_code in (("[5.0, -20.0, 20.0]", 0), ("[5.0, -20.0, 20.1]", 1)):
+        scene.write_text(f"{SCENE}\n[[head.targets]]\ntarget_ct_mm = {target_mm}\n")
+        out = tmp_path / f"markers-{exit_code}.toml"
+        done = ronna_plan("markers", case[0], "--scene", scene, "--out", out)
+        assert (done.returncode, out.exists()) == (exit_code, not exit_code), done.stderr
+    assert one_line(done).startswith("PLAN-003: scene.toml has none of the plan's targets")
+
+
 def test_a_plan_with_a_different_number_of_fiducials_than_the_ct_is_refused(case, monkeypatch):
     three = [SimpleNamespace(centre_mm=np.array(one)) for one in ([0.0, 0, 0], [40, 0, 0], [0, 30, 10])]
     monkeypatch.setattr(
@@ -216,6 +229,8 @@ def test_markers_that_cannot_be_localized_give_the_error_of_the_localizer(case):
 def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR)
     assert done.returncode == 0, done.stderr
+    assert "not judged" not in done.stderr
+    assert "\t50.2\t30\t170.2\t" in done.stdout  # depth, stand-off, and with a bore of 90 the depth stop
     header, *motions = done.stdout.splitlines()[-6:]
     for word in ("s", "smallest distance mm", "singularity", "A1..A6 deg"):
         assert word in header.split("\t")
