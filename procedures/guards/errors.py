@@ -45,9 +45,9 @@ class PatientMoved(RefusedError):
 
     code = "PRO-020"
     action = (
-        "Check the clamp and the spheres, then localize again starting with global_localization. With the "
-        "guide mounted, send the arm home first; after a small move, the registration step then asks "
-        "whether the registration should follow it."
+        "Check the clamp and the spheres, then localize again: run global_localization. With the guide "
+        "mounted, send the arm home first; after a small move, the registration step then asks whether the "
+        "registration should follow it."
     )
     moved_mm: float = math.inf
 

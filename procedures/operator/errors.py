@@ -9,7 +9,10 @@ class NotConfirmed(RonnaError):
     """The operator answered no, or did not answer in time, which counts as no."""
 
     code = "PRO-002"
-    action = "Nothing was done. Repeat the step when the operator can confirm."
+    action = (
+        "Nothing was done. Repeat the step when the operator can confirm: questions need a terminal, "
+        "--console or --answers."
+    )
     exit_code = EXIT_ABORTED
 
 

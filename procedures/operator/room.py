@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -20,6 +21,15 @@ class Task:
     numbers: tuple[float, ...] = ()
     reads: tuple[str, ...] = ()
     plausible_mm: tuple[float, float] | None = None
+
+
+def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
+    """Why it was mistyped; empty if it may be right."""
+    low, high = plausible_mm or (-math.inf, math.inf)
+    if low <= reading <= high:
+        return ""
+    in_cm = "; did you type centimetres?" if low <= 10.0 * reading <= high else ""
+    return f"{reading:g} is implausible: expected {low:g} to {high:g}{in_cm}"
 
 
 class Room(Protocol):

@@ -7,9 +7,14 @@ from collections.abc import Callable
 from procedures.engine.context import StepContext
 from procedures.workcell import MountedTool
 
+REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
 
-def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries that tool, and it is on no axis. What is unchecked is read again."""
+
+def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
+    """The arm carries that tool, and it is on no axis. What is unchecked is read again.
+
+    `remedy` names the step that mounts it in place of the guide, where no earlier one is listed.
+    """
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         reasons = []
@@ -17,7 +22,8 @@ def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
         if workcell.tool is MountedTool.UNKNOWN:
             workcell.identify_mounted()
         if workcell.tool is not tool:
-            reasons.append(f"the arm carries the {workcell.tool}, not the {tool}")
+            instead = remedy if workcell.tool is MountedTool.GUIDE else ""
+            reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")
         if workcell.insertion is not None:
             reasons.append(f"the guide is held in front of the entry of {workcell.insertion.trajectory}")
         return tuple(reasons)

@@ -9,7 +9,6 @@ from typing import Protocol
 
 from procedures.operator.question import ReadBack
 from procedures.workcell.cell_motion import CellMotion
-from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
@@ -40,29 +39,31 @@ class MotionFacts:
 
     def __str__(self) -> str:
         """One line for a person."""
+        return self.in_words(", ", self.near())
+
+    def in_words(self, apart: str, near: Sequence[str]) -> str:
+        """What moves how far, then `apart` from it the rest, with those clearances."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
+        by = self.detour and f" {self.detour}"
+        how = (
+            f"joints turn up to {math.degrees(max(turns_rad)):.0f} deg, in {duration_s:.1f} s "
+            f"at up to {fastest_mm_s:.0f} mm/s"
+        )
+        return f"{self.what} moves {self.travel_mm:.0f} mm{by}{apart}" + "; ".join((how, *near))
+
+    def near(self) -> list[str]:
+        """What comes closest, and how near the head: bodies of the arm are nearly always closest together."""
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
-        near = (
-            f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"
-            if closest
-            else "nothing near"
-        )
-        by = self.detour and f" {self.detour}"
-        return (
-            f"{self.what} moves {self.travel_mm:.0f} mm{by}, joints turn up to "
-            f"{math.degrees(max(turns_rad)):.0f} deg, in {duration_s:.1f} s "
-            f"at up to {fastest_mm_s:.0f} mm/s; {near}{self._from_head(closest)}"
-        )
-
-    def _from_head(self, closest: Closest | None) -> str:
-        """How near the head it comes: bodies of the arm are nearly always nearest to each other."""
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
-        if not to_head_mm or (closest and min(to_head_mm) <= closest.distance_mm):  # it is said already
-            return ""
-        return f"; at least {min(to_head_mm):.0f} mm from the head"
+        said = ["nothing near"]
+        if closest:
+            said = [f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"]
+        if to_head_mm and not (closest and min(to_head_mm) <= closest.distance_mm):  # else it is said already
+            said.append(f"at least {min(to_head_mm):.0f} mm from the head")
+        return said
 
     @property
     def read_back(self) -> ReadBack:
@@ -75,6 +76,19 @@ class MotionFacts:
             shown=f"moves {distance_mm} mm",
             unit="mm",
         )
+
+
+def in_a_question(facts: Sequence[MotionFacts]) -> str:
+    """All motions of a question: the distance to type ends its own line, and no clearance is said twice."""
+    motions: list[str] = []
+    said: set[str] = set()
+    for one in facts:
+        near = one.near()
+        motions.append(
+            one.in_words(", " if motions else ",\n", [words for words in near if words not in said])
+        )
+        said.update(near)
+    return "; then ".join(motions)
 
 
 def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:

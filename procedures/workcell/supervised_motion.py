@@ -17,7 +17,7 @@ from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.cell_motion import CellMotion, MotionName
-from procedures.workcell.motion_facts import motion_facts
+from procedures.workcell.motion_facts import in_a_question, motion_facts
 from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING
@@ -97,7 +97,7 @@ class SupervisedMotion:
         question = Question(
             topic,
             subject,
-            "; then ".join(map(str, facts)) + covers,
+            in_a_question(facts) + covers,
             trajectory=trajectory,
             read_back=read_back,
         )

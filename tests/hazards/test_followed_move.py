@@ -21,6 +21,7 @@ from prepared_results import (
 from scipy.spatial.transform import Rotation
 from watched_case import findings
 
+from procedures.cli.case.commands import COMMANDS
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome
@@ -87,6 +88,20 @@ def test_only_the_registrations_are_voided_and_no_approach_starts_before_they_fo
     assert str(engine.upcoming) == NAME
     with pytest.raises(StepRefused, match=f"{NAME} comes first"):
         run(engine, f"positioning:{FIRST}")
+
+
+@pytest.mark.parametrize("way_mm", [(1.0, -2.0, 0.5), (10.0, 0.0, 0.0)], ids=["followed or not", "void"])
+def test_the_named_command_localizes_again_whether_or_not_the_localization_still_stands(
+    tmp_path: Path, way_mm: tuple[float, float, float]
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell, moved_mm(way_mm))
+    localization = engine.order.find("global_localization")
+    before = engine.case.record_of(localization)
+    assert (before is None) is (way_mm[0] > 5.0)
+    assert "localize again: run global_localization." in PatientMoved.action
+    COMMANDS["run"].work(engine, "global_localization", lambda _line: None)
+    assert engine.case.record_of(localization) not in (None, before)
 
 
 def test_with_consent_the_registration_follows_the_head_and_states_the_added_error(tmp_path: Path) -> None:

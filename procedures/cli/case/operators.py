@@ -15,7 +15,7 @@ from typer import style
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
 from procedures.operator.question import YES, Operator, Question, words
-from procedures.operator.room import Task
+from procedures.operator.room import Task, misread
 from procedures.operator.topic import Topic
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
@@ -213,10 +213,9 @@ def _typed_number(
         ahead = False
         with suppress(ValueError):
             number = typed_number(typed, UNIT)
-            if plausible is None or plausible[0] <= number <= plausible[1]:
+            if not (wrong := misread(number, plausible)):
                 return number
-            low, high = plausible
-            _say(f"{number:g} is implausible: expected {low:g} to {high:g}; type {ONE_NUMBER}")
+            _say(f"{wrong}; type {ONE_NUMBER}")
             continue
         _say(f"{typed!r} is not a reading: type {ONE_NUMBER}")
     return None

@@ -6,7 +6,6 @@ checkpoint or with a question.
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 from collections import deque
@@ -35,6 +34,7 @@ from procedures.engine.orders import (
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Question, Signature
+from procedures.operator.room import misread
 from procedures.operator.topic import Topic
 
 if TYPE_CHECKING:
@@ -238,9 +238,8 @@ class Desk:
         if question.reads and order.answer == question.answers[0]:
             if order.readings is None or len(order.readings) != len(question.reads):
                 return f"type {', '.join(question.reads)}"
-            low, high = question.plausible_mm or (-math.inf, math.inf)
-            if wrong := [f"{one:g}" for one in order.readings if not low <= one <= high]:
-                return f"{', '.join(wrong)} is implausible: expected {low:g} to {high:g}"
+            if wrong := [why for one in order.readings if (why := misread(one, question.plausible_mm))]:
+                return "; ".join(wrong)
             standing.readings = order.readings
         self._settle(order.answer, Signature(self._seat.holder, order.session, standing.shown))
         return ""

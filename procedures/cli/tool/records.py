@@ -29,13 +29,20 @@ from ronna_hw.tool_record import WITH_TIP, Gauge, ToolRecord
 def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
     """The record as the file holds it, with flange and tip of the file; `readings` are those of its gauge.
 
-    Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread.
+    Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread, or a name
+    that differs from a known one by capitals alone.
     """
     theatre = read_theatre_file(config)
     record = {key: value for key, value in given.items() if value not in (None, {})}
     record.setdefault("flange", theatre.flange)
     if given["purpose"] in {one.value for one in WITH_TIP} and theatre.calibration is not None:
         record |= _tip_of(theatre.calibration)
+    for known in theatre.tools:
+        if known != name and known.casefold() == name.casefold():
+            raise UsageMistake(
+                f"{config.name} has a tool {known!r}: {name!r} would be another one next to it",
+                action=f"Did you mean {known}? Else give it a name that differs by more than capitals.",
+            )
     content = read_toml(config, BadTheatreFile)
     content["tools"] = {**content.get("tools", {}), name: record}
     gauge = parse_theatre(content, f"{config.name} with tool {name}").tools[name].gauge

@@ -38,7 +38,7 @@ class _Head(Strict):
 
 
 def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
-    """The head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 if the plan has none of its targets."""
+    """The head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 if none of its targets is planned."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
     except OSError as error:

@@ -30,7 +30,7 @@ from procedures.steps.clinical.paths.previews import in_one_line, motions_over_s
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
@@ -218,5 +218,5 @@ STEP = StepSpec(
     scope=Scope.LOCALIZATION,
     reads=(CheckedPaths, *ROOM_READS, *READS),
     moves=True,
-    preconditions=carries(MountedTool.STEREO_HEAD),
+    preconditions=carries(MountedTool.STEREO_HEAD, REMOUNTED),
 )

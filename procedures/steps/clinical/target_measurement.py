@@ -21,7 +21,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import refused_by_name
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import MountedTool
@@ -124,5 +124,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(RegisteredRobot, CheckedPaths, *ROOM_READS, *READS),
     moves=True,
-    preconditions=carries(MountedTool.STEREO_HEAD),
+    preconditions=carries(MountedTool.STEREO_HEAD, REMOUNTED),
 )

@@ -85,6 +85,14 @@ def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(th
     assert "copy what this tool still has" in told
 
 
+def test_a_tool_named_like_a_known_one_but_for_capitals_is_refused(theatre: Path) -> None:
+    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    done = in_this_process(app, "define", "Guide", *options, *DEFINE)
+    said = " ".join(one_error(done.stderr))
+    assert (done.returncode, "Did you mean guide?" in said) == (2, True), said
+    assert not theatre.with_name("new.toml").exists()
+
+
 def test_names_of_records_are_printed_without_control_characters(theatre: Path) -> None:
     theatre.write_text(theatre.read_text().replace('"tool-guide', '"\\u009b2Jtool-guide'))
     fit = in_this_process(app, "check", "--config", theatre)

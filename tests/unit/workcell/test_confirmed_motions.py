@@ -32,7 +32,7 @@ pytestmark = pytest.mark.hazard(36)
 
 CYCLE_S = 0.004
 WAY_MM = 50.0
-TOLD = re.compile(r"moves (\d+) mm( via home)?, .* in (\d+\.\d) s at up to (\d+) mm/s")
+TOLD = re.compile(r"moves (\d+) mm( via home)?,\n.* in (\d+\.\d) s at up to (\d+) mm/s")
 START: JointVector = (HOME[0] - 0.4, *HOME[1:])
 ACROSS: JointVector = (HOME[0] + 0.4, *HOME[1:])
 LIFTED: JointVector = (HOME[0], HOME[1] - 0.4, *HOME[2:])

@@ -44,7 +44,7 @@ def test_only_the_first_motion_is_confirmed_and_the_question_states_what_will_mo
     assert topics(cell) == [Topic.FIRST_MOTION]
     (asked,) = cell.operator.asked
     assert asked.read_back is not None
-    assert asked.value.startswith(f"the stereo head moves {asked.read_back.value} mm, ")
+    assert asked.value.startswith(f"the stereo head moves {asked.read_back.value} mm,\njoints turn ")
     assert asked.read_back.fits(f"{asked.read_back.value}mm")
     assert asked.value.endswith(
         "a yes also covers every later motion without a question of its own, until the arm is stopped or "

@@ -49,7 +49,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         context.trajectory,
         (computed_mm,),
         ("depth stop in mm, read off its scale",),
-        (0.0, plan.instrument_length_mm),  # its scale has no more
+        (bore.length_mm, plan.instrument_length_mm),  # what the guide leaves of its scale
     )
     for setting in range(1, SETTINGS + 1):
         (read_mm,) = context.have_done(task)

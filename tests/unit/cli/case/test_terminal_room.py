@@ -67,6 +67,18 @@ def test_an_implausible_reading_is_asked_again_at_once(
     assert "100 is implausible: expected -10 to 10;" in capsys.readouterr().err
 
 
+def test_a_depth_stop_read_in_centimetres_is_asked_again_without_costing_an_attempt(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "18.24", "182.4")
+    task = Task(DEPTH_STOP, "set it", reads=("depth stop in mm",), plausible_mm=(85.0, 250.0))
+    assert TerminalRoom().work(task) == (182.4,)
+    told = capsys.readouterr().err
+    assert (
+        "18.24 is implausible: expected 85 to 250; did you type centimetres?; type one number in mm" in told
+    )
+
+
 def test_several_readings_are_shown_back_and_can_be_typed_again(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

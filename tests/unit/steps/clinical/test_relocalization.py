@@ -253,7 +253,10 @@ def test_a_servo_that_does_not_converge_is_treated_like_a_missing_sphere(
 def test_the_step_is_refused_with_the_guide_mounted(cell: ClinicalCell) -> None:
     steps = before(cell.carrying(MountedTool.STEREO_HEAD))
     cell.carrying(MountedTool.GUIDE)
-    with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
+    with pytest.raises(
+        StepRefused,
+        match="the arm carries the guide, not the stereo head; with the arm home, run global_localization",
+    ):
         cell.run(*steps, STEP)
     assert cell.arm.joints_rad == HOME_RAD
 
