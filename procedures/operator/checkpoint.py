@@ -91,6 +91,12 @@ class Checkpoint:
         with self._wishes:
             self._pause = reason
 
+    def withdraw_pause(self) -> bool:
+        """Do not rest at the next checkpoint; False when nobody wanted it."""
+        with self._wishes:
+            wanted, self._pause = self._pause is not None, None
+        return wanted
+
     def abort(self) -> None:
         """End the case at the next checkpoint."""
         with self._wishes:

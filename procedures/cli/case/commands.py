@@ -140,8 +140,10 @@ def _stop(_engine: Engine, _argument: str, say: Say) -> None:
     say("no step is running and the arm is at rest; quit leaves the case")
 
 
-def _resume(_engine: Engine, _argument: str, say: Say) -> None:
-    say("nothing is paused; next or to continues")
+def _resume(engine: Engine, _argument: str, say: Say) -> None:
+    withdrawn = engine.checkpoint.withdraw_pause()
+    state = "the pause is withdrawn" if withdrawn else "nothing is paused"
+    say(f"{state}; next or to continues")
 
 
 def _home(engine: Engine, _argument: str, say: Say) -> None:

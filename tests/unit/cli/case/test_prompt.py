@@ -84,6 +84,19 @@ def test_skip_is_refused_and_names_the_step_that_needs_the_result(
     assert "image cannot be skipped: localization needs its result" in capsys.readouterr().err
 
 
+def test_resume_withdraws_a_pause_that_has_not_begun(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    typed = Typed(monkeypatch, "pause", "resume", "resume")
+    typed.at(engine)
+    assert typed.said[1:] == [
+        "the pause is withdrawn; next or to continues",
+        "nothing is paused; next or to continues",
+    ]
+    assert not engine.checkpoint.wanted
+
+
 class Pauses:
     """Asks the prompt at a pause, and says yes to the rest."""
 
