@@ -8,9 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from user_commands import Commands
 
 from procedures.strategies.catalogue import STRATEGIES
+from sim.world.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
 
@@ -19,21 +21,34 @@ CASE_LIMIT_S = 300.0  # host time
 TARGETS = 3  # of the default scene
 CALIBRATED_MEAN_MM = 0.15
 X_FRAME_MEAN_MM = {True: 0.20, False: 0.35}  # with `ocs`, calibrated or not; 0.11 and 0.28 were measured
-NEUTRAL_CALIBRATED_MEAN_MM = 0.25  # the neutral orientation leaves an arm's remaining errors in
+# The neutral orientation leaves an arm's remaining errors in, the thesis' own OCS its backlash.
+MEAN_MM = {"nos": 0.25, "thesis-ocs": 0.25}
+MARGIN_MM = 5.0  # in the plan: of an uncalibrated arm in the neutral orientation more than 2 mm is predicted
+
+
+def scene_file(folder: Path, seed: int) -> Path:
+    """The default scene with a margin that the neutral orientation meets too."""
+    scene = named_scene("default", seed=seed)
+    targets = tuple(one.model_copy(update={"margin_mm": MARGIN_MM}) for one in scene.head.targets)
+    changed = scene.model_copy(update={"head": scene.head.model_copy(update={"targets": targets})})
+    path = folder / f"scene-{seed}.toml"
+    path.write_text(tomli_w.dumps(changed.model_dump(mode="json", by_alias=True, exclude_none=True)))
+    return path
 
 
 def errors_of_every_seed(commands: Commands, folder: Path, calibrated: bool, *case: str) -> list[float]:
     """At the targets, in mm; every case must be done."""
     errors_mm = []
     for seed in SEEDS:
-        words = ["--sim", "--seed", str(seed), *case, "--out", str(folder), "--json"]
+        scene = ["--scene", str(scene_file(folder, seed))] if "nos" in case and not calibrated else []
+        words = ["--sim", "--seed", str(seed), *scene, *case, "--out", str(folder / "runs"), "--json"]
         words += ["--calibrated"] * calibrated
         done = commands.run("ronna-procedure", "run", *words, timeout_s=CASE_LIMIT_S)
         assert done.returncode == 0, f"seed {seed}: {done.stderr}"
         outcome = json.loads(done.stdout)
         assert outcome["outcome"] == "done"
         errors_mm += [row["application_error_mm"] for row in outcome["targets"]]
-        shutil.rmtree(folder / outcome["run"])
+        shutil.rmtree(folder / "runs" / outcome["run"])
     assert len(errors_mm) == TARGETS * len(SEEDS)
     return errors_mm
 
@@ -45,7 +60,7 @@ def test_every_seed_completes_with_each_strategy(
 ) -> None:
     errors_mm = errors_of_every_seed(commands, tmp_path, calibrated, "--strategy", strategy)
     if calibrated:
-        assert np.mean(errors_mm) <= (NEUTRAL_CALIBRATED_MEAN_MM if strategy == "nos" else CALIBRATED_MEAN_MM)
+        assert np.mean(errors_mm) <= MEAN_MM.get(strategy, CALIBRATED_MEAN_MM)
 
 
 @pytest.mark.parametrize("calibrated", [True, False], ids=["calibrated", "uncalibrated"])
