@@ -40,8 +40,9 @@ def errors_of_every_seed(commands: Commands, folder: Path, calibrated: bool, *ca
     """At the targets, in mm; every case must be done."""
     errors_mm = []
     for seed in SEEDS:
-        scene = ["--scene", str(scene_file(folder, seed))] if "nos" in case and not calibrated else []
-        words = ["--sim", "--seed", str(seed), *scene, *case, "--out", str(folder / "runs"), "--json"]
+        own = "nos" in case and not calibrated
+        scene = ["--scene", str(scene_file(folder, seed))] if own else ["--seed", str(seed)]
+        words = ["--sim", *scene, *case, "--out", str(folder / "runs"), "--json"]
         words += ["--calibrated"] * calibrated
         done = commands.run("ronna-procedure", "run", *words, timeout_s=CASE_LIMIT_S)
         assert done.returncode == 0, f"seed {seed}: {done.stderr}"
