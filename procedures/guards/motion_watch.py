@@ -84,8 +84,8 @@ class MotionWatch:
             guide=self.memory.find(GuideAtRest),
         )
         room.begin_motion(self.clock.now_s())
-        looking.begin()
         try:
+            looking.begin()  # waits for a frame: may be interrupted as well
             yield
         except RonnaError as error:
             seen = looking.end()
@@ -180,7 +180,8 @@ class _Looking:
     def end(self) -> _Looking:
         """Stop looking; the fields hold what was seen."""
         self._ending.set()
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         if self._stopping is not None:
             self._stopping.join()
         return self

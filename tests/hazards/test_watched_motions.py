@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -81,6 +82,23 @@ def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(
     with pytest.raises(PatientMoved), engine.checkpoint.watching("the next motion", True):
         stops = cell.arm.stops
     assert stops > before
+
+
+def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+
+    def interrupted(looking: motion_watch._Looking) -> None:
+        looking._thread.start()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(motion_watch._Looking, "begin", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        positioned(engine)
+    assert "patient watch" not in {thread.name for thread in threading.enumerate()}
+    assert cell.arm.motions == []
 
 
 def test_the_stop_is_ordered_again_while_the_arm_may_still_move(tmp_path: Path) -> None:
