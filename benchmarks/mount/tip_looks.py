@@ -24,6 +24,7 @@ from sim.world.arm.true_arm import TrueArm
 from sim.world.on_stand import OnStand
 from sim.world.rigid import inverse, matrix_of
 from sim.world.stand import read_dials
+from sim.world.true_guide import TrueGuide
 from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]
@@ -71,6 +72,11 @@ class TipCell(FrameCell):
                 reading = self._reading(observed, number, look)
                 observed = observed.model_copy(update={"readings": (*others, reading)})
         return observed
+
+    @property
+    def true_tip_mm(self) -> Array:
+        """Of the guide as it is seated, in the true tool frame, after a reading."""
+        return np.asarray((inverse(self._room.robot_from_tool()) @ TrueGuide(self._room).tip_frame())[:3, 3])
 
     def seen_mm(self, in_tool_mm: Array, noise_px: float = 0.0) -> Array:
         """Where the head, by its record, sees a ball at a position in its true tool frame."""

@@ -1,8 +1,9 @@
 """Calibration of the guide's tip relative to the stereo head, over random arms, heads and stands, in process.
 
 `relative to the head's measurement`: against the position at which the head, with its record, would see a
-ball at the true tip. A case depends on this error, as it localizes with that head and record. `relative to
-the true tool centre` also includes the error of the head's record.
+ball at the true tip, of the guide as it was seated at the stand: each mounting adds the changer's own
+repeatability. A case depends on this error, as it localizes with that head and record. `relative to the true
+tool centre` also includes the error of the head's record.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from numpy.typing import NDArray
 from benchmarks.figures import Figure
 from benchmarks.mount.tip_looks import TipCell
 from procedures.calibration.tool_tip.record import calibrate_tip
-from sim.world.rigid import matrix_of
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ def _errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
     """Errors relative to the head's measurement and to the true tool centre, and the stated one, mm."""
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(READINGS, VALIDATION))
-    true = matrix_of(cell.scene.mount.tool_from_tip_true)[:3, 3]
+    true = cell.true_tip_mm
     found = result.fit.tip_mm
     return (
         float(np.linalg.norm(found - cell.seen_mm(true))),

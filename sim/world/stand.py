@@ -11,7 +11,8 @@ import numpy as np
 from sim.errors import StandNotReady
 from sim.world.noise import noise
 from sim.world.on_stand import OnStand
-from sim.world.rigid import matrix_of, rotation_from_vector
+from sim.world.rigid import rotation_from_vector
+from sim.world.true_guide import TrueGuide
 from sim.world.world import World
 
 
@@ -23,17 +24,15 @@ def read_dials(world: World) -> tuple[float, float, float]:
         raise StandNotReady(f"the divot is not on the stand, which holds {holds}")
     if world.mounted_tool() != mount.tool_number_guide:
         raise StandNotReady("the guide is not mounted", got=f"tool {world.mounted_tool()}")
-    arm = world.arm()
-    tip = arm.robot_from_flange @ matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
     zero = np.add(stand.ball_mm, stand.divot_from_ball_mm)
-    away = rotation_from_vector(stand.dials_turned_rad).T @ (tip[:3, 3] - zero)
+    away = rotation_from_vector(stand.dials_turned_rad).T @ (TrueGuide(world).mandrel()[:3, 3] - zero)
     if np.abs(away).max() > stand.travel_mm:
         raise StandNotReady(
             "the tip is beyond the divot's travel",
             limit=f"{stand.travel_mm:g} mm along each axis",
             got=f"{np.abs(away).max():.1f} mm",
         )
-    generator = noise(world.scene.seed, "dials", arm.motion_number)
+    generator = noise(world.scene.seed, "dials", world.arm().motion_number)
     read = away + generator.normal(0.0, stand.reading_mm, 3)
     x, y, z = (round(value / stand.scale_mm) * stand.scale_mm for value in read.tolist())
     return (x, y, z)

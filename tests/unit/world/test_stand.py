@@ -12,6 +12,7 @@ from sim.world.on_stand import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import named_scene
 from sim.world.stand import read_dials
+from sim.world.true_guide import TrueGuide, calibrated_tip
 from sim.world.world import ArmState, World
 
 JOINTS = (0.0,) * 6
@@ -31,9 +32,8 @@ def bring_tip(world: World, beside_mm: tuple[float, float, float]) -> None:
     scene = world.scene
     place = np.array(scene.stand.ball_mm) + scene.stand.divot_from_ball_mm + beside_mm
     tip = matrix_from(place, rotation_from_vector((0.3, 2.9, 0.2)))
-    flange = tip @ inverse(
-        matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(scene.mount.tool_from_tip_true)
-    )
+    world.publish_arm(ArmState(JOINTS, np.eye(4), 1, True))
+    flange = tip @ inverse(TrueGuide(world).tip_frame())  # of the guide as it is seated
     world.publish_arm(ArmState(JOINTS, flange, 1, True))
 
 
@@ -48,6 +48,37 @@ def test_the_dials_show_the_tip_offset_along_their_own_axes(world: World) -> Non
     turned = rotation_from_vector(world.scene.stand.dials_turned_rad).T @ beside
     assert np.allclose(read, turned, atol=0.02)
     assert all(round(value, 2) == pytest.approx(value) for value in read)
+
+
+@pytest.mark.parametrize(
+    ("fault", "off_mm"),
+    [
+        ("bent tip 1 0 0 mm", 1.0),
+        ("wrong mandrel 3 mm", 3.0),
+        ("bad seat 0.5 mm 0 deg", 0.5),
+        ("push guide 80 0 0 N", 1.0),  # over 80 N/mm
+        ("wrong load 2 kg", 0.3),
+    ],
+)
+def test_the_dials_show_how_far_a_fault_displaces_the_end_of_the_mandrel(
+    world: World, fault: str, off_mm: float
+) -> None:
+    world.set_fault_script(f"at 0 s: room {fault}")
+    assert np.linalg.norm(read_dials(world)) == pytest.approx(off_mm, abs=0.02)
+
+
+def test_the_dials_show_a_guide_that_the_scene_says_is_bent() -> None:
+    scene = named_scene("mini", seed=3)
+    bent = scene.mount.guide.model_copy(update={"bent_mm": (1.0, 0.0, 0.0)})
+    read = []
+    for mount in (scene.mount, scene.mount.model_copy(update={"guide": bent})):
+        world = World.create(scene.model_copy(update={"mount": mount}), paced=False)
+        world.mount_tool(mount.tool_number_guide)
+        world.put_on_stand(OnStand.DIVOT)
+        flange = matrix_from(scene.stand.ball_mm, np.eye(3)) @ inverse(calibrated_tip(world))
+        world.publish_arm(ArmState(JOINTS, flange, 1, True))
+        read.append(read_dials(world))
+    assert np.linalg.norm(np.subtract(*read)) == pytest.approx(1.0, abs=0.02)
 
 
 @pytest.mark.parametrize("what", ["too far", "no divot", "stereo head"])
