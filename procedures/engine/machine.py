@@ -14,7 +14,7 @@ from typing import Protocol, cast
 from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
-from procedures.engine.order import CaseOrder, Steps
+from procedures.engine.order import CaseOrder, Steps, order_of
 from procedures.engine.step import Phase, Scope, StepSpec
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
 from procedures.results.result import StepResult
@@ -55,13 +55,13 @@ class ProcedureMachine:
 
     def __init__(self, order: CaseOrder, *, recovering: bool = False) -> None:
         nested = [
-            {"name": str(phase), "children": [step.name for step in order.steps if step.phase is phase]}
-            for phase in Phase
+            {"name": phase, "children": list(inside.values())}
+            for phase, inside in _phases(order.steps).items()
         ]
         _Machine(
             self,
-            states=[*BETWEEN, *(state for state in nested if state["children"]), *ENDS],
-            transitions=list(_transitions(order)),
+            states=[*BETWEEN, *nested, *ENDS],
+            transitions=[list(one) for one in _transitions(order)],
             initial=RECOVERY if recovering else IDLE,
             auto_transitions=False,
         )
@@ -112,19 +112,19 @@ class ProcedureMachine:
         cast("_Triggered", self).trigger(event)
 
 
-def _transitions(order: CaseOrder) -> Iterator[list[str | Sequence[str]]]:
+def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:
     """Trigger, sources, destination."""
     working = [IDLE, HELD, *map(state_of, order.steps)]
     for step in order.steps:
-        yield [f"begin_{step.name}", working, state_of(step)]
+        yield f"begin_{step.name}", working, state_of(step)
     for rest in RESTS:
-        yield [f"rest_{rest}", working, rest]
+        yield f"rest_{rest}", working, rest
     for state in working:
-        yield [f"back_to_{state}", list(RESTS), state]
-    yield ["case_accept", RECOVERY, HELD]
-    yield ["case_hold", working, HELD]
-    yield ["case_finish", [HELD, state_of(order.spec(order.sequence[-1]))], FINISHED]
-    yield ["case_abort", [RECOVERY, *working], ABORTED]
+        yield f"back_to_{state}", RESTS, state
+    yield "case_accept", [RECOVERY], HELD
+    yield "case_hold", working, HELD
+    yield "case_finish", [HELD, state_of(order.spec(order.sequence[-1]))], FINISHED
+    yield "case_abort", [RECOVERY, *working], ABORTED
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
@@ -133,25 +133,50 @@ def state_of(step: StepSpec[StepResult]) -> str:
 
 
 def mermaid(steps: Steps) -> str:
-    """The state chart as mermaid text: the way through a case, and what is done for each trajectory."""
+    """The state chart as mermaid text: the way through a case, and every transition of its machine.
+
+    An arrow from or to a phase is one from or to each of its steps.
+    """
     lines = ["stateDiagram-v2", f"  [*] --> {IDLE}", f"  [*] --> {RECOVERY} : resume"]
-    phases = [phase for phase in Phase if any(step.phase is phase for step in steps)]
-    for phase in phases:
-        lines.append(f"  state {phase} {{")
-        lines.extend(f"    {step.name}" for step in steps if step.phase is phase)
-        lines.append("  }")
-    names = [IDLE, *(step.name for step in steps), FINISHED]
+    for phase, inside in _phases(steps).items():
+        lines.extend([f"  state {phase} {{", *(f"    {name}" for name in inside.values()), "  }"])
+    names = [IDLE, *(step.name for step in steps)]
     lines.extend(f"  {one} --> {other}" for one, other in pairwise(names))
     lines.extend(f"  {last} --> {first} : next trajectory" for first, last in _blocks(steps))
-    lines.append(f"  {RECOVERY} --> {HELD} : accepted")
-    for phase in phases:
-        lines.append(f"  {phase} --> {HELD} : a step fails or is left")
-        lines.append(f"  {HELD} --> {phase} : a step that may begin")
-        lines.extend(f"  {phase} --> {rest}\n  {rest} --> {phase}" for rest in RESTS)
-    lines.extend(f"  {state} --> {ABORTED}" for state in (HELD, RECOVERY, *phases))
+    lines.extend(_arrows(order_of(steps, ("T1",))))
     lines.extend(f"  {end} --> [*]" for end in ENDS)
     lines.extend(f"  note right of {state} : {meaning}" for state, meaning in BETWEEN.items())
     return "\n".join(lines) + "\n"
+
+
+def _arrows(order: CaseOrder) -> Iterator[str]:
+    """The machine's transitions: where many states lead to the same many, through a junction."""
+    ways: dict[tuple[str, ...], list[str]] = {}
+    for _, sources, destination in _transitions(order):
+        ways.setdefault(tuple(sources), []).append(destination)
+    for number, (sources, destinations) in enumerate(ways.items(), start=1):
+        before, after = _drawn(sources, order.steps), _drawn(destinations, order.steps)
+        if min(len(before), len(after)) > 1:
+            junction = f"junction{number}"
+            yield f"  state {junction} <<choice>>"
+            yield from (f"  {one} --> {junction}" for one in before)
+            before = [junction]
+        yield from (f"  {one} --> {other}" for one in before for other in after)
+
+
+def _drawn(states: Sequence[str], steps: Steps) -> list[str]:
+    """Names in the chart; a phase for its steps if all are there."""
+    names = list(states)
+    for phase, inside in _phases(steps).items():
+        whole = inside.keys() <= set(states)
+        names = [phase if whole and one in inside else inside.get(one, one) for one in names]
+    return list(dict.fromkeys(names))
+
+
+def _phases(steps: Steps) -> dict[str, dict[str, str]]:
+    """Names of the steps of each phase that has any, by their states."""
+    inside = {str(phase): {state_of(one): one.name for one in steps if one.phase is phase} for phase in Phase}
+    return {phase: names for phase, names in inside.items() if names}
 
 
 def _blocks(steps: Steps) -> list[tuple[str, str]]:

@@ -1,10 +1,16 @@
+from __future__ import annotations
+
+import re
+from contextlib import suppress
+from functools import partial
+
 import pytest
 from plain_steps import plain_order, plain_steps
 from transitions import MachineError
 
-from procedures.engine.machine import ProcedureMachine, mermaid, state_of
-from procedures.engine.order import order_of
-from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.engine.machine import BETWEEN, ENDS, RESTS, ProcedureMachine, mermaid, state_of
+from procedures.engine.order import CaseOrder, Steps, order_of
+from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 
 
 @pytest.mark.parametrize("trajectories", [("T1",), ("T1", "T2", "T3")])
@@ -31,6 +37,53 @@ def test_steps_repeated_for_each_trajectory_loop_back_in_the_chart() -> None:
     chart = mermaid(plain_steps())
     assert "fit --> localization : next trajectory" in chart
     assert "back --> approach : next trajectory" in chart
+
+
+def drawn(chart: str) -> set[tuple[str, str]]:
+    """Arrows between states: a phase stands for its steps, a junction for whatever leads on from it."""
+    steps = {
+        phase: inside.split() for phase, inside in re.findall(r"state (\w+) \{(.*?)\}", chart, re.DOTALL)
+    }
+    arrows = [
+        (one, other)
+        for source, target in re.findall(r"^  (\w+) --> (\w+)", chart, re.MULTILINE)
+        for one in steps.get(source, [source])
+        for other in steps.get(target, [target])
+    ]
+    junctions = re.findall(r"state (\w+) <<choice>>", chart)
+    through = {
+        (one, other)
+        for one, junction in arrows
+        for before, other in arrows
+        if junction == before and junction in junctions
+    }
+    return through | {way for way in arrows if not set(way) & set(junctions)}
+
+
+def made(order: CaseOrder) -> set[tuple[str, str]]:
+    """What the machine does in each of its states when it is told whatever it can be told."""
+    states = [*BETWEEN, *ENDS, *map(state_of, order.steps)]
+    machine = ProcedureMachine(order)
+    asked = [machine.accept, machine.hold, machine.finish, machine.abort]
+    asked += [partial(machine.begin, step.name) for step in order.steps]
+    ways = set()
+    for state in states:
+        for ask in asked:
+            machine.state = state
+            with suppress(MachineError):
+                ask()
+                ways.add((state, machine.state))
+        for rest in RESTS:
+            machine.state = state
+            with suppress(MachineError), machine.resting(rest):
+                if machine.state != state:
+                    ways |= {(state, machine.state), (machine.state, state)}
+    return {(one.rpartition(".")[2], other.rpartition(".")[2]) for one, other in ways}
+
+
+@pytest.mark.parametrize("steps", [CLINICAL_STEPS, clinical_steps(measure_targets=True), plain_steps()])
+def test_the_chart_has_exactly_the_transitions_of_the_machine(steps: Steps) -> None:
+    assert drawn(mermaid(steps)) == made(order_of(steps, ("T1",)))
 
 
 def test_a_held_case_continues_with_a_step() -> None:
