@@ -43,9 +43,9 @@ MOST_UNSEEN_S = 10.0
 class RoomReading:
     """One look of the tracker while the arm rests.
 
-    `robot_from_flange` is the arm's nominal pose, `frame_mm` (3,) the frame by the tracker minus the frame by
-    the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are strays and `markers_mm` (k, 3)
-    the markers of the frame, tracker frame.
+    `robot_from_flange` is the arm's pose, by its calibration or else nominal, `frame_mm` (3,) the frame by
+    the tracker minus the frame by the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are
+    strays and `markers_mm` (k, 3) the markers of the frame, tracker frame.
     """
 
     robot_from_flange: Transform
@@ -182,7 +182,9 @@ class RoomWatch:
         return self.hidden_from is not None and _same_pose(self.hidden_from, robot_from_flange)
 
     def _reference(self, reading: RoomReading) -> RoomReading | None:
-        """The newest of the nearest readings in the same orientation."""
+        """The oldest reading from the same pose, so that a slow drift adds up; else the nearest of the same
+        orientation, the newest of those equally near.
+        """
         here = reading.robot_from_flange
         alike = [
             (apart_mm, -number, one)
@@ -191,7 +193,6 @@ class RoomWatch:
             and (apart_mm := _apart_mm(one.robot_from_flange, here)) <= FARTHEST_MM
         ]
         exact = [one for one in alike if _same_pose(one[2].robot_from_flange, here)]
-        # of those from the same pose the oldest: a slow drift is not to be followed
         chosen = max(exact, key=lambda one: one[1]) if exact else min(alike, default=None)
         return None if chosen is None else chosen[2]
 

@@ -34,7 +34,11 @@ class Guard(Protocol):
         ...
 
     def unmet(self) -> str | None:
-        """Why the case cannot go on now, in plain words, or None. Quick; raises only what ends the step."""
+        """Look, and say why the case cannot go on now, in plain words, or None.
+
+        No query: a guard may read devices for a second, record findings, void results and put a check of
+        the tool in doubt. Raises only what ends the step.
+        """
         ...
 
 
