@@ -259,3 +259,11 @@ def test_half_a_millimetre_is_detected_within_twelve_frames_and_quiet_motions_ra
     noticed = [frames_to_alarm(trial, 0.5) for trial in range(TRIALS)]
     assert max(noticed, key=lambda count: count or 99) in range(1, MOST_FRAMES + 1), noticed
     assert {frames_to_alarm(trial, 0.0) for trial in range(TRIALS)} == {None}
+
+
+@pytest.mark.parametrize("hidden", [0.1, 0.3])
+def test_a_head_that_moves_behind_hands_is_noticed_and_a_quiet_one_is_not(hidden: float) -> None:
+    noticed = [frames_to_alarm(trial, 3.0, hidden) for trial in range(TRIALS)]
+    assert None not in noticed
+    assert np.median([count or 0 for count in noticed]) <= MOST_FRAMES
+    assert {frames_to_alarm(trial, 0.0, hidden) for trial in range(TRIALS)} == {None}

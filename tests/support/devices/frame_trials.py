@@ -25,10 +25,11 @@ LOCALIZATION_FRAMES = 60
 UNTIL_ORDERED = 1  # frames that may pass from an alarm to the stop command: the next is held until it is read
 
 
-def frames_to_alarm(trial: int, head_mm: float) -> int | None:
+def frames_to_alarm(trial: int, head_mm: float, hidden: float = 0.0) -> int | None:
     """Frames from a shift of the head at a random moment of a motion to the stop command; None for none.
 
-    Three spheres in every second trial, five in the others. A shift of 0 is a quiet motion.
+    Three spheres in every second trial, five in the others. A shift of 0 is a quiet motion. In each frame
+    each sphere is hidden with that probability.
     """
     generator = np.random.default_rng([trial, round(1000 * head_mm), 12])
     spheres_mm, optics = _scene(trial % SCENES, "mini" if trial % 2 else "default")
@@ -41,7 +42,10 @@ def frames_to_alarm(trial: int, head_mm: float) -> int | None:
     frame, last = 0, BEFORE_FRAMES + 2 * MOTION_FRAMES
     while frame < last:
         sight = moved if frame >= shift else still
-        head.take(shuffled_frame(sight.measured(generator.standard_normal(spheres_mm.shape)), generator))
+        places_mm = sight.measured(generator.standard_normal(spheres_mm.shape))
+        if hidden:
+            places_mm = places_mm[generator.random(len(places_mm)) >= hidden]
+        head.take(shuffled_frame(places_mm, generator))
         if head.moved_mm is not None and head.moved_mm >= PATIENT_LIMIT_MM:
             return frame - shift + UNTIL_ORDERED
         frame += 1 if head.doubtful else 1 + PASSED_FRAMES

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.guards.head_frames import FAR_READINGS, HeadFrames
+from procedures.guards.head_frames import AVERAGED, FAR_READINGS, SPAN, HeadFrames
+from procedures.registration.shift import LEAST_POINTS
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 
 SPHERES_MM = np.array(
@@ -14,11 +15,15 @@ SPHERES_MM = np.array(
 
 def watched(places_mm: NDArray[np.float64]) -> HeadFrames:
     """After enough readings that show spheres at these places."""
-    strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places_mm.tolist())
     head = HeadFrames(SPHERES_MM)
     for _ in range(FAR_READINGS):
-        head.take(TrackerFrame(Stamp(1, 1, 0.0), Validity.OK, (), strays))
+        head.take(showing(places_mm))
     return head
+
+
+def showing(places_mm: NDArray[np.float64]) -> TrackerFrame:
+    strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places_mm.tolist())
+    return TrackerFrame(Stamp(1, 1, 0.0), Validity.OK, (), strays)
 
 
 @pytest.mark.hazard(12)
@@ -36,3 +41,37 @@ def test_two_spheres_in_place_and_a_phantom_do_not_count_as_a_moved_head() -> No
     head = watched(np.vstack([first, second, mirrored]))
     assert head.moved_mm is None
     assert not head.seen
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize("hidden", [[0, 1, 2, 3], [0, 1], [3]], ids=["in turn", "two in turn", "always one"])
+def test_a_head_that_moved_is_recognised_although_a_sphere_is_hidden_in_every_frame(
+    hidden: list[int],
+) -> None:
+    head = HeadFrames(SPHERES_MM)
+    for number in range(SPAN):
+        head.take(
+            showing(np.delete(np.add(SPHERES_MM, (3.0, 0.0, 0.0)), hidden[number % len(hidden)], axis=0))
+        )
+    assert head.moved_mm == pytest.approx(3.0)
+
+
+@pytest.mark.hazard(12)
+def test_frames_that_never_say_whether_the_head_moved_do_not_count_as_seen() -> None:
+    many = np.vstack([SPHERES_MM, np.add(SPHERES_MM, (0.0, 150.0, 0.0))])
+    head = HeadFrames(many)
+    for number in range(SPAN + 1):
+        shown = [(number + one) % len(many) for one in range(LEAST_POINTS)]  # each in three of eight
+        head.take(showing(many[shown]))
+    assert head.moved_mm is None
+    assert not head.seen
+
+
+@pytest.mark.hazard(14)
+def test_one_sphere_that_alone_is_elsewhere_does_not_make_a_moved_head() -> None:
+    places_mm = SPHERES_MM.copy()
+    places_mm[3] += (0.0, 0.0, 5.0)  # a glint beside a hidden one
+    head = HeadFrames(SPHERES_MM)
+    for _ in range(AVERAGED):
+        head.take(showing(places_mm))
+    assert head.moved_mm == pytest.approx(0.0)
