@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.planning.path_check.motions import BACK
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
@@ -79,9 +80,9 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
 
 
 def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
-    """The motions to and from poses of this trajectory, in order."""
+    """The motions to and from poses of this trajectory, in order; a line back clears what the line clears."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews
-        if trajectory in (one.start.split("/")[0], one.end.split("/")[0])
+        if trajectory in (one.start.split("/")[0], one.end.split("/")[0]) and one.kind != BACK
     )

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting
 from procedures.engine.step import StepKey
-from procedures.planning.path_check.motions import HOME
+from procedures.planning.path_check.motions import BACK, HOME, LINE, MOVE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -35,7 +35,6 @@ from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.devices import Motion
 from ronna_hw.devices.readings import JointVector
 
-MOVE, LINE = "move", "line"
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
@@ -54,14 +53,12 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
     else:
         motions = [one for one in paths.motions if _belongs(one, key)]
     if workcell.at_home or not motions or motions[0].start != HOME:
-        return _in_words(motions, key)
+        return _in_words(motions)
     over = _sphere_below(paths, key, workcell)
     if over is None:
-        return "the arm is not home; from home it would", *_in_words(motions, key)
+        return "the arm is not home; from home it would", *_in_words(motions)
     reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
-    return f"the arm is over sphere {over + 1}; from there", *_in_words(
-        motions[max(reached, default=0) :], key
-    )
+    return f"the arm is over sphere {over + 1}; from there", *_in_words(motions[max(reached, default=0) :])
 
 
 @dataclass(frozen=True)
@@ -110,11 +107,8 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
     return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
 
 
-def _in_words(motions: Sequence[MotionPreview], key: StepKey) -> tuple[str, ...]:
-    lines = [_described(one) for one in motions]
-    if key.name == Retreated.kind:
-        lines = [*(f"back: {line}" for line in lines if LINE in line), *(one for one in lines if MOVE in one)]
-    return tuple(lines)
+def _in_words(motions: Sequence[MotionPreview]) -> tuple[str, ...]:
+    return tuple(_described(one) for one in motions)
 
 
 def _belongs(motion: MotionPreview, key: StepKey) -> bool:
@@ -122,9 +116,9 @@ def _belongs(motion: MotionPreview, key: StepKey) -> bool:
     if key.name == MountedGuide.kind:
         return motion.end == HOME and SPHERE in motion.start
     if key.name == PositionedGuide.kind:
-        return motion.end == f"{key.trajectory}{target}"
+        return motion.end == f"{key.trajectory}{target}" and motion.kind != BACK
     if key.name == Retreated.kind:
-        return motion.start == f"{key.trajectory}{target}"
+        return motion.start == f"{key.trajectory}{target}" and motion.kind != LINE
     return False
 
 
@@ -132,7 +126,7 @@ def _described(motion: MotionPreview) -> str:
     near = motion.closest
     passing = "" if near is None else f"; {near.first} clears {near.second} by {near.distance_mm:.0f} mm"
     start, end = _place(motion.start), _place(motion.end)
-    ends = f"{start} to {end}" if start != end else f"onto {end}"
+    ends = f"from {end}" if motion.kind == BACK else f"{start} to {end}" if start != end else f"onto {end}"
     speed = f"{motion.duration_s:.1f} s at up to {motion.largest_speed_mm_s:.0f} mm/s"
     return f"{motion.kind} {ends}, {speed}{passing}"
 

@@ -20,13 +20,14 @@ from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.devices.readings import JointVector
 
 HOME, GAUGE = "home", "gauge"
+MOVE, LINE, BACK = "move", "line", "back"
 
 
 @dataclass(frozen=True)
 class Motion:
-    """One motion of the procedure: a joint move or a straight line, from one named place to another.
+    """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
 
-    `clear` if it was already swept, and found clear, when it was chosen.
+    `clear` if another sweep judges it: that which it was chosen by, or that of the line it goes `back` on.
     """
 
     start: str
@@ -34,11 +35,14 @@ class Motion:
     plan: MotionPlan
     around: Surroundings
     clear: bool = False
+    back: bool = False
 
     @property
     def kind(self) -> str:
-        """`line` or `move`."""
-        return "move" if self.plan.target is None else "line"
+        """`move`, `line` or `back`."""
+        if self.back:
+            return BACK
+        return MOVE if self.plan.target is None else LINE
 
 
 @dataclass(frozen=True)
@@ -118,7 +122,7 @@ def previews_of(
 def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
-    """The motions from home through all visits and back home; retreats are the reversed lines."""
+    """The motions from home through all visits and back home."""
     limits = setting.limits or working_limits(setting.kinematics)
     by_name = {one.identifier: one for one in trajectories}
     stands: tuple[str, JointVector] = (HOME, setting.start_rad)
@@ -164,6 +168,13 @@ def _to(
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
     yield Motion(name, name, reached.line, around)
+    yield Motion(name, name, _reversed(setting, reached.line), around, clear=True, back=True)
+
+
+def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
+    """The way back: the same poses, and the same limits of speed."""
+    began = setting.kinematics.forward(line.start_rad)
+    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
 
 
 def _home(
@@ -175,7 +186,7 @@ def _home(
 
 def _collision_in_words(motion: Motion, bad: Closest) -> str:
     leads = (
-        "on the line to it" if motion.kind == "line" else (f"on the path from {motion.start} to {motion.end}")
+        "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )
     near = f"comes within {bad.distance_mm:.1f} mm of"
     if bad.distance_mm < 0.0:

@@ -42,6 +42,7 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which does not matter
+SMALL_STEPS = "and the small steps over each sphere, or in search of one that is not seen"
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
@@ -81,7 +82,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
-    course = f"{in_one_line(motions)}; and the small steps over each sphere" if motions else ""
+    course = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
     with context.workcell.supervised.leading(course):
         return _localized(context, paths)
 

@@ -231,7 +231,7 @@ def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
     assert done.returncode == 0, done.stderr
     assert "not judged" not in done.stderr
     assert "\t50.2\t30\t170.2\t" in done.stdout  # depth, stand-off, and with a bore of 90 the depth stop
-    header, *motions = done.stdout.splitlines()[-6:]
+    header, *motions = done.stdout.splitlines()[-7:]
     for word in ("s", "smallest distance mm", "singularity", "A1..A6 deg"):
         assert word in header.split("\t")
     assert [motion.split("\t")[:3] for motion in motions] == [
@@ -239,6 +239,7 @@ def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
         ["gauge", "home", "move"],
         ["home", "T1/target", "move"],
         ["T1/target", "T1/target", "line"],
+        ["T1/target", "T1/target", "back"],
         ["T1/target", "home", "move"],
     ]
 
@@ -253,6 +254,7 @@ def test_the_json_contains_a_preview_of_every_motion(case, theatre):
         ("home", "gauge"),
         ("gauge", "home"),
         ("home", "T1/target"),
+        ("T1/target", "T1/target"),
         ("T1/target", "T1/target"),
         ("T1/target", "home"),
     ]

@@ -78,7 +78,13 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     exchanged = [motion for motion in motions[:-1] if motion.end == HOME]
     assert len(exchanged) >= 1
     assert {part.name for part in motions[0].around.tool} != {part.name for part in motions[-1].around.tool}
-    assert [motion.kind for motion in motions].count("line") == len(check.reached)
+    lines = [motion.plan for motion in motions if motion.kind == "line"]
+    back = [motion.plan for motion in motions if motion.kind == "back"]
+    assert lines == [one.line for one in check.reached]
+    for there, again in zip(lines, back, strict=True):
+        assert again.start_rad == there.target_rad
+        end_rad = again.path(setting.kinematics).joints(1.0, again.start_rad)
+        assert end_rad == pytest.approx(there.start_rad, abs=1e-6)
 
 
 def test_every_motion_has_a_preview_that_can_be_recorded() -> None:

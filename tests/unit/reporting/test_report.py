@@ -294,6 +294,7 @@ def test_the_plan_comes_first_with_its_clearance_and_its_turn_about_the_axis(cel
         for start, end, kind, closest, head_mm in (
             ("home", f"{FIRST}/fiducial 1", "move", None, 77.9),
             (f"{FIRST}/target", f"{FIRST}/target", "line", near, 18.29),
+            (f"{FIRST}/target", f"{FIRST}/target", "back", near, 18.29),
             ("home", "other/target", "move", near, 1.0),
         )
     )

@@ -35,7 +35,7 @@ class MotionPreview(Values):
 
     start: str = Field(description="Name of the pose it begins at.")
     end: str = Field(description="Name of the pose it ends at.")
-    kind: str = Field(description="`move` of the joints or straight `line`.")
+    kind: str = Field(description="`move` of the joints, straight `line`, or `back` on it.")
     duration_s: float = Field(description="Duration at the intended speed.")
     clear: bool = Field(description="Whether every body keeps enough clearance.")
     closest: ClosestApproach | None = Field(description="The closest pair of bodies.")
@@ -63,9 +63,10 @@ class MotionPreview(Values):
 
 
 def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
-    """Those of one localization: of a trajectory, or the one that serves all."""
+    """Those of one localization, by way of home too: of a trajectory, or the one that serves all."""
     own = f"{trajectory}/" if trajectory else ""
-    return [one for one in motions if one.end.startswith(own) and SPHERE in one.end]
+    over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
+    return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
 def in_one_line(motions: Sequence[MotionPreview]) -> str:

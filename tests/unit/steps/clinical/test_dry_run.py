@@ -14,7 +14,9 @@ from procedures.planning.path_check.motions import HOME
 from procedures.steps.clinical import tool_check
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.dry_run import would_move
 from procedures.workcell import MountedTool
@@ -22,11 +24,11 @@ from procedures.workcell import MountedTool
 PLACES = (HOME, *(f"T1/fiducial {number}" for number in range(4)))
 
 
-def motion(start: str, end: str) -> MotionPreview:
+def motion(start: str, end: str, kind: str = "") -> MotionPreview:
     return MotionPreview(
         start=start,
         end=end,
-        kind="move" if start != end else "line",
+        kind=kind or ("move" if start != end else "line"),
         duration_s=1.0,
         clear=True,
         closest=None,
@@ -48,7 +50,11 @@ def told(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
 @pytest.fixture
 def paths(cell: ClinicalCell) -> CheckedPaths:
     planned = checked_paths(cell.carrying(MountedTool.STEREO_HEAD))
-    ways = (one for start, end in pairwise(PLACES) for one in (motion(start, end), motion(end, end)))
+    ways = (
+        one
+        for start, end in pairwise(PLACES)
+        for one in (motion(start, end), motion(end, end), motion(end, end, "back"))
+    )
     return planned.model_copy(update={"motions": tuple(ways)})
 
 
@@ -58,8 +64,37 @@ def test_from_home_every_motion_is_listed_and_spheres_are_numbered_from_one(
     cell.arm.joints_rad = HOME_RAD
     lines = told(cell, paths)
     assert lines[0].startswith("move home to T1/sphere 1, ")
-    assert lines[-1].startswith("line onto T1/sphere 4, ")
-    assert len(lines) == 2 * len(PLACES[1:])
+    assert lines[-2].startswith("line onto T1/sphere 4, ")
+    assert lines[-1].startswith("back from T1/sphere 4, ")
+    assert len(lines) == 3 * len(PLACES[1:])
+
+
+def test_a_way_by_home_from_one_sphere_to_the_next_is_listed(cell: ClinicalCell, paths: CheckedPaths) -> None:
+    cell.arm.joints_rad = HOME_RAD
+    _, second, *_ = PLACES[1:]
+    direct = next(one for one in paths.motions if one.end == second)
+    by_home = (motion(direct.start, HOME), motion(HOME, second))
+    before, after = paths.motions[: paths.motions.index(direct)], paths.motions[len(by_home) + 2 :]
+    lines = told(cell, paths.model_copy(update={"motions": (*before, *by_home, *after)}))
+    assert len(lines) == 3 * len(PLACES[1:]) + 1
+    assert lines[3].startswith("move T1/sphere 1 to home, ")
+
+
+def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retreat(
+    cell: ClinicalCell, paths: CheckedPaths
+) -> None:
+    target = "T1/target"
+    onto, back_off = (motion(target, target, kind) for kind in ("line", "back"))
+    ways = (motion(HOME, target), onto, back_off, motion(target, HOME))
+    cell.arm.joints_rad = HOME_RAD
+    engine = cell.begin(paths.model_copy(update={"motions": ways}), *coarse(), STEP)
+    engine.run_to(engine.order.sequence[0])
+    there, back = (
+        [line.partition(",")[0] for line in would_move(engine.case, key, cell.setting()) or ()]
+        for key in (StepKey(PositionedGuide.kind, "T1"), StepKey(Retreated.kind, "T1"))
+    )
+    assert there == ["move home to T1/target", "line onto T1/target"]
+    assert back == ["back from T1/target", "move T1/target to home"]
 
 
 def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell, paths: CheckedPaths) -> None:

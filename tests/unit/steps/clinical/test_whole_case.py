@@ -1,7 +1,10 @@
 """From the path check to the last retreat, with one localization and with one trajectory left out."""
 
 import re
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import pytest
 from clinical_case import HOME_RAD, ROBOT_FROM_CT, TRAJECTORIES, ClinicalCell
@@ -16,7 +19,9 @@ from prepared_results import (
 
 from procedures.engine.events import StepState
 from procedures.engine.step import StepSpec
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.topic import Topic
+from procedures.planning.path_check.motions import GAUGE, HOME
 from procedures.planning.plan.guide_hold import held_trajectory
 from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
@@ -25,7 +30,10 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.strategy import Strategy
+from procedures.workcell.cell_motion import MotionName
+from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
 MARGIN_MM = 4.0  # NOS on an uncalibrated arm predicts 2.1 mm
@@ -71,15 +79,46 @@ def test_the_summary_of_a_step_names_its_figures(finished: tuple[ClinicalCell, d
     assert not {"look", "looks", "well", "clear", "estimators", "apart"} & set(words)
 
 
+def motions_in(cell: ClinicalCell) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each motion in the journal, with the step that drove it."""
+    step = ""
+    for line in read_journal(cell.folder / JOURNAL_FILE):
+        step = str(line["step"]) if line["entry"] == "intent" else step
+        if line["entry"] == "motion":
+            yield step, line
+
+
 @pytest.mark.hazard(36)
 def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_covers(
     once: ClinicalCell,
 ) -> None:
-    over = [one for one in once.case.get(CheckedPaths).result.motions if "/fiducial " in one.end]
+    driven = [str(line["what"]) for step, line in motions_in(once) if step == "relocalization"]
+    over = [what for what in driven if what != MotionName.STEP]
+    assert len(driven) > len(over) > len(TRAJECTORIES)
     asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
-    assert len(over) > len(TRAJECTORIES)
     assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
-    assert asked.value.endswith("and the small steps over each sphere")
+    assert asked.value.endswith("the small steps over each sphere, or in search of one that is not seen")
+
+
+def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_end(
+    once: ClinicalCell,
+) -> None:
+    """But for small steps; what is approached several times is previewed once. By the coarse registration."""
+    paths = once.case.get(CheckedPaths).result
+    ends: dict[tuple[str, str], Sequence[float]] = {("move", HOME): HOME_RAD}
+    ends["move", GAUGE] = radians6(*once.workcell.tools.guide.gauge.joints_deg)
+    for name, spheres in paths.localizations.items():
+        poses = {f"{name}/fiducial {n}": (one.tool_pose, one.approach_rad) for n, one in enumerate(spheres)}
+        poses |= {f"{n}/target": (one.tool_pose, one.standoff_rad) for n, one in paths.targets.items()}
+        for pose, (held, before_rad) in poses.items():
+            before = back_along_axis(held.transform, once.setting().settings.standoff_mm)
+            ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
+            ends["back", pose] = tuple(before.translation_mm.tolist())
+    driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionName.STEP]
+    driven = [to for to, _ in groupby(driven)]
+    assert len(driven) == len(paths.motions)
+    for to, motion in zip(driven, paths.motions, strict=True):
+        assert to == pytest.approx(ends[motion.kind, motion.end], abs=0.02 if motion.kind == "move" else 1.0)
 
 
 def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(
