@@ -10,6 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
+from traceback import walk_stack
 from types import FrameType
 from typing import Any
 
@@ -17,16 +18,31 @@ import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, SCENE, SPHERES_MM, ClinicalCell
 from numpy.typing import NDArray
+from passing_clock import PassingClock
 from polaris_unit_in_process import UnitInProcess, tracker_on
-from prepared_results import checked_paths, checked_plan, checked_set_up, localized_fiducials, relocalization
+from prepared_results import (
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    coarse,
+    localized_fiducials,
+    relocalization,
+)
+from recording_cell import mini_theatre_file
 
+from procedures.composition.guarding import guard
 from procedures.reporting.report import write_report
 from procedures.steps.clinical import correspondence, global_localization, registration
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.relocalization import STEP as RELOCALIZATION
 from procedures.workcell import MountedTool
+from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
+from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.frames import Frame
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 from ronna_hw.recording.taped_device import taped
@@ -35,6 +51,7 @@ ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "explanation" / "from-wire-to-report.md"
 TRACKER = SCENE.tracker.robot_from_tracker.transform(Frame.ROBOT, Frame.TRACKER)
 SPHERE = 1  # whose number is followed
+LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
 # Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
 NOT_RUN = {"drivers/ndi_polaris/line/transport.py", "ronna_hw/devices/tracker.py"}
@@ -48,8 +65,10 @@ class UnitInRoom(UnitInProcess):
     def __init__(self, frame: Sequence[float]) -> None:
         super().__init__()
         self._frame = tuple(frame)
+        self.asked_by: set[tuple[str, ...]] = set()
 
     def pose_of(self, handle: int) -> tuple[float, ...]:
+        self.asked_by.add(layers_on_stack())
         return (*self._frame, 0.1)
 
 
@@ -105,13 +124,65 @@ def links() -> set[str]:
     return {str(path) for path in re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", of_tracker + shared)}
 
 
-@pytest.mark.parametrize("walk", ["A motion", "An image", "A pose"])
-def test_each_walk_crosses_a_layer_at_most_once(walk: str) -> None:
+def layers_on_stack() -> tuple[str, ...]:
+    """Of the code that led here, the nearest first."""
+    files = (LAYER.match(frame.f_code.co_filename) for frame, _ in walk_stack(None))
+    return tuple(layer for layer, _ in groupby(file[1] for file in files if file))
+
+
+def layers_of(walk: str) -> tuple[str, ...]:
+    """As the page has them, each once."""
     text = PAGE.read_text(encoding="utf-8").split(f"## {walk}")[1].split("\n## ")[0]
     rows = re.findall(r"^\| \*?\[[^]]*\]\(\.\./\.\./(drivers|ronna_hw|procedures/\w+)/", text, re.MULTILINE)
-    layers = [layer for layer, _ in groupby(rows)]
-    assert len(layers) > 3
-    assert len(layers) == len(set(layers))
+    layers = tuple(layer for layer, _ in groupby(rows))
+    assert len(layers) == len(set(layers)) > 3
+    return layers
+
+
+def above_workcell(files: set[str]) -> set[str]:
+    """Their rooms that no module of the workcell imports."""
+    own = ROOT / "procedures" / "workcell"
+    imports = re.compile(r"^ *from procedures\.(\w+)", re.MULTILINE)
+    known = {room for path in own.glob("*.py") for room in imports.findall(path.read_text(encoding="utf-8"))}
+    rooms = {file.split("/")[1] for file in files if file.startswith("procedures/")}
+    return rooms - known - {own.name}
+
+
+def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_where_it_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
+    cell.clock = PassingClock()
+    cell.series.mkdir()
+    cell.plan.touch()
+    before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
+    engine = cell.begin(*before, RELOCALIZATION)
+    file = mini_theatre_file(tmp_path, simulated=True)
+    guard(engine, file, read_theatre_file(file))
+    led_here: set[tuple[str, ...]] = set()
+    ran: set[str] = set()
+    move, carry_out = cell.arm.move_joints, SupervisedMotion.carry_out
+
+    def moved(target_rad: JointVector, **more: Any) -> ArmReading:
+        led_here.add(layers_on_stack())
+        return move(target_rad, **more)
+
+    def carried_out(self: SupervisedMotion, motion: CellMotion) -> ArmReading:
+        with modules_run() as run:
+            reading = carry_out(self, motion)
+        ran.update(run)
+        return reading
+
+    monkeypatch.setattr(cell.arm, "move_joints", moved)
+    monkeypatch.setattr(SupervisedMotion, "carry_out", carried_out)
+    engine.run_to()
+    *_, below = down = layers_of("A motion")
+    assert below == "drivers"  # which are not in this process
+    assert led_here == {(*reversed(down[:-1]), "procedures/engine")}
+    asked = PAGE.read_text(encoding="utf-8").split("asks upwards")[1].split("\n\n")[0]
+    linked = set(re.findall(r"\(\.\./\.\./(procedures/[\w/]+\.py)\)", asked))
+    assert linked <= ran
+    assert above_workcell(linked) == above_workcell(ran)
 
 
 def numbers_of(report: str, sphere: int) -> str:
@@ -122,6 +193,10 @@ def numbers_of(report: str, sphere: int) -> str:
     )
     assert found
     return found[1]
+
+
+def test_the_way_of_an_image_crosses_no_layer_twice() -> None:
+    assert layers_of("An image")
 
 
 @pytest.mark.parametrize("aside_mm", [0.0, 0.4])
@@ -148,6 +223,7 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
         report = write_report(tmp_path).read_text(encoding="utf-8")
     tape.close()
     assert links() - NOT_RUN <= run
+    assert unit.asked_by == {(*layers_of("A pose"), "procedures/engine")}
 
     on_wire_mm = strays_in(wire.replies[-1])[SPHERE]
     assert on_wire_mm == pytest.approx(seen_mm[SPHERE], abs=1e-4)  # single precision
