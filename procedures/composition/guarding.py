@@ -45,7 +45,7 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
     if not only_leaving:
         guards.append(UnchangedInputs(engine, setting.clinical))
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
+    guards.append(GuideStill(workcell, setting.clock, setting.memory))  # before the head: it names the cause
     guards.append(sight_guard(engine, void))
-    guards.append(GuideStill(workcell, setting.clock, setting.memory))
     guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching

@@ -1,8 +1,9 @@
 """While someone works through the guide, it stays where it was held.
 
 The encoders do not see how an arm gives way under a hand; the tracker does, by the frame on the mount: by its
-place, and by where its pose has the lower end of the guide, which a turn of the wrist displaces alone. What
-the arm's own joints say is compared as well.
+place, and by where its pose has the lower end of the guide, which a turn of the wrist displaces alone. A
+guide that bears a frame of its own is seen by that too: its seat may give way. What the arm's own joints say
+is compared as well.
 """
 
 from __future__ import annotations
@@ -12,14 +13,17 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.engine.case_memory import CaseMemory
+from procedures.guards.room_watch import RoomWatch
+from procedures.results.errors import GateFailed
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -28,6 +32,9 @@ PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.1
 # 160 mm away, one of 0.42 mm, so that less than `END_SEEN_MM` says nothing. More frames take time, of which a
 # trajectory in whose pose the head is hidden has ten seconds.
 END_SEEN_MM = 0.3
+END = 1  # its row among the points
+# Of arms of parameter set S with frames as calibrated, 0.25 deg at most; of the arm itself, nothing is seen.
+TURNED_RAD = math.radians(0.5)
 FRAMES = 60
 LEAST_FRAMES = 30  # that must show it
 BETWEEN_LOOKS_S = 1.0  # theatre time
@@ -42,8 +49,9 @@ HIDDEN = ", and clear the line between the tracker and the frame on the arm: it 
 class GuideAtRest:
     """How the guide was held when it had come to rest.
 
-    `seen_mm` (2, 3) are the frame on the mount and the lower end of the guide, tracker frame, and None where
-    the frame is not seen; `end_in_frame_mm` (3,) is that end in the frame on the mount.
+    `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
+    tracker's frame: NaN for the last where it is not seen, and None where the first is not. `end_in_frame_mm`
+    (3,) is the end in the frame on the mount, `on_guide` the name of the frame on the guide, if it bears one.
     `worked` says that someone is working through it now: else nothing waits for it. `now_mm` is how far it
     was from its place when it was seen last; `looked_s` is the theatre time of the last look, `unseen` says
     that this did not show it.
@@ -53,6 +61,7 @@ class GuideAtRest:
     tool_mm: Array
     end_in_frame_mm: Array
     seen_mm: Array | None
+    on_guide: str | None = None
     now_mm: float = 0.0
     worked: bool = False
     looked_s: float = -math.inf
@@ -69,25 +78,29 @@ class GuideAtRest:
         reading = frame.tool(tool)
         if self.seen_mm is None or reading.validity is not Validity.OK:
             return
-        self._recent.append(_ends_mm(reading.transform(Frame.TRACKER, Frame.MARKER), self.end_in_frame_mm))
+        on_mount = reading.transform(Frame.TRACKER, Frame.MARKER)
+        on_guide = None if self.on_guide is None else frame.tool(self.on_guide)
+        place_mm = on_guide.position_mm if on_guide and on_guide.validity is Validity.OK else None
+        self._recent.append(_points_mm(on_mount, self.end_in_frame_mm, place_mm))
         recent_mm = np.array(self._recent)
         if len(recent_mm) >= PLACE_READINGS:
-            place_mm = recent_mm[-PLACE_READINGS:, 0].mean(axis=0)
-            end_mm = recent_mm[:, 1].mean(axis=0) if len(recent_mm) == END_READINGS else self.seen_mm[1]
-            self._compare(np.array([place_mm, end_mm]))
+            now_mm = recent_mm[-PLACE_READINGS:].mean(axis=0)
+            now_mm[END] = recent_mm[:, END].mean(axis=0) if len(recent_mm) == END_READINGS else np.nan
+            self._compare(now_mm)
 
     def look(self, workcell: Workcell, clock: Clock) -> None:
         """See how far it is from its place now. Raises what the tracker raises."""
         known = self.seen_mm is not None
-        seen_mm = _seen_mm(workcell, clock, self.end_in_frame_mm) if known else None
+        seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide)[1] if known else None
         self._compare(seen_mm, workcell.tool_pose().translation_mm)
         self.looked_s, self.unseen = clock.now_s(), seen_mm is None
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
         """By whichever says most; a frame that is hidden now is taken to be where it was seen last."""
         if seen_mm is not None and self.seen_mm is not None:
-            place_mm, end_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1).tolist()
-            self._by_frame_mm = max(place_mm, end_mm if end_mm > END_SEEN_MM else 0.0)
+            moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
+            moved_mm[END] = moved_mm[END] if moved_mm[END] > END_SEEN_MM else 0.0
+            self._by_frame_mm = float(np.nanmax(moved_mm))
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
         self.now_mm = max(self._by_frame_mm, by_joints_mm)
 
@@ -112,26 +125,54 @@ class GuideStill:
             return None
         return (
             f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
-            f"the guide and the arm{HIDDEN if rest.unseen else ''}"
+            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody touches them, somebody did when"
+            " the guide came to rest, or its seat has given way: leave, and repeat positioning or tool_check"
         )
 
 
-def guide_at_rest(workcell: Workcell, clock: Clock, trajectory: str) -> GuideAtRest:
-    """How it is held now. Raises what the tracker raises."""
+def guide_at_rest(
+    workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
+) -> GuideAtRest:
+    """How it is held now. Raises PRO-007 for a hand on it already, and what the tracker raises.
+
+    `room` is the watch of the case, by which the tracker knows how the arm has the frame.
+    """
     tool = workcell.tool_pose()
-    end_mm = tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm])
-    end_in_frame_mm = robot_from_marker(workcell, workcell.joints_rad()).inverse().apply(end_mm)
-    seen_mm = _seen_mm(workcell, clock, end_in_frame_mm)
-    return GuideAtRest(trajectory, tool.translation_mm, end_in_frame_mm, seen_mm)
+    on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
+    by_arm = robot_from_marker(workcell, workcell.joints_rad())
+    end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
+    on_mount, seen_mm = _seen(workcell, clock, end_in_frame_mm, on_guide)
+    if on_mount is not None and room is not None:
+        _require_unturned(by_arm, room.robot_from_tracker @ on_mount)
+    return GuideAtRest(trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide)
 
 
-def _seen_mm(workcell: Workcell, clock: Clock, end_in_frame_mm: Array) -> Array | None:
-    """Means over `FRAMES` (2, 3), tracker frame; None where too few of them show it."""
+def _require_unturned(by_arm: Transform, seen: Transform) -> None:
+    """Raises PRO-007 when the frame on the mount is turned against where the arm has it."""
+    turned_rad = float((by_arm.rigid.rotation.inv() * seen.rigid.rotation).magnitude())
+    if turned_rad > TURNED_RAD:
+        turned_deg, limit_deg = math.degrees(turned_rad), math.degrees(TURNED_RAD)
+        raise GateFailed(
+            "the tracker sees the frame on the arm turned against where the arm has it",
+            limit=f"{limit_deg:g} deg",
+            got=f"{beyond(turned_deg, limit_deg, 2)} deg",
+            action="Let go of guide and arm, check that mount and frame are tight, then repeat the step.",
+        )
+
+
+def _seen(
+    workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None
+) -> tuple[Transform | None, Array | None]:
+    """Mean pose of the frame on the mount and `seen_mm`; None where too few frames show it."""
     frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
-    pose = mean_pose(frames, workcell.calibrations.tracker_frame.tool, LEAST_FRAMES)
-    return None if pose is None else _ends_mm(pose, end_in_frame_mm)
+    on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, LEAST_FRAMES)
+    if on_mount is None:
+        return None, None
+    guide = None if on_guide is None else mean_pose(frames, on_guide, LEAST_FRAMES)
+    return on_mount, _points_mm(on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
 
 
-def _ends_mm(pose: Transform, end_in_frame_mm: Array) -> Array:
-    """The frame on the mount and the guide's end (2, 3), tracker frame, with the frame at that pose."""
-    return np.array([pose.translation_mm, pose.apply(end_in_frame_mm)])
+def _points_mm(on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
+    """The frame on the mount, the guide's end and the frame on the guide (3, 3), tracker frame."""
+    guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
+    return np.array([on_mount.translation_mm, on_mount.apply(end_in_frame_mm), guide_mm])

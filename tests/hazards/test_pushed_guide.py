@@ -20,6 +20,7 @@ from procedures.guards.guide_still import (
 SCENES, TRIALS_PER_TARGET = 30, 20
 READINGS = 9000  # ten minutes of work through the guide, of every fourth frame
 LOOKS = 4  # one after each stage
+PLACES, ENDS = [0, 1, 2, 6, 7, 8], [3, 4, 5]
 pytestmark = pytest.mark.hazard(46)
 Array = NDArray[np.float64]
 
@@ -38,27 +39,28 @@ def insertions(pushed_mm: float, turned_mm: float, readings: int) -> Iterator[tu
         case = TrackedCase(seed)
         rests = case.rests
         for at in rests[-3 * ((len(rests) - 2) // 4) :][1::3]:
-            noise_mm = case.frame_noise_mm(at)
+            noise_mm = case.guide_noise_mm(at)
 
             def means_mm(
                 frames: int, count: int, noise_mm: Array = noise_mm, case: TrackedCase = case
             ) -> Array:
-                drawn = case.generator.standard_normal((count, 6))
+                drawn = case.generator.standard_normal((count, 9))
                 return drawn @ noise_mm.T / np.sqrt(frames)
 
             for _ in range(TRIALS_PER_TARGET):
                 shift_mm = pushed_mm * case.direction()
-                away_mm = np.concatenate([shift_mm, shift_mm + turned_mm * case.direction()])
+                end_mm = shift_mm + turned_mm * case.direction()
+                away_mm = np.concatenate([shift_mm, end_mm, shift_mm])
                 away_mm -= means_mm(FRAMES, 1)[0]
                 running_mm = means_mm(1, readings) + away_mm
-                places_mm = running_mean(running_mm[:, :3], PLACE_READINGS)
-                ends_mm = running_mean(running_mm[:, 3:], END_READINGS)
+                places_mm = running_mean(running_mm[:, PLACES], PLACE_READINGS)
+                ends_mm = running_mean(running_mm[:, ENDS], END_READINGS)
                 looked_mm = means_mm(FRAMES, LOOKS) + away_mm
-                yield warns(places_mm, ends_mm), warns(looked_mm[:, :3], looked_mm[:, 3:])
+                yield warns(places_mm, ends_mm), warns(looked_mm[:, PLACES], looked_mm[:, ENDS])
 
 
 def warns(places_mm: Array, ends_mm: Array) -> bool:
-    by_place = np.linalg.norm(places_mm, axis=1) > PUSHED_MM
+    by_place = np.linalg.norm(places_mm.reshape(-1, 3), axis=1) > PUSHED_MM
     by_end = np.linalg.norm(ends_mm, axis=1) > END_SEEN_MM
     return bool(by_place.any() or by_end.any())
 

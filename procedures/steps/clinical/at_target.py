@@ -15,6 +15,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.guards.room_watch import RoomWatch
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.room import Task
@@ -81,6 +82,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:
         begun = begun_work(context)
+        context.progress(0.0, f"the guide is held at {trajectory}")  # or was left displaced: it is looked at
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
@@ -104,8 +106,9 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             pushed_mm=begun.pushed_mm if begun.watched or pushed else None,
             done_before=begun.before,
         ),
-        summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent"
-        f"{'' if begun.watched else '; the guide was not watched throughout'}",
+        summary=f"instrument within {error_mm:.2f} mm of where it was sent"
+        + (f", by joints and depth stop; the guide was pushed by {begun.pushed_mm:.2f} mm" if pushed else "")
+        + ("" if begun.watched else "; the guide was not watched throughout"),
     )
 
 
@@ -170,7 +173,8 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
-        rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory)
+        room = memory.find(RoomWatch)
+        rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory, room)
         memory.keep(rest)
     if rest.seen_mm is None:
         context.find(f"at {context.trajectory}: {UNSEEN}")

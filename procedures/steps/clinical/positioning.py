@@ -10,6 +10,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import guide_at_rest
+from procedures.guards.room_watch import RoomWatch
 from procedures.operator.question import YES
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
@@ -23,6 +24,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.tools.sight import require_seen_in_place
 from procedures.steps.clinical.validity.room import (
     ROOM_READS,
     check_room,
@@ -59,6 +61,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
+    if (frame := workcell.tools.guide.record.frame) is not None:
+        require_seen_in_place(context, frame, must_see=False)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
@@ -97,7 +101,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.insert(insertion)
         check_room(context, f"at {trajectory}")
-    context.setting.memory.keep(guide_at_rest(workcell, context.setting.clock, trajectory))
+    memory = context.setting.memory
+    memory.keep(guide_at_rest(workcell, context.setting.clock, trajectory, memory.find(RoomWatch)))
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",

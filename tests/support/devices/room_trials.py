@@ -7,6 +7,7 @@ averaged over as many frames as the steps take. Spheres count as visible everywh
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -33,6 +34,8 @@ from sim.polaris.unit.model import SPECTRA
 from sim.theatre.theatre_file import theatre_content
 from sim.world.arm.true_arm import TrueArm
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
+from sim.world.scene.guide_frame import IN_TIP as GUIDE_FRAME_IN_TIP
+from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
 from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
@@ -128,27 +131,36 @@ class TrackedCase:
         """Where the arm truly is (4, 4) with its encoders at these joints."""
         return self._at(joints)[1]
 
-    def frame_noise_mm(self, joints: JointVector) -> Array:
-        """Of the frame on the arm and of the lower end of the guide, in one frame of the tracker.
+    def guide_noise_mm(self, joints: JointVector) -> Array:
+        """Of the frame on the mount, the lower end of the guide, and the frame on it, in one tracker frame.
 
-        (6, 6) mm for each of six standard normals.
+        (9, 9) mm for each of nine standard normals.
         """
         mount = self.scene.mount
         end_in_tool_mm = (0.0, 0.0, -mount.guide.reach_mm)
         end_mm = apply(inverse(matrix_of(mount.tool_from_marker_true)), [end_in_tool_mm])[0]
-        flange = self.true_flange(joints)
-        sight = self._optics.sight(
-            apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        flange = self.tracker_from_robot @ self.true_flange(joints)
+        on_guide = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
+        noise_mm = np.zeros((9, 9))
+        noise_mm[:6, :6] = self._noise_mm(
+            flange @ self._flange_from_marker, self._body_mm, (np.zeros(3), end_mm)
         )
+        guide_frame = flange @ on_guide @ matrix_of(GUIDE_FRAME_IN_TIP)
+        noise_mm[6:, 6:] = self._noise_mm(guide_frame, np.array(GUIDE_FRAME_MARKERS_MM), (np.zeros(3),))
+        return noise_mm
 
-        def ends_mm(drawn: Array) -> Array:
-            fit = fit_rigid_body(self._body_mm, sight.measured(drawn))
-            return np.concatenate([fit.translation_mm, fit.rotation @ end_mm + fit.translation_mm])
+    def _noise_mm(self, pose: Array, body_mm: Array, points_mm: Sequence[Array]) -> Array:
+        """Of points in the frame of a body at this pose, as its fit has them: (3 n, 3 n)."""
+        sight = self._optics.sight(apply(pose, body_mm))
+
+        def fitted_mm(drawn: Array) -> Array:
+            fit = fit_rigid_body(body_mm, sight.measured(drawn))
+            return np.concatenate([fit.rotation @ point + fit.translation_mm for point in points_mm])
 
         step = 1e-3  # the fit is linear in noise as small as this
-        still = ends_mm(np.zeros(sight.mean_mm.shape))
+        still = fitted_mm(np.zeros(sight.mean_mm.shape))
         drawn = step * np.eye(sight.mean_mm.size).reshape(-1, *sight.mean_mm.shape)
-        each = np.array([(ends_mm(one) - still) / step for one in drawn])
+        each = np.array([(fitted_mm(one) - still) / step for one in drawn])
         return np.asarray(np.linalg.qr(each, mode="r").T)
 
     def direction(self) -> Array:

@@ -34,7 +34,7 @@ from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.lifecycle import Lifecycle
 
 OF_EVERY_RUN = [DiskSpace, WallClock, ArmLink, ToolStillMounted, LineOfSight]
-OF_A_PATIENT = [HeadInSight, GuideStill]
+OF_A_PATIENT = [GuideStill, HeadInSight]
 
 
 ORDER = order_of([global_localization.STEP], ())

@@ -22,8 +22,11 @@ SEEN_LIMIT_MM = (
 FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 
-def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
-    """Largest distance of a sphere of the tool from its recorded position, mm. Raises TOOL-006."""
+def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:
+    """Largest distance of a sphere of the tool from its recorded position, mm. Raises TOOL-006.
+
+    None where a frame is hidden that need not be seen.
+    """
     workcell = context.workcell
     reference = workcell.calibrations.tracker_frame
     workcell.rest()  # the tracker measures while the arm's stream is off
@@ -31,6 +34,8 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
     on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
     on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
     if on_mount is None or on_tool is None:
+        if not must_see:
+            return None
         unseen = reference.tool if on_mount is None else frame.tool
         raise ToolSeenElsewhere(
             f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"

@@ -41,6 +41,7 @@ from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
@@ -138,6 +139,26 @@ def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_th
     held = cell.case.get(PositionedGuide, LAST).result.tool_pose.transform
     checked = checked_paths(cell, turn_rad=0.3).targets[LAST].tool_pose.transform
     assert (held.rigid.rotation.inv() * checked.rigid.rotation).magnitude() < 1e-9
+
+
+@pytest.mark.hazard(46)
+def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    cell.tracker.guide_shift_mm = None  # the frame on the guide is hidden, and cannot tell
+    cell.tracker.frame_turn_rad = (0.0, math.radians(0.8), 0.0)
+    refused = r"turned against where the arm has it.*limit 0\.5 deg, got 0\.80 deg"
+    with pytest.raises(GateFailed, match=refused):
+        run(engine, f"positioning:{FIRST}")
+
+
+@pytest.mark.hazard(47)
+def test_a_guide_whose_seat_gave_way_after_its_check_is_not_led_to_the_entry(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    been = len(cell.arm.motions)
+    cell.tracker.guide_shift_mm = (0.0, 2.0, 0.0)
+    with pytest.raises(ToolSeenElsewhere):
+        run(engine, f"positioning:{FIRST}")
+    assert len(cell.arm.motions) == been
 
 
 def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:

@@ -287,6 +287,39 @@ def test_a_turn_of_the_wrist_that_leaves_the_frame_in_its_place_suspends_the_cas
 
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
+def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displaced(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    cell.operator.refusing = (Topic.GUARD,)
+
+    def push(question: Question) -> None:
+        if question.topic is Topic.SKIN:
+            cell.tracker.frame_shift_mm = (2.0 * PUSHED_MM, 0.0, 0.0)
+
+    cell.operator.meanwhile = push
+    for _attempt in range(2):
+        with pytest.raises(GuardUnmet, match="pushed or pulled"):
+            work(engine)
+    assert [task.name for task in cell.room.worked] == ["depth_stop", "skin"]
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_a_seat_of_the_guide_that_gives_way_meanwhile_suspends_the_case(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    def give_way(question: Question) -> None:
+        sides_mm = 2.0 * PUSHED_MM if question.topic is Topic.DRILL else 0.0
+        cell.tracker.guide_shift_mm = (sides_mm, 0.0, 0.0)
+
+    cell.operator.meanwhile = give_way
+    work(engine)
+    (told,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
+    assert f"pushed or pulled by {2.0 * PUSHED_MM:.2f} mm" in told
+    assert "its seat has given way" in told
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(
     ("shift_mm", "turn_rad", "at_most_mm"), [(1.0, 0.0, 1.0), (0.0, TURN_RAD, LEVER_MM * TURN_RAD)]
 )
