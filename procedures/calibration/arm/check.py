@@ -5,18 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, null_space
 from scipy.special import chdtri
 
-from procedures.calibration.arm.identification import whitening_of
-from procedures.calibration.arm.looks import ArmLooks, arrays_of
+from procedures.calibration.arm.looks import ArmLooks, LookArrays, arrays_of
 from procedures.calibration.arm.validation import LEAST_VALIDATION, MODEL_SHARE
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
 from procedures.calibration.errors import ArmChanged, NoArmRecord
 from procedures.calibration.sufficiency import require_count
+from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import ArmCalibration
+from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import told_apart
+
+Array = NDArray[np.float64]
 
 FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
@@ -56,7 +63,7 @@ def require_record(record: ArmCalibration | None) -> ArmCalibration:
 
 
 def check_arm(observed: ArmLooks) -> ArmCheck:
-    """Compare measurements with the record in use; each sphere's position is the mean of its measurements.
+    """Compare measurements with the record in use; the spheres' positions are not known.
 
     Raises CAL-002, CAL-014.
     """
@@ -68,18 +75,39 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     flange = flange_poses(kinematics.chain, ArmDeviations.of(record), looks.joints_rad, looks.flanks)
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     seen = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]
-    for number in range(spheres):
-        here = looks.sphere == number
-        seen[here] -= seen[here].mean(axis=0)
     turned = flange[:, :3, :3] @ tool.rotation_matrix
-    model_mm2 = (record.stated_error_mm**2 / 3.0 + record.scatter_mm**2) * np.eye(3)
-    covariances = turned @ looks.covariances_mm2 @ turned.transpose(0, 2, 1) + model_mm2
-    whitened = np.einsum("mij,mj->mi", whitening_of(covariances, 0.0), seen)
+    own = turned @ looks.covariances_mm2 @ turned.transpose(0, 2, 1) + record.scatter_mm**2 * np.eye(3)
+    shared = _left_by_calibration(record, kinematics.chain, looks, seen).reshape(3 * count, -1)
+    # What the measurements say whatever the spheres' positions: their part beyond each sphere's mean.
+    at_sphere = looks.sphere == np.arange(spheres)[:, None]
+    apart = np.kron(null_space(at_sphere), np.eye(3))
+    covariance = apart.T @ (block_diag(*own) + shared @ shared.T) @ apart
+    found = apart.T @ seen.ravel()
     return ArmCheck(
         calibration=record.identifier,
         looks=count,
-        error_mm=float(np.sqrt(np.mean(np.sum(seen**2, axis=1)))),
-        expected_mm=float(np.sqrt(np.mean(np.einsum("mii->m", covariances)))),
-        statistic=float(np.sum(whitened**2)),
-        limit=float(chdtri(3 * (count - spheres), FALSE_ALARM)) * (1.0 + MODEL_SHARE),
+        error_mm=float(np.sqrt(found @ found / count)),
+        expected_mm=float(np.sqrt(np.trace(covariance) / count)),
+        statistic=float(found @ np.linalg.solve(covariance, found)),
+        limit=float(chdtri(len(found), FALSE_ALARM)) * (1.0 + MODEL_SHARE),
+    )
+
+
+def _left_by_calibration(record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array) -> Array:
+    """Displacement (m, 3, k) of each measured place by the k independent errors that the record leaves.
+
+    They are the same in all measurements, not new in each: the same link is too long throughout.
+    """
+    sizes = ErrorSizes.stated(ProcedureSettings(), record)
+    spheres, last = (
+        ArmPoses(looks.joints_rad[rows], places_mm[rows], looks.flanks[rows])
+        for rows in (slice(-1), slice(-1, None))
+    )
+    return np.concatenate(
+        [
+            np.concatenate([one.at_spheres_mm, one.at_target_mm[None]])
+            for one in arm_sources(chain, spheres, last, sizes)
+            if isinstance(one, SharedErrors)
+        ],
+        axis=2,
     )
