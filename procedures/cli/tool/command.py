@@ -77,8 +77,8 @@ def define(
 ) -> None:
     """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
 
-    Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 the file has
-    mistakes, 2 usage.
+    Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 --write is in
+    another folder, 2 usage, or the file or the record has mistakes, 3 --by is no name.
     """
     from procedures.cli.tool.records import left_out, record_of
 
@@ -126,7 +126,7 @@ def renew(
     """After a tip calibration: renew a tool's record for the new tip and the present gauge readings.
 
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
-    whose tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
+    whose tip was calibrated. Exit codes as in `define`.
     """
     from procedures.cli.tool.records import dials_moved, renewed, tip_moved
 
@@ -176,8 +176,8 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 def check(config: ConfigOption) -> None:
     """Check the records of a theatre file as a case does: valid, for this flange and this tip.
 
-    The calibrations that they rely on must be valid too. Exit codes: 0 they match, 1 the file has mistakes, 3
-    refused.
+    The calibrations that they rely on must be valid too. Exit codes: 0 they match, 2 usage, or the file has
+    mistakes, 3 refused.
     """
     from procedures.calibration.validity import options_of, require_valid
     from procedures.workcell.tool_records import ToolRecords

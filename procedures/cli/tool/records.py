@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from datetime import datetime
 from difflib import get_close_matches
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 
 from procedures.cli.tool.gauge_readings import read_gauge
 from procedures.workcell.errors import NoToolRecord
+from procedures.workcell.tool_records import GUIDE, ToolRecords
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
@@ -23,14 +25,14 @@ from ronna_hw.config import (
 )
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
-from ronna_hw.tool_record import WITH_TIP, Gauge, ToolRecord
+from ronna_hw.tool_record import WITH_TIP, ToolRecord
 
 
 def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
     """The record as the file holds it, with flange and tip of the file; `readings` are those of its gauge.
 
     Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread, or a name
-    that differs from a known one by capitals alone.
+    that differs from a known one by capitals alone, TOOL-002 for a `guide` that is none.
     """
     theatre = read_theatre_file(config)
     record = {key: value for key, value in given.items() if value not in (None, {})}
@@ -45,11 +47,20 @@ def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | N
             )
     content = read_toml(config, BadTheatreFile)
     content["tools"] = {**content.get("tools", {}), name: record}
-    gauge = parse_theatre(content, f"{config.name} with tool {name}").tools[name].gauge
-    if gauge is not None:
-        _require_within_axes(gauge, theatre)
-        if readings is not None:
-            record["gauge"] |= read_gauge(readings, gauge)
+    out_of_range = _out_of_range(record.get("gauge", {}).get("joints_deg"), theatre)
+    try:
+        written = parse_theatre(content, f"{config.name} with tool {name}")
+    except BadTheatreFile as error:
+        if out_of_range is None:
+            raise
+        raise BadTheatreFile(f"{error.what}; besides, {out_of_range.summary}") from error
+    if out_of_range is not None:
+        raise out_of_range
+    if name == GUIDE:
+        _ = ToolRecords.of(written).guide  # no case would start without one
+    gauge = written.tools[name].gauge
+    if gauge is not None and readings is not None:
+        record["gauge"] |= read_gauge(readings, gauge)
     return record
 
 
@@ -61,22 +72,25 @@ def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
     }
 
 
-def _require_within_axes(gauge: Gauge, theatre: TheatreFile) -> None:
-    """Raise CLI-001 for a gauge where this theatre's arm cannot be; without an arm nobody can say."""
+def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> UsageMistake | None:
+    """What is wrong with a gauge where this theatre's arm cannot be; without an arm nobody can say."""
     config = theatre.robot.get(MASTER)
-    arm = None if config is None else make_device(f"robot.{MASTER}", config, HostClock())
-    if not isinstance(arm, RobotArm):
-        return
+    arm = (
+        None if config is None or joints_deg is None else make_device(f"robot.{MASTER}", config, HostClock())
+    )
+    if joints_deg is None or not isinstance(arm, RobotArm):
+        return None
     ranges = arm.kinematics
     for axis, angle_deg, lower, upper in zip(
-        ranges.axis_names, gauge.joints_deg, ranges.lower_rad, ranges.upper_rad, strict=True
+        ranges.axis_names, joints_deg, ranges.lower_rad, ranges.upper_rad, strict=True
     ):
-        if not math.degrees(lower) <= angle_deg <= math.degrees(upper):
-            raise UsageMistake(
+        if angle_deg < math.degrees(lower) or angle_deg > math.degrees(upper):
+            return UsageMistake(
                 f"--gauge-deg: {axis} is {angle_deg:g} degrees",
                 expected=f"{math.degrees(lower):g} to {math.degrees(upper):g}, the range of that axis",
                 action="Read the axes at the pendant, with the mandrel in the gauge.",
             )
+    return None
 
 
 def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> dict[str, Any]:

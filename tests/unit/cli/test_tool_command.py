@@ -285,6 +285,15 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
             "A1 is -400 degrees; expected -170",
         ),
         (
+            f"define d --purpose needle_guide {GUIDE} --gauge-deg -400 -75 99 0 66 nan",
+            "has 1 mistake: tools.d.gauge.joints_deg 6: expected a finite number (found nan); besides, "
+            "--gauge-deg: A1 is -400 degrees; expected -170",
+        ),
+        (
+            f"define guide --purpose drill --number 2 {DEGREES}",
+            "is not that of a guide; expected needle_guide or drill_guide, got drill",
+        ),
+        (
             "define d --purpose gripper --centre-of-gravity-mm 0.11 0 0.03",
             "has length 0.114: give milli",
         ),
@@ -312,6 +321,26 @@ def test_an_impossible_value_is_refused_with_its_name_value_and_range(
     assert said.returncode != 0
     assert told in " ".join(one_error(said.stderr))
     assert not last.exists()
+
+
+@pytest.mark.parametrize(
+    ("command", "code"),
+    [
+        ("define d --purpose drill --write sub/last.toml", 1),
+        ("define d --purpose drill --write theatre.toml", 2),
+        ("define d --purpose needle_guide --write last.toml", 2),
+        ("define d --purpose drill --write last.toml --by 7", 3),
+        ("check", 2),
+    ],
+)
+def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code: int) -> None:
+    name, *arguments = shlex.split(command.replace("--write ", f"--write {theatre.parent}/"))
+    if name == "check":
+        theatre.write_text(theatre.read_text().replace('purpose = "needle_guide"', 'purpose = "drill"'))
+    done = in_this_process(app, name, *(PLAIN if name == "define" else ()), *arguments, "--config", theatre)
+    assert done.returncode == code, done.stderr
+    told = " ".join(in_this_process(app, name, "--help").stdout.split())
+    assert f" {code} " in told.partition("Exit codes:")[2].partition("Options:")[0]
 
 
 @pytest.mark.hazard(47)
