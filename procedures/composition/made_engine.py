@@ -15,7 +15,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.events.event_file import EventFile
 from procedures.engine.replay.sections import opening_line, section_follower
-from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator
 from procedures.operator.room import Room
 from procedures.workcell import Workcell
@@ -104,6 +104,7 @@ def made_engine(
         Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
         theatre.clock.now_s(),
         **({} if left is None else left.as_plain()),
+        **({ONLY_LEAVING: True} if resumption is not None and resumption.only_leaving else {}),
         **opening,
         **truth_so_far(folder),
         run=case.run,

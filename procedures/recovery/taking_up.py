@@ -109,10 +109,13 @@ def _take_up_arm(
     workcell, arm = engine.setting.workcell, left.arm
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
         # The line saying that an instrument goes in follows that of the guide, and can be lost alone.
+        if arm.instrument_in == on.trajectory:
+            comparison.warn(f"an instrument is in {on.trajectory}, as the journal says")
+        else:
+            comparison.warn(
+                f"the journal does not rule out an instrument in {on.trajectory}: one is assumed to be inside"
+            )
         arm = replace(arm, instrument_in=on.trajectory)
-        comparison.warn(
-            f"the journal does not rule out an instrument in {on.trajectory}: one is assumed to be inside"
-        )
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)

@@ -126,7 +126,7 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.ACKNOWLEDGED: ("fault", _acknowledged),
     Entry.DOUBTED: ("fault", _doubted),
     Entry.RESTARTED: ("fault", _restarted),
-    Entry.ACCEPTED: ("repetition", lambda _line: "The run was resumed; the findings were accepted"),
+    Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
 }
 _NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {

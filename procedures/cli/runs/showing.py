@@ -8,7 +8,7 @@ from typing import Any
 from procedures.cli.runs.folders import runs_in
 from procedures.engine.run_lock import holder_of_run
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
-from procedures.journal.journal import Entry
+from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.ending import Ending, ending_of
 from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
@@ -60,8 +60,10 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
-    if row["restarts"]:
-        say(f"resumed {counted(row['restarts'], 'time')}")
+    if resumed := row["restarts"] - row["only_leaving"]:
+        say(f"resumed {counted(resumed, 'time')}")
+    if row["only_leaving"]:
+        say(f"taken up {counted(row['only_leaving'], 'time')} only to go home, or to acknowledge a fault")
     if row["instrument_in"]:
         say(f"the instrument was still in {row['instrument_in']}")
     say(f"done: {', '.join(row['done']) or 'nothing'}")
@@ -118,7 +120,8 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         "ended": ending.word,
         "sentence": ending.sentence,
         "instrument_in": ending.instrument_in,
-        "restarts": len(run.lines(Entry.RESTARTED)),
+        "restarts": len(restarts := run.lines(Entry.RESTARTED)),
+        "only_leaving": sum(ONLY_LEAVING in line for line in restarts),
         "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.what_stands],
         "superseded": sorted(run.superseded),
         "targets": [

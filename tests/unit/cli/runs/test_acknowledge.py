@@ -19,7 +19,7 @@ from procedures.cli.runs import home
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.left_run import read_left_run
 from procedures.engine.theatre_lock import held_theatre
-from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, read_journal
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -71,7 +71,8 @@ def test_a_run_whose_every_step_is_done_is_left_by_an_acknowledgement_not_finish
     )
     with opened:
         pass
-    *_, last = read_journal(cell.folder / JOURNAL_FILE)
+    *_, restart, last = read_journal(cell.folder / JOURNAL_FILE)
+    assert (restart["entry"], restart.get(ONLY_LEAVING)) == (Entry.RESTARTED, True)
     assert (last["entry"], last["outcome"]) == (Entry.CLOSED, "left")
 
 

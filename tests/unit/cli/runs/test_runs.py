@@ -20,7 +20,7 @@ from procedures.cli.runs.showing import draw_lineage
 from procedures.engine import run_folder
 from procedures.engine.run_folder import RunFolder
 from procedures.engine.run_lock import held_run
-from procedures.journal.journal import Entry
+from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import Truth
 from ronna_hw.evidence.seal import is_sealed
@@ -85,6 +85,16 @@ def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> Non
     assert sorted(shown["superseded"]) == ["02-localization-T1", "03-fit-T1"]
     assert run.name in in_this_process(app, "show", run).stdout
     assert run.name in in_this_process(app, "list", run.parent).stdout
+
+
+def test_show_counts_a_restart_that_ran_no_step_apart_from_those_that_resumed_the_run(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    journal = RecordingCell(folder).journal
+    journal.write(Entry.OPENED, 0.0, run=folder.name)
+    for only_leaving in (True, True, False):
+        journal.write(Entry.RESTARTED, 0.0, **({ONLY_LEAVING: True} if only_leaving else {}))
+    shown = in_this_process(app, "show", folder).stdout
+    assert "resumed 1 time\ntaken up 2 times only to go home, or to acknowledge a fault\n" in shown
 
 
 @pytest.mark.parametrize(("held", "ended"), [(True, "running"), (False, "killed")])

@@ -203,6 +203,7 @@ def test_nothing_moves_after_a_kill_during_the_insertion_while_the_instrument_is
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
         way(engine, left)
     assert again.arm.motions == []
+    assert again.operator.asked[0].value.split("\n")[0] == "an instrument is in T1, as the journal says"
 
 
 def test_only_the_retreat_remains_after_the_work_at_the_target(cell: ClinicalCell) -> None:
