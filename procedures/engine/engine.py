@@ -243,9 +243,10 @@ class Engine:
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
             self.have_instrument_out()
-            if (on := workcell.insertion) is not None:
-                withdraw(workcell, on, on.trajectory)
-            park(workcell)
+            if workcell.history.left_home or not workcell.at_home:
+                if (on := workcell.insertion) is not None:
+                    withdraw(workcell, on, on.trajectory)
+                park(workcell)
         except BaseException as ended:  # also an interruption: the arm comes to rest
             workcell.stop()
             if isinstance(ended, OperatorAborted) and not self.machine.ended:

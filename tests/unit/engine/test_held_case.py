@@ -126,6 +126,15 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     assert engine.machine.state == "held"
 
 
+def test_an_arm_at_home_is_asked_for_nothing_and_moves_nowhere(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell)
+    engine.retreat_home()
+    asked, moved = len(cell.operator.asked), cell.entries("motion")
+    engine.retreat_home()
+    assert (len(cell.operator.asked), cell.entries("motion")) == (asked, moved)
+    assert engine.machine.state == "held"
+
+
 @pytest.mark.hazard(36)
 def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
