@@ -11,6 +11,7 @@ from procedures.planning.plan.model import Plan
 from procedures.postoperative.assignment import FoundKind
 from procedures.postoperative.comparison import Proof
 from ronna_hw.calibration import Numbers3, Numbers4, Strict
+from ronna_hw.text.beyond import beyond
 
 
 class FoundTrajectory(Strict):
@@ -45,13 +46,26 @@ class PostoperativeCheck(Strict):
     bone_agreement: float = Field(description="Correlation of both CTs at bone; 1 for equal skulls.")
     bone_overlap: float = Field(description="Share of the first CT's bone that the second shows.")
     trajectories: tuple[FoundTrajectory, ...] = Field(description="In the order of the plan.")
-    warnings: tuple[str, ...] = Field(default=(), description="Conditions that limit the accuracy.")
+    warnings: tuple[str, ...] = Field(
+        default=(), description="Errors that the plan does not accept, and what limits the accuracy."
+    )
 
 
 def _doubts(proof: Proof) -> tuple[str, ...]:
     return tuple(
         f"{one.identifier} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts
     )
+
+
+def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
+    said = []
+    for one in proof.trajectories:
+        margin_mm = plan.trajectory(one.identifier).margin_mm
+        error_mm = one.lateral_mm if one.target_error_mm is None else one.target_error_mm
+        if error_mm > margin_mm:
+            off_mm = beyond(error_mm, margin_mm, 2)
+            said.append(f"{one.identifier} is {off_mm} mm off its target: the plan accepts {margin_mm:g} mm")
+    return tuple(said)
 
 
 def summary_of(
@@ -87,5 +101,5 @@ def summary_of(
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
         trajectories=tuple(found),
-        warnings=(*pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
+        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
     )

@@ -24,6 +24,7 @@ from procedures.postoperative.errors import (
     OneSeriesTwice,
     SeriesSwapped,
 )
+from procedures.postoperative.summary import summary_of
 from sim.phantom.postoperative.instruments import Instrument, Kind
 from sim.phantom.postoperative.scan import draw_scan
 from sim.world.scene.model import CtProtocol, Scene
@@ -81,7 +82,14 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
     deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
     left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
-    (found,) = proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+    plan = plan_of(scene)
+    proof = proof_by(truth, plan, planned, post, ["T1"])
+    (found,) = proof.trajectories
+    assert summary_of(proof, plan, planned, post).warnings == ()
+    strict = plan.trajectories[0].model_copy(update={"margin_mm": 1.0})
+    plan = plan.model_copy(update={"trajectories": (strict, plan.trajectories[1])})
+    (said,) = summary_of(proof, plan, planned, post).warnings
+    assert said == f"T1 is {found.target_error_mm:.2f} mm off its target: the plan accepts 1 mm"
     assert found.kind is FoundKind.INSTRUMENT
     assert found.depth_error_mm == pytest.approx(1.5, abs=0.2)
     assert found.target_error_mm == pytest.approx(1.5, abs=0.2)

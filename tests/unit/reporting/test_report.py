@@ -19,10 +19,12 @@ from procedures.engine.engine import Engine
 from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
+from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting import target_table
 from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.plan_table import plan_rows
+from procedures.reporting.postoperative import AfterTheOperation, keep_check
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
@@ -119,6 +121,20 @@ def test_a_check_after_the_operation_that_cannot_be_read_is_named(registered: Pa
         "postoperative.json, the check after the operation, cannot be read"
         in write_report(registered).read_text()
     )
+
+
+def test_the_page_shows_the_warnings_of_a_check_after_the_operation(registered: Path) -> None:
+    found = PostoperativeCheck(
+        pre_series_instance_uid="1.2.1",
+        post_series_instance_uid="1.2.2",
+        post_from_pre=((1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1)),
+        bone_agreement=0.99,
+        bone_overlap=1.0,
+        trajectories=(),
+        warnings=("T1 is 3.62 mm off its target: the plan accepts 2 mm",),
+    )
+    keep_check(registered / "report", AfterTheOperation(found))
+    assert f"<strong>{found.warnings[0]}.</strong>" in write_report(registered).read_text()
 
 
 @pytest.mark.hazard(6)
