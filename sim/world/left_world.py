@@ -47,7 +47,7 @@ class LeftWorld(Strict):
 
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
-    mountings: Count = Field(default=0, description="How often a tool was mounted: the last one's seat.")
+    mountings: Count = Field(default=0, description="How often the guide was mounted: its seat.")
     arm: ArmAsLeft | None = Field(description="None until the robot has started.")
     standing_faults: str = Field(
         default="", description="Script of the faults with lasting effects: what was moved, bent or turned."

@@ -179,16 +179,18 @@ class World:
         return _TOOL.read(self._memory)
 
     def mountings(self) -> int:
-        """How often a tool was mounted: each time it is seated a little differently."""
+        """How often the guide was mounted: each time it is seated a little differently."""
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
-        """Mount a tool, or the same one again: one mounting more, unless a world goes on from their count.
+        """Mount a tool, or the same one again. A guide's mountings are counted; a world goes on from their count.
 
         For the control port only.
         """
         _TOOL.write(self._memory, number)
-        _MOUNTINGS.write(self._memory, self.mountings() + 1 if mountings is None else mountings)
+        if mountings is None:
+            mountings = self.mountings() + (number == self.scene.mount.tool_number_guide)
+        _MOUNTINGS.write(self._memory, mountings)
 
     def on_stand(self) -> OnStand:
         """The object on the calibration stand."""

@@ -79,10 +79,11 @@ def test_faults_move_the_tip_by_their_stated_amounts(
 
 def test_each_mounting_seats_the_guide_a_little_differently(tmp_path: Path) -> None:
     seats_mm = []
-    for mountings in (1, 1, 2):
+    guide, other = SCENE.mount.tool_number_guide, SCENE.mount.tool_number_stereo
+    for mounted in ([guide], [other, 0, other, guide], [guide, guide]):
         world = a_world(EXACT.model_copy(update={"seat_mm": 0.008}))
-        for _ in range(mountings - 1):
-            assert Room(world, None).answer({"do": "mount", "number": SCENE.mount.tool_number_guide})["ok"]
+        for number in mounted:
+            assert Room(world, None).answer({"do": "mount", "number": number})["ok"]
         seats_mm.append(tip_mm(world, tmp_path) - planned_mm())
     first, same, again = seats_mm
     assert first == pytest.approx(same, abs=0.0)
