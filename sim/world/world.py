@@ -183,7 +183,7 @@ class World:
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
-        """Mount a tool, or the same one again. A guide's mountings are counted; a world goes on from their count.
+        """Mount a tool, or the same one again. A guide's mountings count; a world goes on from theirs.
 
         For the control port only.
         """
