@@ -155,6 +155,7 @@ def test_a_replay_equals_a_run_that_a_guard_suspended_during_a_motion(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("recording_cell.MotionInterrupted", MotionStopped)  # it has a code, as a tape wants
+    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     recorded = Recorded(tmp_path)
     guard = Occluded(recorded.cell.arm)
     recorded.engine.checkpoint.guards.append(guard)
