@@ -66,7 +66,7 @@ class GuideAtRest:
     worked: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
-    _by_frame_mm: float = 0.0  # when it was seen last
+    _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # each of the points, when it was seen last
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
 
     def begin_watch(self) -> None:
@@ -99,10 +99,11 @@ class GuideAtRest:
         """By whichever says most; a frame that is hidden now is taken to be where it was seen last."""
         if seen_mm is not None and self.seen_mm is not None:
             moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
-            moved_mm[END] = moved_mm[END] if moved_mm[END] > END_SEEN_MM else 0.0
-            self._by_frame_mm = float(np.nanmax(moved_mm))
+            self._moved_mm = np.where(np.isfinite(moved_mm), moved_mm, self._moved_mm)
+        first_mm, end_mm, on_guide_mm = self._moved_mm.tolist()
+        by_frames_mm = max(first_mm, end_mm if end_mm > END_SEEN_MM else 0.0, on_guide_mm)
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
-        self.now_mm = max(self._by_frame_mm, by_joints_mm)
+        self.now_mm = max(by_frames_mm, by_joints_mm)
 
 
 @dataclass
@@ -126,7 +127,7 @@ class GuideStill:
         return (
             f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
             f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody touches them, somebody did when"
-            " the guide came to rest, or its seat has given way: leave, and repeat positioning or tool_check"
+            " the guide came to rest, or its seat has given way: leave, send the arm home, repeat tool_check"
         )
 
 
@@ -156,7 +157,8 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
             "the tracker sees the frame on the arm turned against where the arm has it",
             limit=f"{limit_deg:g} deg",
             got=f"{beyond(turned_deg, limit_deg, 2)} deg",
-            action="Let go of guide and arm, check that mount and frame are tight, then repeat the step.",
+            action="Let go of guide and arm, check that mount and frame are tight, send the arm home, then "
+            "repeat the step.",
         )
 
 

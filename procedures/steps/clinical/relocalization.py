@@ -108,8 +108,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
         if spheres:  # the pose is displaced by what was seen: so is the head beside which the arm goes there
-            x, y, z = offset_mm.tolist()
-            surround_stereo_head(context, item.joints_rad, offset_mm=(x, y, z))
+            surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
             sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:

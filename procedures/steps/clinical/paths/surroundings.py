@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from numpy.typing import ArrayLike
+
 from procedures.engine.context import StepContext
 from procedures.planning.head.frame_bodies import frame_bodies
 from procedures.planning.theatre.scene import PlanningScene
@@ -14,8 +16,6 @@ from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
-
-Offset = tuple[float, float, float]
 
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
 
@@ -42,12 +42,12 @@ def surround_stereo_head(
     context: StepContext,
     near_rad: JointVector,
     trajectory: Trajectory | None = None,
-    offset_mm: Offset = (0.0, 0.0, 0.0),
+    offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> None:
     """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
     `near_rad` is where it works: see `Workcell.surround`. With a trajectory its corridor into the head is
-    open. `offset_mm` is how far from there the stereo head has seen the head, as the arm has it.
+    open. `offset_mm` (3,) is how far from there the stereo head has seen the head, as the arm has it.
     """
     workcell = context.workcell
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displaced(offset_mm)

@@ -149,6 +149,9 @@ def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(cell: Clin
     refused = r"turned against where the arm has it.*limit 0\.5 deg, got 0\.80 deg"
     with pytest.raises(GateFailed, match=refused):
         run(engine, f"positioning:{FIRST}")
+    cell.tracker.frame_turn_rad = (0.0, 0.0, 0.0)
+    engine.retreat_home()
+    run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")  # as the message says
 
 
 @pytest.mark.hazard(47)

@@ -320,6 +320,21 @@ def test_a_seat_of_the_guide_that_gives_way_meanwhile_suspends_the_case(cell: Cl
 
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
+def test_a_seat_that_gave_way_and_is_then_hidden_does_not_count_as_repaired(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    def give_way_and_hide(question: Question) -> None:
+        guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
+        gave_way = question.topic is Topic.DRILL
+        cell.tracker.guide_shift_mm = None if len(guards) == 1 else (2.0 * PUSHED_MM * gave_way, 0.0, 0.0)
+
+    cell.operator.meanwhile = give_way_and_hide
+    work(engine)
+    assert len([one for one in cell.operator.asked if one.topic is Topic.GUARD]) == 2
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(
     ("shift_mm", "turn_rad", "at_most_mm"), [(1.0, 0.0, 1.0), (0.0, TURN_RAD, LEVER_MM * TURN_RAD)]
 )
