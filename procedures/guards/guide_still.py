@@ -145,7 +145,9 @@ def guide_at_rest(
     on_mount, seen_mm = _seen(workcell, clock, end_in_frame_mm, on_guide)
     if on_mount is not None and room is not None:
         _require_unturned(by_arm, room.robot_from_tracker @ on_mount)
-    return GuideAtRest(trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide)
+    return GuideAtRest(
+        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s()
+    )
 
 
 def _require_unturned(by_arm: Transform, seen: Transform) -> None:

@@ -127,7 +127,7 @@ CONNECTING = "set_up"
 UNMATCHED = Topic.UNMATCHED_SPHERE
 ROWS = (
     # The tracker: what it sees.
-    Row("tracker occlude marker 1", "global_localization", "REG-008", theatre_s=5),
+    Row("tracker occlude marker 1", "global_localization", "PRO-007", theatre_s=5),
     Row("tracker occlude marker 1", "cart_lock", "PRO-007", theatre_s=5),
     Row("tracker occlude marker 1", "positioning", "PRO-022", theatre_s=5),
     Row("tracker occlude marker 1", OTHERS, DONE),

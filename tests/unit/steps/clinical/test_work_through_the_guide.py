@@ -2,6 +2,7 @@
 
 import math
 from contextlib import AbstractContextManager
+from typing import Any
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
@@ -23,7 +24,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards import GuideStill, patient_watch
 from procedures.guards.errors import BaseShifted
-from procedures.guards.guide_still import PUSHED_MM
+from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
@@ -84,6 +85,23 @@ def test_every_stage_is_confirmed_and_the_instrument_is_out_at_the_end(cell: Cli
     assert done == ["depth_stop", "skin", "drill", "dura", "insert", "out"]
     assert instrument_lines(cell) == [True, False]
     assert engine.instrument_in is None
+
+
+def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its reference, taken in the step before, is still fresh: a head may be hidden for ten seconds in all."""
+    engine = before_the_entry(cell)
+    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 1.0)
+    looks, look = [], GuideAtRest.look
+
+    def counted(rest: GuideAtRest, *views: Any) -> None:
+        looks.append(rest)
+        look(rest, *views)
+
+    monkeypatch.setattr(GuideAtRest, "look", counted)
+    work(engine)
+    assert len(looks) == len(STAGES)
 
 
 @pytest.mark.hazard(45)
