@@ -22,13 +22,13 @@ from procedures.engine.events import (
     SignalsLost,
     StepState,
 )
+from procedures.engine.events.current_state import LAST_LINES
 from procedures.engine.machine import HELD
 from ronna_hw.text.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-LAST_LINES = 3  # of the journal
 LAST_ERRORS = 2
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")

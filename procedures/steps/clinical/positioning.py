@@ -61,8 +61,6 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
-    if (frame := workcell.tools.guide.record.frame) is not None:
-        require_seen_in_place(context, frame, must_see=False)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
@@ -87,7 +85,9 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             trajectory,
         )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
-    check_room(context, f"before {trajectory}")
+    check_room(context, f"before {trajectory}")  # first: it tells a moved frame on the arm from a moved guide
+    if (frame := workcell.tools.guide.record.frame) is not None:
+        require_seen_in_place(context, frame, must_see=False)
     workcell.start()
     if by_home:
         workcell.return_home()

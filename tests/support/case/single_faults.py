@@ -206,7 +206,8 @@ ROWS = (
     Row("tracker delay replies 0.5 s", "cart_lock", "done PRO-017", theatre_s=30),
     Row("tracker delay replies 0.5 s", OTHERS, DONE),
     *(
-        Row(f"tracker {fault}", steps, ends, host_s=20, theatre_s=40)
+        # A look over such a line takes 13 s, and there are three before the checkpoint that suspends.
+        Row(f"tracker {fault}", steps, ends, host_s=20, theatre_s=50)
         for fault, code in (
             ("garble commands 5 %", "NDI-003 NDI-006"),
             ("garble replies 5 %", SPOILT_REPLY),
@@ -271,6 +272,7 @@ ROWS = (
     Row("robot clamp 1 deg", "set_up at_target", DONE),
     Row("robot clamp 1 deg", OTHERS, "RSI-005", host_s=10),
     Row("robot overload", "set_up at_target", "RSI-005", host_s=20),  # where it moves next
+    Row("robot overload", "positioning", f"done RSI-005 {STOPPED}", host_s=20),  # resets the program at first
     Row("robot overload", OTHERS, f"RSI-005 {STOPPED}", host_s=10),
     Row("robot stick axis 3", "set_up at_target", DONE),
     Row("robot stick axis 3", "relocalization tool_change", "RSI-005 RSI-011", host_s=20),

@@ -107,7 +107,7 @@ def test_a_follower_knows_whether_the_run_was_closed(tmp_path: Path, entry: str,
     stream.publish(JournalLine(line={"entry": entry}))
     ended(stream, file)
     run = FollowedRun(tmp_path)
-    assert list(map(len, run.batches())) == [0]
+    assert list(map(len, run.batches())) == [1]
     assert run.closed is closed
 
 

@@ -4,11 +4,14 @@ from procedures.engine.events import (
     Answered,
     CaseState,
     EventStream,
+    Fault,
     JournalLine,
     Pose,
     Questioned,
+    Refusal,
     StepState,
 )
+from procedures.engine.events.current_state import LAST_LINES
 
 
 def pose(joint_rad: float, arm: str = "master") -> Pose:
@@ -77,9 +80,21 @@ def test_a_reader_learns_that_the_stream_has_ended(late: bool) -> None:
     assert (reader or stream.subscribe()).read().ended
 
 
-def test_a_new_subscriber_always_gets_the_opening_line_of_the_journal() -> None:
+def test_a_new_subscriber_gets_the_opening_line_of_the_journal_and_the_last_ones() -> None:
     stream = EventStream()
     opened = JournalLine(line={"entry": "opened", "banner": "SIMULATED THEATRE"})
-    for line in (opened, JournalLine(line={"entry": "intent"})):
+    later = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(1, 9)]
+    for line in (opened, *later):
         stream.publish(line)
-    assert [event.what for event in stream.subscribe().read(0).events] == [opened]
+    assert [event.what for event in stream.subscribe().read(0).events] == [opened, *later[-LAST_LINES:]]
+
+
+def test_a_new_subscriber_gets_the_last_error_until_a_step_begins() -> None:
+    stream = EventStream()
+    refused = Refusal(step="registration:T1", unmet=("relocalization:T1 is not done",))
+    for what in (Fault(code="PRO-007", what="too few spheres"), refused):
+        stream.publish(what)
+    assert [event.what for event in stream.subscribe().read(0).events] == [refused]
+    begun = StepState(step="relocalization:T1", state="begun")
+    stream.publish(begun)
+    assert [event.what for event in stream.subscribe().read(0).events] == [begun]

@@ -90,7 +90,7 @@ def test_every_stage_is_confirmed_and_the_instrument_is_out_at_the_end(cell: Cli
 def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its reference, taken in the step before, is still fresh: a head may be hidden for ten seconds in all."""
+    """Its reference, taken in the step before, is fresh: a head may be hidden for ten seconds in all."""
     engine = before_the_entry(cell)
     monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 1.0)
     looks, look = [], GuideAtRest.look
