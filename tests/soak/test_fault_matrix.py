@@ -19,11 +19,11 @@ from user_commands import Commands
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from sim.world.scene.named_scenes import named_scene
 
-pytestmark = [pytest.mark.soak, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
 SEED = 3
 LARGEST_ERROR_MM = 1.5
-WITHIN_S = 150.0  # host time for a whole case, on a busy computer
+WITHIN_S = 300.0  # host time for a whole case, on a busy computer; with a cart moved at each stage five times
 CODE = re.compile(r"[A-Z]+-\d{3}")
 QUOTING = {"PRO-001", "DEV-001"}  # a step, or a call in it, that came after the fault and is refused for it
 AT_REST = (Entry.RESTED, Entry.FAILED, Entry.REFUSED)

@@ -34,6 +34,7 @@ from procedures.steps.clinical.validity.room import (
     require_head_seen,
 )
 from procedures.steps.conditions import carries
+from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
 from procedures.workcell.arm_view import stands_at
@@ -61,6 +62,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(MountedGuide)
     context.result(CheckedTool)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
+    _require_guide_in_seat(context)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
@@ -85,9 +87,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             trajectory,
         )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
-    check_room(context, f"before {trajectory}")  # first: it tells a moved frame on the arm from a moved guide
-    if (frame := workcell.tools.guide.record.frame) is not None:
-        require_seen_in_place(context, frame, must_see=False)
+    check_room(context, f"before {trajectory}")
     workcell.start()
     if by_home:
         workcell.return_home()
@@ -107,6 +107,18 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
     )
+
+
+def _require_guide_in_seat(context: StepContext) -> None:
+    """Raises TOOL-006, unless it is the frame on the mount, or the cart, that has moved: then PRO-019."""
+    frame = context.workcell.tools.guide.record.frame
+    if frame is None:
+        return
+    try:
+        require_seen_in_place(context, frame, must_see=False)
+    except ToolSeenElsewhere:
+        check_room(context, f"before {context.trajectory}")
+        raise
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:

@@ -30,7 +30,7 @@ from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
 from procedures.engine.step import Scope
-from procedures.guards.errors import PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
@@ -162,6 +162,13 @@ def test_a_guide_whose_seat_gave_way_after_its_check_is_not_led_to_the_entry(cel
     with pytest.raises(ToolSeenElsewhere):
         run(engine, f"positioning:{FIRST}")
     assert len(cell.arm.motions) == been
+
+
+def test_a_frame_on_the_arm_that_was_moved_is_not_taken_for_a_seat_that_gave_way(cell: ClinicalCell) -> None:
+    engine = begin(cell)
+    cell.tracker.frame_shift_mm = (0.0, 5.0, 0.0)
+    with pytest.raises(BaseShifted):
+        run(engine, f"positioning:{FIRST}")
 
 
 def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
