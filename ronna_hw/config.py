@@ -44,7 +44,7 @@ from ronna_hw.tool_record import TipInHead, ToolRecord
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
-FARTHEST_STANDOFF_MM = 500.0  # as the longest guide
+FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
 LARGEST_COARSE_FINE_MM = 5.75
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
@@ -176,7 +176,7 @@ class ProcedureSettings(Strict):
     servo_area_px: tuple[SensorPixels, SensorPixels] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor read by the visual servo."
     )
-    standoff_mm: Annotated[float, Field(gt=0, le=FARTHEST_STANDOFF_MM), Length] = Field(
+    approach_mm: Annotated[float, Field(gt=0, le=FARTHEST_APPROACH_MM), Length] = Field(
         default=60.0,
         description="How far back along its axis a tool begins its approach and ends its retreat: from where "
         "the guide is held, which the plan states, from a sphere, and from the entry of a measured target.",

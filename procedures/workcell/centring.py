@@ -49,7 +49,7 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """How spheres are centred: direction in which each joint arrives, area of the sensors, stand-off.
+    """How spheres are centred: direction in which each joint arrives, area of the sensors, approach.
 
     With `arriving` None each joint arrives from whatever side it stands.
     """
@@ -57,7 +57,7 @@ class Centring:
     workcell: Workcell
     arriving: Sequence[int] | None
     area_px: tuple[int, int]
-    standoff_mm: float
+    approach_mm: float
 
     def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         """Centre one sphere that is expected at a pose ROBOT <- TOOL.
@@ -72,11 +72,11 @@ class Centring:
 
     def back_off(self) -> None:
         """Back along the tool axis from where the arm looked last."""
-        self.workcell.line_to(self._standoff(self.workcell.tool_pose()))
+        self.workcell.line_to(self._before(self.workcell.tool_pose()))
 
     def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         workcell = self.workcell
-        workcell.go(workcell.joints_at(self._standoff(expected), near))
+        workcell.go(workcell.joints_at(self._before(expected), near))
         workcell.line_to(expected)
         self._settle(expected)
         seen, looks = self._first_look(fiducial, expected)
@@ -94,7 +94,7 @@ class Centring:
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
                 workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
-        workcell.line_to(self._standoff(pose))
+        workcell.line_to(self._before(pose))
         rotation = pose.rotation_matrix
         return CentredSphere(
             fiducial=fiducial,
@@ -159,5 +159,5 @@ class Centring:
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 
-    def _standoff(self, pose: Transform) -> Transform:
-        return back_along_axis(pose, self.standoff_mm)
+    def _before(self, pose: Transform) -> Transform:
+        return back_along_axis(pose, self.approach_mm)

@@ -83,7 +83,7 @@ def theatre_arm(
         strategy=strategy,
         flange_from_stereo=calibration.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
         start_rad=start_rad,
-        approach_mm=theatre.procedure.standoff_mm,
+        approach_mm=theatre.procedure.approach_mm,
         sizes=sizes,
         gauge_rad=radians6(*guide.gauge.joints_deg),
     )

@@ -36,7 +36,7 @@ class LocalizationPose(Values):
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
-    approach_rad: Numbers6 = Field(description="Joints at the stand-off.")
+    approach_rad: Numbers6 = Field(description="Joints where the approach along its axis begins.")
     joints_rad: Numbers6 = Field(description="Joints at the sphere.")
 
 
@@ -44,7 +44,7 @@ class TargetPose(Values):
     """How the guide comes to where it is held for one target, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
-    standoff_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
+    approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
     joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
     approach_signs: tuple[int, ...] = Field(description="Direction from which each joint arrives, +1 or -1.")
 
@@ -109,7 +109,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         strategy=context.clinical.strategy,
         flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).home_rad,
-        approach_mm=settings.standoff_mm,
+        approach_mm=settings.approach_mm,
         scene=scene,
         sizes=sizes,
         gauge_rad=radians6(*workcell.tools.guide.gauge.joints_deg),
@@ -182,7 +182,7 @@ def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
     return {
         reached.visit.trajectory: TargetPose(
             tool_pose=FramedPose.of(reached.visit.pose),
-            standoff_rad=reached.approach_rad,
+            approach_rad=reached.approach_rad,
             joints_rad=reached.at_rad,
             approach_signs=arrival_signs(
                 setting.kinematics, reached.visit.pose, reached.at_rad, setting.flange_from_tool

@@ -70,8 +70,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     planned = paths.targets[trajectory]
     expected = expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with refused_by_name(trajectory):
-        standoff_rad = workcell.joints_at(insertion.start, planned.standoff_rad, insertion.arriving)
-    hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
+        approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
+    hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
     with refused_by_name(trajectory):
         workcell.supervised.confirm(
@@ -81,8 +81,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             f"{UNWATCHED if hidden else ''}",
             [
                 *([workcell.returning_home()] if by_home else []),
-                workcell.going(standoff_rad),
-                workcell.inserting(insertion, standoff_rad),
+                workcell.going(approach_rad),
+                workcell.inserting(insertion, approach_rad),
             ],
             trajectory,
         )
@@ -96,7 +96,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     with head_must_show(context):
         context.progress(0.0, f"moving over {trajectory}")
         with refused_by_name(trajectory, workcell):
-            workcell.go(standoff_rad)
+            workcell.go(approach_rad)
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.insert(insertion)
@@ -129,7 +129,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
     along = held_trajectory(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
     held = refined_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
     arriving = paths.targets[trajectory].approach_signs
-    return Insertion(trajectory, held, context.setting.settings.standoff_mm, arriving)
+    return Insertion(trajectory, held, context.setting.settings.approach_mm, arriving)
 
 
 @contextmanager

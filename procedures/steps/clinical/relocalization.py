@@ -98,7 +98,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
         workcell,
         arriving=arriving(context, paths),
         area_px=settings.servo_area_px,
-        standoff_mm=settings.standoff_mm,
+        approach_mm=settings.approach_mm,
     )
     offset_mm = np.zeros(3)
     offsets_mm: list[Array] = []

@@ -52,13 +52,13 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     planned = context.result(CheckedPlan).trajectory(name).trajectory
     robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
     target = refined_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
-    travel_mm = planned.depth_mm + context.setting.settings.standoff_mm
-    standoff = back_along_axis(target, travel_mm)
+    travel_mm = planned.depth_mm + context.setting.settings.approach_mm
+    before = back_along_axis(target, travel_mm)
     surround_stereo_head(context, paths.targets[name].joints_rad, planned)
     with refused_by_name(name):
-        standoff_rad = workcell.joints_at(standoff, paths.targets[name].standoff_rad)
-        over = workcell.going(standoff_rad)
-        onto = workcell.straight(target, paths.targets[name].approach_signs, standoff_rad)
+        approach_rad = workcell.joints_at(before, paths.targets[name].approach_rad)
+        over = workcell.going(approach_rad)
+        onto = workcell.straight(target, paths.targets[name].approach_signs, approach_rad)
         workcell.supervised.confirm(
             Topic.APPROACH,
             f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
@@ -70,12 +70,12 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     workcell.start(cameras=True)
     context.progress(0.0, f"moving over {name}")
     with refused_by_name(name, workcell):
-        workcell.go(standoff_rad)
+        workcell.go(approach_rad)
         workcell.line_to(target, paths.targets[name].approach_signs)
     context.progress(0.5, f"measuring the ball at {name}")
     seen, why = _look(context)
     joints_rad = workcell.joints_rad()
-    workcell.line_to(standoff)
+    workcell.line_to(before)
     check_room(context, f"after the ball at {name} was measured")
     point = None if seen is None else seen.point
     if seen is not None:

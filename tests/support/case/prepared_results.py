@@ -42,7 +42,7 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 SERIES = "1.2.826.0.1.3680043.8.498.7"
-STANDOFF_MM = ProcedureSettings().standoff_mm
+APPROACH_MM = ProcedureSettings().approach_mm
 ARRIVING = (1, -1, 1, -1, 1, -1)  # direction in which each joint arrives at a target
 NO_TABLE = TwoWayTable(
     ct_to_room=(), room_to_ct=(), unmatched_ct=(), unmatched_room=(), agrees_both_ways=True
@@ -216,7 +216,7 @@ def checked_paths(
                 LocalizationPose(
                     fiducial=number,
                     tool_pose=FramedPose.of(pose),
-                    approach_rad=joints_at(cell, back_along_axis(pose, STANDOFF_MM)),
+                    approach_rad=joints_at(cell, back_along_axis(pose, APPROACH_MM)),
                     joints_rad=joints_at(cell, pose),
                 )
                 for number, pose in zip(
@@ -233,10 +233,10 @@ def checked_paths(
 
 def _target(cell: RecordingCell, trajectory: Trajectory, robot_from_ct: Transform) -> TargetPose:
     pose = target_pose(trajectory, robot_from_ct)
-    standoff = back_along_axis(pose, STANDOFF_MM)
+    standoff = back_along_axis(pose, APPROACH_MM)
     return TargetPose(
         tool_pose=FramedPose.of(pose),
-        standoff_rad=joints_at(cell, standoff),
+        approach_rad=joints_at(cell, standoff),
         joints_rad=joints_at(cell, pose),
         approach_signs=ARRIVING,
     )

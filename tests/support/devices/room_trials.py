@@ -40,7 +40,7 @@ from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 
-STANDOFF_MM = 60.0
+APPROACH_MM = 60.0
 FLANKS = (1.0,) * 6
 STILL = np.zeros(3)
 GLOBAL_FRAMES = 60
@@ -96,8 +96,8 @@ class TrackedCase:
             sphere = strategy.localization_poses(one, centres, robot_from_ct, arm)[-1]
             goal = target_pose(one, robot_from_ct)
             try:
-                over = self._joints(back_along_axis(sphere, STANDOFF_MM))
-                standoff = self._joints(back_along_axis(goal, one.depth_mm + STANDOFF_MM))
+                over = self._joints(back_along_axis(sphere, APPROACH_MM))
+                standoff = self._joints(back_along_axis(goal, one.depth_mm + APPROACH_MM))
                 at = self._joints(goal)
             except RonnaError:
                 continue

@@ -102,7 +102,7 @@ HUGE = 1e300
     [
         ("procedure.coarse_fine_limit_mm", lambda _: HUGE, "less than or equal to 5.75"),
         ("procedure.coarse_fine_limit_mm", lambda _: 0.003, "give millimetres, not metres"),
-        ("procedure.standoff_mm", lambda _: HUGE, "less than or equal to 500"),
+        ("procedure.approach_mm", lambda _: HUGE, "less than or equal to 500"),
         ("procedure.seating_error_mm", lambda _: HUGE, "less than or equal to 2"),
         ("procedure.stand_mm", lambda _: [HUGE, 0.0, 0.0], "has length 1e+300: expected at most 10000 mm"),
         ("procedure.servo_area_px", lambda _: [0, 1024], "greater than or equal to 16"),

@@ -60,7 +60,7 @@ def no_bodies(engine: Engine) -> None:
 
 
 def other_settings(engine: Engine) -> None:
-    settings = engine.setting.settings.model_copy(update={"standoff_mm": 12.0})
+    settings = engine.setting.settings.model_copy(update={"approach_mm": 12.0})
     engine.setting = replace(engine.setting, settings=settings)
 
 
@@ -71,7 +71,7 @@ def other_settings(engine: Engine) -> None:
         (longer_guide, r"tool record guide: recorded bore\.length_mm 8.*, found bore\.length_mm 10"),
         (other_flange, "flange: recorded '.*', found 'another flange'"),
         (no_bodies, "cell: recorded bodies 12 entries, found bodies 0 entries"),
-        (other_settings, r"settings of the procedure: recorded standoff_mm 60\.0, found standoff_mm 12\.0"),
+        (other_settings, r"settings of the procedure: recorded approach_mm 60\.0, found approach_mm 12\.0"),
     ],
 )
 def test_a_changed_theatre_file_is_refused_with_its_differences_and_nothing_is_asked(

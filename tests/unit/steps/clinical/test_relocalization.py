@@ -6,7 +6,7 @@ from itertools import count, pairwise
 import numpy as np
 import pytest
 from clinical_case import FIRST, HOME_RAD, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell, shifted
-from prepared_results import ARRIVING, STANDOFF_MM, checked_paths, checked_plan, coarse, localized_fiducials
+from prepared_results import APPROACH_MM, ARRIVING, checked_paths, checked_plan, coarse, localized_fiducials
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
@@ -149,7 +149,7 @@ def first_limit_mm(cell: ClinicalCell) -> float:
 def stands_off(cell: ClinicalCell, fiducial: int) -> bool:
     """Whether the head is still in front of that sphere, where its measurement ended."""
     away_mm = np.linalg.norm(cell.workcell.tool_pose().translation_mm - cell.workcell.spheres_mm[fiducial])
-    return abs(float(away_mm) - STANDOFF_MM) < 0.1
+    return abs(float(away_mm) - APPROACH_MM) < 0.1
 
 
 @pytest.mark.hazard(27)

@@ -109,9 +109,9 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
     ends["move", GAUGE] = radians6(*once.workcell.tools.guide.gauge.joints_deg)
     for name, spheres in paths.localizations.items():
         poses = {f"{name}/fiducial {n}": (one.tool_pose, one.approach_rad) for n, one in enumerate(spheres)}
-        poses |= {f"{n}/target": (one.tool_pose, one.standoff_rad) for n, one in paths.targets.items()}
+        poses |= {f"{n}/target": (one.tool_pose, one.approach_rad) for n, one in paths.targets.items()}
         for pose, (held, before_rad) in poses.items():
-            before = back_along_axis(held.transform, once.setting().settings.standoff_mm)
+            before = back_along_axis(held.transform, once.setting().settings.approach_mm)
             ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
             ends["back", pose] = tuple(before.translation_mm.tolist())
     driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionName.STEP]
