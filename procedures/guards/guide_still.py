@@ -29,14 +29,13 @@ Array = NDArray[np.float64]
 
 PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
 # In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm; the guide's end,
-# 160 mm away, one of 0.42 mm, so that less than `END_SEEN_MM` says nothing. More frames take time, of which a
-# trajectory in whose pose the head is hidden has ten seconds.
+# 160 mm away, one of 0.42 mm, so that less than `END_SEEN_MM` says nothing. Frames take time, of which a
+# trajectory in whose pose the head is hidden has ten seconds: a short look, and a long one where that says no.
 END_SEEN_MM = 0.3
 END = 1  # its row among the points
 # Of arms of parameter set S with frames as calibrated, 0.25 deg at most; of the arm itself, nothing is seen.
 TURNED_RAD = math.radians(0.5)
-FRAMES = 60
-LEAST_FRAMES = 30  # that must show it
+FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half of which must show it
 BETWEEN_LOOKS_S = 1.0  # theatre time
 # Readings of a watch while it lasts, every fourth frame: with half as many for the place, 4 of 100 insertions
 # of ten minutes had a warning with nobody near.
@@ -91,9 +90,12 @@ class GuideAtRest:
     def look(self, workcell: Workcell, clock: Clock) -> None:
         """See how far it is from its place now. Raises what the tracker raises."""
         known = self.seen_mm is not None
-        seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide)[1] if known else None
-        self._compare(seen_mm, workcell.tool_pose().translation_mm)
-        self.looked_s, self.unseen = clock.now_s(), seen_mm is None
+        for count in (FRAMES_AT_FIRST, FRAMES):
+            seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1] if known else None
+            self._compare(seen_mm, workcell.tool_pose().translation_mm)
+            self.looked_s, self.unseen = clock.now_s(), seen_mm is None
+            if self.now_mm <= PUSHED_MM or not known:
+                break
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
         """By whichever says most; a frame that is hidden now is taken to be where it was seen last."""
@@ -165,14 +167,14 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
 
 
 def _seen(
-    workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None
+    workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
 ) -> tuple[Transform | None, Array | None]:
     """Mean pose of the frame on the mount and `seen_mm`; None where too few frames show it."""
-    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
-    on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, LEAST_FRAMES)
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
+    on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
     if on_mount is None:
         return None, None
-    guide = None if on_guide is None else mean_pose(frames, on_guide, LEAST_FRAMES)
+    guide = None if on_guide is None else mean_pose(frames, on_guide, count // 2)
     return on_mount, _points_mm(on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
 
 

@@ -13,6 +13,7 @@ from procedures.guards.guide_still import (
     END_READINGS,
     END_SEEN_MM,
     FRAMES,
+    FRAMES_AT_FIRST,
     PLACE_READINGS,
     PUSHED_MM,
 )
@@ -55,14 +56,21 @@ def insertions(pushed_mm: float, turned_mm: float, readings: int) -> Iterator[tu
                 running_mm = means_mm(1, readings) + away_mm
                 places_mm = running_mean(running_mm[:, PLACES], PLACE_READINGS)
                 ends_mm = running_mean(running_mm[:, ENDS], END_READINGS)
-                looked_mm = means_mm(FRAMES, LOOKS) + away_mm
-                yield warns(places_mm, ends_mm), warns(looked_mm[:, PLACES], looked_mm[:, ENDS])
+                looks = zip(means_mm(FRAMES_AT_FIRST, LOOKS), means_mm(FRAMES, LOOKS), strict=True)
+                yield (
+                    warns(places_mm, ends_mm),
+                    any(all(warns_once(mean_mm + away_mm) for mean_mm in look) for look in looks),
+                )
 
 
 def warns(places_mm: Array, ends_mm: Array) -> bool:
     by_place = np.linalg.norm(places_mm.reshape(-1, 3), axis=1) > PUSHED_MM
     by_end = np.linalg.norm(ends_mm, axis=1) > END_SEEN_MM
     return bool(by_place.any() or by_end.any())
+
+
+def warns_once(mean_mm: Array) -> bool:
+    return warns(mean_mm[None, PLACES], mean_mm[None, ENDS])
 
 
 def test_at_most_one_undisturbed_insertion_of_ten_minutes_in_a_thousand_warns_of_a_push() -> None:
