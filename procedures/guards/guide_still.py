@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
 # In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm; the guide's end,
 # 160 mm away, one of 0.42 mm, so that less than `END_SEEN_MM` says nothing. Frames take time, of which a
-# trajectory in whose pose the head is hidden has ten seconds: a short look, and a long one where that says no.
+# trajectory in whose pose the head is hidden has ten seconds: a short look, and a long one if that says no.
 END_SEEN_MM = 0.3
 END = 1  # its row among the points
 # Of arms of parameter set S with frames as calibrated, 0.25 deg at most; of the arm itself, nothing is seen.
