@@ -143,7 +143,7 @@ class Case:
         return stored
 
     def trusts(self, key: StepKey) -> bool:
-        """Whether that step has a standing result, and nobody need say that it is kept."""
+        """Whether that step has a standing result that is not in doubt."""
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:

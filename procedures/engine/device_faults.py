@@ -110,12 +110,12 @@ class DeviceFaults:
         workcell, done = self._workcell, dict[str, str]()
         self.doubt_results()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
+            self._acknowledged += 1  # first: it is recovered, also when that cannot be written
             if role == ARM:
                 self.doubt_tool(fault, self._course.order.localizations)
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
-            self._acknowledged += 1
         return done
 
     @contextmanager

@@ -134,7 +134,8 @@ class Engine:
             self.setting.workcell.stop()
             self.machine.abort()
             self._show_state()
-            self._write(Entry.INTERRUPTED, step=str(key))
+            with suppress(JournalNotWritable):  # who interrupts is obeyed
+                self._write(Entry.INTERRUPTED, step=str(key))
             self.events.publish(StepState(step=str(key), state="interrupted"))
             _log.warning("step interrupted", step=self._logged(str(key)))
             raise
@@ -146,11 +147,7 @@ class Engine:
         self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} was left out: {reason}")
-        _log.info(
-            "step done",
-            step=self._logged(str(key)),
-            summary=self._logged(outcome.summary),
-        )
+        _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
         )
@@ -248,6 +245,8 @@ class Engine:
                     withdraw(workcell, on, on.trajectory)
                 park(workcell)
         except BaseException as ended:  # also an interruption: the arm comes to rest
+            if isinstance(ended, KeyboardInterrupt):
+                self._on_ending()
             workcell.stop()
             if isinstance(ended, OperatorAborted) and not self.machine.ended:
                 self.abort()

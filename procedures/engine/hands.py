@@ -41,7 +41,8 @@ def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float
         began_s=began_s,
     )
     if len(readings) != len(task.reads):
-        raise NotConfirmed(f"no readings were given: {task.subject}", expected=", ".join(task.reads))
+        given = f"{len(readings)} of {len(task.reads)}" if readings else "no"
+        raise NotConfirmed(f"{given} readings were given: {task.subject}", expected=", ".join(task.reads))
     return readings
 
 

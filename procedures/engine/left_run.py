@@ -65,8 +65,10 @@ class LeftRun:
 
     @property
     def untouched(self) -> bool:
-        """Whether it is begun anew: it left no result, and moved nothing."""
-        return not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in self.run.journal)
+        """Whether it is begun anew: it left no result, and moved nothing, also by a line that was torn."""
+        lines = self.run.journal
+        torn = bool(lines and self.chain.torn)
+        return not torn and not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
 
     @property
     def latest(self) -> StepKey | None:
@@ -82,7 +84,7 @@ class LeftRun:
 
     @property
     def begun(self) -> StepKey | None:
-        """The step that was running when the program ended without a word."""
+        """The step that was running when the program was killed."""
         course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]
         return step_key(course[-1]) if course and course[-1]["entry"] == Entry.INTENT else None
 

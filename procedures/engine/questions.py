@@ -47,20 +47,19 @@ class Questions:
         asked_s, began_s = self._now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
         signatures: list[Signature] = []
-        answer = self._operator.ask(
-            replace(
-                question,
-                number=self._count,
-                misread=lambda: self._misread(question),
-                signed=signatures.append,
-            )
+        numbered = replace(
+            question, number=self._count, misread=lambda: self._misread(question), signed=signatures.append
         )
+        try:
+            answer = self._operator.ask(numbered)
+        except BaseException:  # nobody answers it any more
+            self._events.publish(Answered(question=numbered.number, answer=""))
+            raise
         if answer not in question.answers:
             answer = question.silence
         limit_s = question.timeout_s
         self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
         signed = asdict(signatures[-1]) if signatures else {}
-        self._events.publish(Answered(question=self._count, answer=answer, by=signed.get("by", "")))
         self._journal.write(
             Entry.CONFIRMATION,
             self._now_s(),
@@ -71,6 +70,7 @@ class Questions:
             **signed,
             asked_s=asked_s,
         )
+        self._events.publish(Answered(question=numbered.number, answer=answer, by=signed.get("by", "")))
         return answer
 
     def _misread(self, question: Question) -> None:

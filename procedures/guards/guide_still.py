@@ -51,9 +51,9 @@ class GuideAtRest:
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
     tracker's frame: NaN for the last where it is not seen, and None where the first is not. `end_in_frame_mm`
     (3,) is the end in the frame on the mount, `on_guide` the name of the frame on the guide, if it bears one.
-    `worked` says that someone is working through it now: else nothing waits for it. `now_mm` is how far it
-    was from its place when it was seen last; `looked_s` is the theatre time of the last look, `unseen` says
-    that this did not show it.
+    `worked` says that someone is working through it now: else nothing waits for it; `left` that someone was.
+    `now_mm` is how far it was from its place when it was seen last; `looked_s` is the theatre time of the
+    last look, `unseen` says that this did not show it.
     """
 
     trajectory: str
@@ -63,6 +63,7 @@ class GuideAtRest:
     on_guide: str | None = None
     now_mm: float = 0.0
     worked: bool = False
+    left: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
     _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # each of the points, when it was seen last
@@ -128,8 +129,9 @@ class GuideStill:
             return None
         return (
             f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
-            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody touches them, somebody did when"
-            " the guide came to rest, or its seat has given way: leave, send the arm home, repeat tool_check"
+            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody is touching them, they were "
+            "touched as the guide came to rest, or its seat has given way: leave, send the arm home, repeat "
+            "tool_check"
         )
 
 

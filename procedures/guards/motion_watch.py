@@ -94,8 +94,10 @@ class MotionWatch:
                 self._conclude(seen, what)
             raise
         except BaseException:  # also an interruption: the arm comes to rest
-            self.workcell.stop()  # first: the last frame may take its time
-            looking.end()
+            try:
+                self.workcell.stop()  # first: the last frame may take its time
+            finally:
+                looking.end()
             raise
         self._conclude(looking.end(), what)
 
@@ -108,8 +110,8 @@ class MotionWatch:
     def _conclude(self, seen: _Looking, what: str) -> None:
         if seen.moved_mm is not None:
             moved = self._named(seen.room, seen.moved_mm, what)
+            self.void(moved)  # first: as long as that is not written, the watch goes on
             self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-            self.void(moved)
             raise moved
         if seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")

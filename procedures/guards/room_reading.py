@@ -34,8 +34,8 @@ def check_now(
     try:
         return room.check(read_room(workcell, clock, room.robot_from_tracker), clock.now_s())
     except (BaseShifted, PatientMoved) as moved:
+        void(moved)  # first: as long as that is not written, the watch goes on
         memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-        void(moved)
         raise
 
 

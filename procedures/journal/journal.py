@@ -12,7 +12,7 @@ import contextlib
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -69,7 +69,8 @@ class Journal:
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
         """`on_line` is handed every line once it is written."""
         self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
-        _sync_folder(folder)
+        with self._closed_on_error():
+            _sync_folder(folder)
 
     @classmethod
     def taken_up(
@@ -81,24 +82,41 @@ class Journal:
         """
         journal = cls.__new__(cls)
         journal._open(folder, on_line, 0, _Chain(chain.size, len(chain.lines), chain.last))
-        if chain.torn:
-            try:
-                with (folder / TORN_FILE).open("ab") as kept:
-                    kept.write(chain.torn + b"\n")
-                    kept.flush()
-                    os.fsync(kept.fileno())
-                _sync_folder(folder)
-                os.ftruncate(journal._file, chain.size)
-                os.fsync(journal._file)
-            except OSError as error:
-                raise journal._not_writable(error.strerror) from error
+        with journal._closed_on_error():
+            if chain.torn:
+                journal._cut(chain.torn)
+            journal._hold_room()  # what is taken up can be closed again
         return journal
+
+    @contextlib.contextmanager
+    def _closed_on_error(self) -> Iterator[None]:
+        """Nobody gets a journal that cannot be begun."""
+        try:
+            yield
+        except JournalNotWritable:
+            self.close()
+            raise
+
+    def _cut(self, torn: bytes) -> None:
+        """Take a torn end away, and keep it beside the journal."""
+        folder = self.path.parent
+        try:
+            with (folder / TORN_FILE).open("ab") as kept:
+                kept.write(torn + b"\n")
+                kept.flush()
+                os.fsync(kept.fileno())
+            _sync_folder(folder)
+            os.ftruncate(self._file, self._chain.size)
+            os.fsync(self._file)
+        except OSError as error:
+            raise self._not_writable(error.strerror) from error
 
     def _open(self, folder: Path, on_line: Callable[[bytes], None], how: int, chain: _Chain) -> None:
         self.path = folder / JOURNAL_FILE
         self._on_line = on_line
         self._chain = chain
         self._pending = b""  # a line that is being written
+        self._spoilt = ""  # why nothing more can be written
         self.closed = False
         try:
             self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o666)
@@ -122,6 +140,8 @@ class Journal:
     ) -> None:
         if self.closed:
             raise self._not_writable("the journal is closed")
+        if self._spoilt:
+            raise self._not_writable(self._spoilt)
         self._settle()
         if entry is Entry.INTENT:
             self._hold_room()
@@ -147,17 +167,27 @@ class Journal:
         self._on_line(line)
 
     def _put(self, line: bytes, *, durable: bool) -> None:
-        """Write a line and flush it; one that is there and could not be flushed is flushed again."""
+        """Write a line and flush it; one that could not be flushed is taken away again."""
+        self._pending = line
         try:
-            if hashlib.sha256(line).hexdigest() != self._chain.last:
-                self._pending = line
-                os.write(self._file, line)
+            os.write(self._file, line)
             if durable:
                 os.fdatasync(self._file)
         except OSError as error:
-            self._settle()
+            self._take_back()
             raise self._not_writable(error.strerror) from error
         self._settle()
+
+    def _take_back(self) -> None:
+        """What raised is not in the journal. A line that cannot be taken away is the last one."""
+        try:
+            if os.fstat(self._file).st_size != self._chain.size:
+                os.ftruncate(self._file, self._chain.size)
+        except OSError as error:
+            self._spoilt = f"a line was not flushed, and {error.strerror}"
+            raise self._not_writable(self._spoilt) from error
+        finally:
+            self._pending = b""
 
     def _hold_room(self) -> None:
         """Before a step begins there is room to record how it ended."""

@@ -133,18 +133,22 @@ class Checkpoint:
         self.here(f"{what} was stopped; continuing {redo}")
 
     def _meet_wishes(self, where: str) -> None:
+        self._meet_abort()
         with self._wishes:
-            abort, self._abort = self._abort, False  # met once: the way home is still to come
             reason, self._pause = self._pause, None
-        if abort:
-            raise OperatorAborted("the operator ended the procedure")
         if reason is None:
             return
         with self._rest(PAUSED, reason):
             question = Question(Topic.PAUSE, f"Paused: {reason}", where, (GO_ON, ABORT), timeout_s=None)
             if self._ask(question) != GO_ON:
                 raise OperatorAborted("the operator ended the procedure while it was paused")
-        self._meet_wishes(where)  # somebody may have wished again meanwhile
+        self._meet_wishes(where)  # somebody may have requested another one meanwhile
+
+    def _meet_abort(self) -> None:
+        with self._wishes:
+            abort, self._abort = self._abort, False  # met once: the way home is still to come
+        if abort:
+            raise OperatorAborted("the operator ended the procedure")
 
     def _any_unmet(self) -> bool:
         with self.beside():
@@ -158,6 +162,7 @@ class Checkpoint:
         with self._rest(SUSPENDED, f"{guard.name}: {reason}"):
             since_s = self._clock.now_s()  # a look takes its time as well
             while (reason := guard.unmet()) is not None:
+                self._meet_abort()  # a pause may wait: the arm rests
                 if self._clock.now_s() - since_s >= patience_s:
                     answer = self._ask(_question(guard, reason, where))
                     if answer == GO_ON and isinstance(guard, DispensableGuard):

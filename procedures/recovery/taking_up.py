@@ -38,6 +38,7 @@ from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
+RESTORE = "The arm is home. Restore the recorded state and resume again, or start a new run."
 UNATTENDED = "the program was not running"  # leaves a check of the mounted tool in doubt
 LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must have finished before
 
@@ -69,7 +70,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
         again = Comparison()
         if not compare_room(engine, again):
             again.differs("patient", "at least three spheres in view", "fewer, with the arm home")
-        _conclude(engine, again)
+        _conclude(engine, again, RESTORE if moved else None)
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
@@ -187,7 +188,8 @@ def _require_ready(engine: Engine) -> None:
     )
 
 
-def _conclude(engine: Engine, comparison: Comparison) -> None:
+def _conclude(engine: Engine, comparison: Comparison, action: str | None = None) -> None:
+    """Record what was found. Raises PRO-032 for a difference: nothing was moved, unless `action` says so."""
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
         by_other = engine.setting.left_away in comparison.differences
@@ -195,7 +197,7 @@ def _conclude(engine: Engine, comparison: Comparison) -> None:
             "the run cannot be resumed: " + "; ".join(comparison.differences),
             action="Nothing was moved. Bring the arm home as said, then repeat this command."
             if by_other
-            else None,
+            else action,
         )
 
 

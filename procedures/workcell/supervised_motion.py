@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 
+from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
@@ -187,7 +188,8 @@ class SupervisedMotion:
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
             kept = {"at_home": True} if isinstance(error, RonnaError) and self._rests_at_home() else {}
-            self._log.note(Entry.MOVED, number=number, error=code, **kept)
+            with contextlib.suppress(JournalNotWritable):  # what ended the motion is told
+                self._log.note(Entry.MOVED, number=number, error=code, **kept)
             raise
         self._log.note(Entry.MOVED, number=number, joints_rad=list(reached.joints_rad))
         return reached

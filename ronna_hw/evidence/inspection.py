@@ -192,6 +192,8 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
         return Chain()
     if broken is not None:
         problems.append(Problem(JOURNAL_FILE, broken.what))
+    if not chain.lines and (any((folder / RECORDS_FOLDER).glob("*.json")) or (folder / SEAL_FILE).exists()):
+        problems.append(Problem(JOURNAL_FILE, "emptied: no line of it is left"))
     if chain.torn:
         what = f"torn: {len(chain.torn)} bytes after line {len(chain.lines)}"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
@@ -285,7 +287,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 
 def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
-    """What a program that was killed found changed or added, as long as it is."""
+    """Files that a killed program had found changed or added, and that still are."""
     expected = not_vouched_for(lines)
     yield from _against(folder, {name: sha256 for name, sha256 in expected.items() if sha256 is not None})
     vouched = {

@@ -1,4 +1,4 @@
-"""What a program that took a run up took as it lay: nothing confirmed it since the one before it ended.
+"""Files of a killed run that had no seal when it was resumed: nothing vouches for them since the kill.
 
 A run that was killed has no seal, and may go on. The next seal covers its log too, and would hide that this
 could have been changed in between; so the journal says what lay there without one.
@@ -55,7 +55,7 @@ def told_unsealed(lines: tuple[Line, ...]) -> Iterator[str]:
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
             yield (
-                f"not vouched for: {', '.join(_named(files))} lay without a seal when the run was taken up "
+                f"not vouched for: {', '.join(_named(files))} had no seal when the run was resumed "
                 f"after line {number} of its journal; a change before that would not show"
             )
 

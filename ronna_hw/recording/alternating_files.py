@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from pathlib import Path
 
@@ -29,7 +30,10 @@ class AlternatingFiles:
             self._which = 1 - self._which
             self._file = self._open(os.O_TRUNC)
             self._size = 0
-        self._size += os.write(self._file, lines)
+        written = os.write(self._file, lines)
+        self._size += written
+        if written != len(lines):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def close(self) -> None:
         """Close the file."""

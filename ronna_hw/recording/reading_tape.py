@@ -69,6 +69,7 @@ class ReadingTape:
         self._beside = 0
         self._queue: deque[RecordedCall] = deque()
         self._waiting_bytes = 0
+        self._counting = threading.Lock()
         self._full = False
         self._ending = threading.Event()
         self._writing = threading.Lock()
@@ -111,11 +112,16 @@ class ReadingTape:
     ) -> None:
         """Keep an answer that was just given. Never blocks, never raises."""
         answer = RecordedCall(self._section, device, call, state, self._now_s(), value, error, properties)
-        self._waiting_bytes += _pixel_bytes(value)
-        if self._waiting_bytes > MOST_WAITING_BYTES:
+        if self._count_waiting(_pixel_bytes(value)) > MOST_WAITING_BYTES:
             self._full = True
         if not self._full:
             self._queue.append(answer)
+
+    def _count_waiting(self, more_bytes: int) -> int:
+        """Pixels that wait, after some have come or gone: engine and writer both count."""
+        with self._counting:
+            self._waiting_bytes += more_bytes
+            return self._waiting_bytes
 
     def close(self) -> None:
         """Write what is queued and close the files. Bounded in time; never raises."""
@@ -154,7 +160,7 @@ class ReadingTape:
         while self._queue:
             answer = self._queue.popleft()
             self._write(answer)
-            self._waiting_bytes -= _pixel_bytes(answer.value)
+            self._count_waiting(-_pixel_bytes(answer.value))
         self._lines.flush()
         self._pixels.flush()
         if self._lines.tell() + self._pixels.tell() > self._most_bytes:

@@ -19,7 +19,10 @@ from watched_case import findings, on_the_way, positioned, voiding, watched
 from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_link import JUDGED
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Entry
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
@@ -151,6 +154,49 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     with pytest.raises(PatientMoved, match=f"the hold at {FIRST}"):
         engine.run_step(engine.order.find(f"at_target:{FIRST}"))
     assert all(cell.workcell.instrument.stages.at(FIRST).values())  # what was confirmed meanwhile is done
+
+
+def test_a_head_that_moved_is_still_watched_when_that_could_not_be_journalled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    write = cell.journal.write
+
+    def full(entry: Entry, theatre_time_s: float, **data: Any) -> None:
+        if entry is Entry.VOIDED:
+            raise JournalNotWritable("cannot write journal.jsonl: No space left on device")
+        write(entry, theatre_time_s, **data)
+
+    def move(question: Question) -> None:
+        if question.topic is Topic.SKIN:
+            cell.tracker.spheres_mm = MOVED_MM
+            read = cell.tracker.frames_read
+            eventually(lambda: cell.tracker.frames_read > read + 3 * MOST_FRAMES)
+
+    cell.operator.meanwhile = move
+    key = engine.order.find(f"at_target:{FIRST}")
+    with monkeypatch.context() as patch:
+        patch.setattr(cell.journal, "write", full)
+        with pytest.raises(JournalNotWritable):
+            engine.run_step(key)
+    cell.operator.asked.clear()
+    with pytest.raises(PatientMoved):
+        engine.run_step(key)
+    assert Topic.DRILL not in [question.topic for question in cell.operator.asked]
+    assert cell.entries("voided") != []
+
+
+def test_work_begins_only_with_a_watch_on_the_head(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    positioned(engine)
+    engine.setting.memory.drop(RoomWatch)
+    cell.tracker.spheres_mm = MOVED_MM
+    with pytest.raises(PatientMoved):
+        engine.run_step(engine.order.find(f"at_target:{FIRST}"))
+    assert cell.operator.asked[-1].topic is not Topic.SKIN
 
 
 def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

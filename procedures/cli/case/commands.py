@@ -212,7 +212,7 @@ COMMANDS: dict[str, Command] = {
         "", "stop the arm and pause, from a script while a step runs; typed, Ctrl-C twice", _stop
     ),
     "resume": Command("", "continue a paused case", _resume),
-    "home": Command("", "instrument out, guide back, then park; not in a pause, where a step is on", _home),
+    "home": Command("", "instrument out, guide back, then park; not while a step is paused", _home),
     "acknowledge": Command("YOUR-NAME", "recover devices in fault; a paused step begins again", _acknowledge),
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),

@@ -132,18 +132,18 @@ def opened_engine(
             left_away=away,
         )
         outcome, ended_by = "failed", None
-        begin_report(folder)
-        publish_order(engine)
-        watcher.opened(engine)
-        workcell = engine.setting.workcell
-        watch = DeviceWatch(
-            workcell.devices,
-            engine.events,
-            engine.setting.clock.now_s,
-            PERIOD_S if watcher.pilot is None else SEEN_MOVING_S,
-            BodyView(workcell),
-        )
         try:
+            begin_report(folder)
+            publish_order(engine)
+            watcher.opened(engine)
+            workcell = engine.setting.workcell
+            watch = DeviceWatch(
+                workcell.devices,
+                engine.events,
+                engine.setting.clock.now_s,
+                PERIOD_S if watcher.pilot is None else SEEN_MOVING_S,
+                BodyView(workcell),
+            )
             with watch:
                 yield engine
             only_acknowledged = resumption is not None and not resumption.asks

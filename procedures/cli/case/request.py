@@ -19,6 +19,7 @@ from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
+from ronna_hw.evidence.inspection import RECORDS_FOLDER
 from ronna_hw.host.folder_walk import walk
 from ronna_hw.log_output import LOG_FILE
 
@@ -152,7 +153,8 @@ def forget_if_refused(folder: Path, problem: BaseException) -> None:
         isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
     )
     journal = folder / JOURNAL_FILE
-    if refused and not (journal.exists() and journal.stat().st_size):
+    begun = (journal.exists() and journal.stat().st_size) or any((folder / RECORDS_FOLDER).glob("*"))
+    if refused and not begun:
         shutil.rmtree(folder, ignore_errors=True)
 
 

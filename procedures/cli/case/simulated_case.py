@@ -91,7 +91,7 @@ class SimulatedCase:
         gone = bool(child.ready) and (halted or not child.alive)
         self.theatre.end()
         if gone and error is not None:  # what the procedure met is only the consequence
-            words = "it answers no more" if halted else " / ".join(child.messages) or "no message"
+            words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
             raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error
 
 

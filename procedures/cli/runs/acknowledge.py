@@ -88,7 +88,8 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
             return
         if _can_be_resumed(last):
             raise FaultOfRun(
-                f"run {last.name} on this theatre is unfinished, and asks after a fault what remains valid",
+                f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
+                "still valid",
                 action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
             )
 

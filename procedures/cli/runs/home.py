@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Literal
 
 from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
@@ -33,7 +34,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
     with held_left_run(folder, only_leaving=True) as left:
         if (nothing := _nothing_to_do(left)) is not None:
             _require_not_left_by_another(left, request)
-            _say(left, nothing, moved=False, as_json=as_json)
+            _say(left, nothing, home=left.parked or None, moved=False, as_json=as_json)
             return
         require_free_devices(request)
         make_ready(left)
@@ -64,8 +65,9 @@ def _require_not_left_by_another(left: LeftRun, request: CaseRequest | Calibrati
         raise RecoveryRefused(away, action="Nothing was moved.")
 
 
-def _say(left: LeftRun, words: str, *, moved: bool, as_json: bool) -> None:
+def _say(left: LeftRun, words: str, *, moved: bool, as_json: bool, home: Literal[True] | None = True) -> None:
+    """`home` is None where no arm was asked."""
     if as_json:
-        print_json({"run": left.run.path.name, "home": True, "moved": moved})
+        print_json({"run": left.run.path.name, "home": home, "moved": moved})
     else:
         sys.stdout.write(f"{words}\n")

@@ -19,8 +19,12 @@ from procedures.engine.events.happenings import (
     StepState,
     Waiting,
 )
+from procedures.journal.journal import Entry
 
-BEGINNINGS = ("opened", "restarted")  # lines of the journal that say in which theatre, with which banner
+BEGINNINGS = (
+    Entry.OPENED,
+    Entry.RESTARTED,
+)  # journal lines with theatre and banner
 LAST_LINES = 3  # of the journal, that a display shows
 LAST_ERROR = "last error"
 

@@ -24,6 +24,7 @@ SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a pe
 LOST_PERIOD_S = 60.0  # host time between two lines with the number of missing signals
 SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, a tracker and a stereo head
 LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
+LOCK_TRIES, LOCK_AGAIN_S = 20, 0.01  # host time between two tries
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
 
 _log = logger(part="events")
@@ -55,11 +56,16 @@ class EventFile:
     def _open(self) -> int | None:
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._complain(error)
+            return None
+        try:
+            _lock(file)
             begin = max(0, os.fstat(file).st_size - LARGEST_BYTES)
             tail = os.pread(file, LARGEST_BYTES, begin)  # of a killed program the last line may be torn
             os.ftruncate(file, begin + tail.rfind(b"\n") + 1)
         except OSError as error:
+            os.close(file)
             self._complain(error)
             return None
         return file
@@ -140,6 +146,16 @@ class EventFile:
         if not self._complained:
             self._complained = True
             _log.warning("events cannot be written", cause=problem)
+
+
+def _lock(file: int) -> None:
+    """Take the writer's lock; a follower that looks whether there is a writer holds it for an instant."""
+    for _ in range(LOCK_TRIES):
+        with contextlib.suppress(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        time.sleep(LOCK_AGAIN_S)
+    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
 def _line(event: Event) -> bytes:

@@ -13,11 +13,11 @@ from procedures.engine.events.current_state import CurrentState
 from procedures.engine.events.event import Event
 from procedures.engine.events.event_file import EVENTS_FILE, LARGEST_BYTES
 from procedures.engine.events.happenings import VERSION, JournalLine
+from procedures.journal.journal import Entry
 from ronna_hw.bounded_input import check_json
 from ronna_hw.command_line.errors import PathProblem
 
 LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
-CLOSED = "closed"  # the journal's last entry
 
 
 class FollowedRun:
@@ -87,7 +87,7 @@ class FollowedRun:
                 got=f"version {event.version}",
             )
         if isinstance(event.what, JournalLine):
-            self.closed = event.what.line.get("entry") == CLOSED
+            self.closed = event.what.line.get("entry") == Entry.CLOSED
         return event
 
 

@@ -79,6 +79,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             limit=f"{POSITION_LIMIT_MM} mm",
             got=f"{beyond(error_mm, POSITION_LIMIT_MM, 3)} mm",
         )
+    _check_room_again(context)
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:
         begun = begun_work(context)
@@ -164,6 +165,14 @@ def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, be
             context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
 
 
+def _check_room_again(context: StepContext) -> None:
+    """Where the step was left, or nothing watches the head, as after a resume. Raises PRO-019 and PRO-020."""
+    memory = context.setting.memory
+    rest = memory.find(GuideAtRest)
+    if memory.find(RoomWatch) is None or (rest is not None and rest.left):
+        check_room(context, f"at {context.trajectory}")
+
+
 @contextmanager
 def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
     """Within, the guide is compared with how it had come to rest, before anybody touched it.
@@ -186,7 +195,7 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
             check_room(context, f"at {context.trajectory}")
         raise
     finally:
-        rest.worked = False
+        rest.worked, rest.left = False, True
 
 
 STEP = StepSpec(

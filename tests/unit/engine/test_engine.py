@@ -3,7 +3,7 @@ import os
 from collections.abc import Callable
 
 import pytest
-from plain_steps import Fit, Image, Localization, leaves, plain_order
+from plain_steps import Fit, Image, Localization, ends_away, leaves, plain_order
 from recording_cell import RecordingCell, RecordingOperator
 
 from procedures.engine.context import StepContext
@@ -226,6 +226,25 @@ def test_a_result_that_cannot_be_journalled_is_not_valid_and_holds_the_case(
         run(engine, "image")
     assert engine.machine.state == "held"
     assert engine.status(engine.order.find("image")) == "next"
+
+
+@pytest.mark.hazard(33)
+def test_an_interrupt_during_a_motion_ends_the_case_also_without_a_journal(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **_more: object) -> None:
+        raise JournalNotWritable("cannot write journal.jsonl: No space left on device")
+
+    def interrupted(*_: object, **_more: object) -> None:
+        monkeypatch.setattr(cell.journal, "note", full)
+        monkeypatch.setattr(cell.journal, "write", full)
+        raise KeyboardInterrupt
+
+    engine = cell.engine(plain_order(image=ends_away))
+    monkeypatch.setattr(cell.arm, "move_joints", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        run(engine, "image")
+    assert engine.machine.state == "aborted"
 
 
 def test_an_interrupt_while_the_intent_is_written_is_journalled(

@@ -1,5 +1,6 @@
 """The event stream on disk, and readers that follow it from outside."""
 
+import fcntl
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +27,27 @@ def written(folder: Path) -> list[Event]:
 def ended(stream: EventStream, file: EventFile) -> None:
     stream.end()
     file.join()
+
+
+def test_a_follower_that_looks_at_the_wrong_instant_keeps_no_events_from_the_file(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / EVENTS_FILE
+    looking = os.open(path, os.O_RDWR | os.O_CREAT)
+    fcntl.flock(looking, fcntl.LOCK_SH)
+    tried: list[int] = []
+
+    def lets_go(_s: float) -> None:
+        tried.append(fcntl.flock(looking, fcntl.LOCK_UN) or 1)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("procedures.engine.events.event_file.time.sleep", lets_go)
+        stream = EventStream()
+        file = EventFile(tmp_path, stream)
+    stream.publish(CaseState(state="idle"))
+    ended(stream, file)
+    os.close(looking)
+    assert [event.what for event in written(tmp_path)] == [CaseState(state="idle")]
 
 
 def test_the_file_contains_every_fact_and_the_last_of_a_burst_of_poses(tmp_path: Path) -> None:

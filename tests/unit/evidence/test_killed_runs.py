@@ -59,6 +59,13 @@ SPOILED = {
 
 
 @pytest.mark.hazard(39)
+@pytest.mark.parametrize("left", [b"", bytes(4096)], ids=["empty", "zeros"])
+def test_a_journal_without_a_line_beside_records_is_no_trace_of_a_kill(killed: Path, left: bytes) -> None:
+    (killed / JOURNAL_FILE).write_bytes(left)
+    assert JOURNAL_FILE in changed_files(killed)
+
+
+@pytest.mark.hazard(39)
 @pytest.mark.parametrize("spoil", SPOILED, ids=lambda spoil: spoil.__name__)
 def test_changes_after_a_kill_are_distinguished_from_the_traces_of_the_kill(
     killed: Path, spoil: Callable[[Path], None]

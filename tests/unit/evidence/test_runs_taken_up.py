@@ -204,7 +204,7 @@ def test_verify_names_what_a_later_session_sealed_as_it_lay(
 def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> None:
     files = {"log.jsonl": 9, "bytes/a": 1, "bytes/b": 2, "theatre/world.json": 3}
     (sentence,) = told_unsealed(({"entry": Entry.RESTARTED, UNSEALED: files},))
-    assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) lay" in sentence
+    assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) had no seal" in sentence
 
 
 def told_by_verify(run: Path) -> list[str]:

@@ -146,8 +146,7 @@ def test_the_end_of_a_run_can_be_journalled_even_on_a_full_disk(
     journal.write(Entry.FAILED, 2.0, step="ct_import", what="No space left")
     journal.write(Entry.CLOSED, 2.0, outcome="failed")
     journal.close()
-    told = [line["entry"] for line in read_journal(journal.path) if line["entry"] != Entry.MOTION]
-    assert told == ["intent", "failed", "closed"]
+    assert [line["entry"] for line in read_journal(journal.path)] == ["intent", "failed", "closed"]
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
 
 
@@ -162,6 +161,40 @@ def test_an_intent_is_refused_without_disk_space_for_the_end_of_the_run(
     with pytest.raises(JournalNotWritable, match="No space left"):
         Journal(tmp_path).write(Entry.INTENT, 0.0, step="ct_import")
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
+
+
+@pytest.mark.hazard(33)
+def test_a_journal_is_not_taken_up_without_disk_space_for_the_end_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path)
+    journal.write(Entry.CLOSED, 0.0, outcome="done")
+    journal.close()
+
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(JournalNotWritable, match="No space left"):
+        Journal.taken_up(tmp_path, read_chain(journal.path))
+    assert os.listdir(tmp_path) == [JOURNAL_FILE]
+
+
+@pytest.mark.hazard(33)
+def test_a_journal_whose_unflushed_line_cannot_be_removed_takes_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal = Journal(tmp_path)
+
+    def broken(*_: int) -> None:
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    for call in ("fdatasync", "ftruncate"):
+        monkeypatch.setattr(os, call, broken)
+    for _ in range(2):
+        with pytest.raises(JournalNotWritable, match="a line was not flushed, and Input/output error"):
+            journal.write(Entry.MOTION, 1.0)
+        monkeypatch.undo()
 
 
 @pytest.mark.hazard(33)

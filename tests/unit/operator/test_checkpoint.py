@@ -127,6 +127,21 @@ def test_the_question_says_for_how_long_a_guard_would_be_waived() -> None:
     assert "continue proceeds without it for 10 s of the next motion or wait" in rig.asked[0].value
 
 
+def test_an_abort_takes_effect_while_a_guard_suspends_the_case() -> None:
+    rig = Rig()
+
+    class Waited(Disk):
+        def unmet(self) -> str | None:
+            if rig.slept_s:
+                rig.checkpoint.abort()
+            return super().unmet()
+
+    rig.checkpoint.guards.append(Waited(float("inf")))
+    with pytest.raises(OperatorAborted):
+        rig.checkpoint.here("before a motion")
+    assert rig.asked == []
+
+
 def test_a_pause_takes_effect_while_a_guard_waits() -> None:
     rig = Rig(lambda question: question.silence)
     rig.checkpoint.guards.append(Disk(float("inf")))

@@ -113,4 +113,4 @@ def test_a_run_that_a_program_has_open_is_not_listed_as_killed(
 def test_home_has_nothing_to_do_when_the_arm_never_moved(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     done = in_this_process(app, "home", folder, "--json")
-    assert json.loads(done.stdout) == {"run": folder.name, "home": True, "moved": False}
+    assert json.loads(done.stdout) == {"run": folder.name, "home": None, "moved": False}
