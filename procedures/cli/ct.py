@@ -169,6 +169,9 @@ def localize(
 
             _write_pictures(pictures, "candidate", candidate_pictures(volume, likely[:PICTURED_CANDIDATES]))
         raise refused
+    for one in result.doubtful:
+        if not as_json:
+            terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")
     found = None
     if layout_mm is not None:
         from procedures.registration import find_layout
@@ -192,8 +195,6 @@ def localize(
             f"the layout was found to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
         )
     _print_markers(result)
-    for one in result.doubtful:
-        terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")
     if candidates is not None:
         _print_candidates(candidates)
 

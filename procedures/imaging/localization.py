@@ -130,10 +130,13 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
             action="Read one with procedures.imaging.read_series(FOLDER).",
         )
     geometry = volume.geometry
-    if not np.isfinite(diameter_mm) or diameter_mm < MIN_VOXELS_ACROSS * float(geometry.spacing_mm.max()):
+    coarsest_mm = float(geometry.spacing_mm.max())
+    if not np.isfinite(diameter_mm) or diameter_mm < MIN_VOXELS_ACROSS * coarsest_mm:
+        finer_mm = diameter_mm / MIN_VOXELS_ACROSS
         raise LocalizationMisused(
-            f"spheres of {diameter_mm:g} mm cannot be localized",
-            limit=f"at least {MIN_VOXELS_ACROSS * float(geometry.spacing_mm.max()):.1f} mm in this series",
+            f"spheres of {diameter_mm:g} mm cannot be localized in voxels of {coarsest_mm:g} mm",
+            limit=f"at least {MIN_VOXELS_ACROSS * coarsest_mm:.1f} mm",
+            action=f"Reconstruct with slices and pixels of at most {finer_mm:.1f} mm, or check the diameter.",
         )
     if diameter_mm > float((geometry.spacing_mm * geometry.shape).min()):
         raise LocalizationMisused(f"spheres of {diameter_mm:g} mm do not fit into this series")

@@ -11,12 +11,13 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.matching import match
+from procedures.registration.matching import MOST_POINTS, match
 from procedures.registration.points import checked_points
 from procedures.registration.template import TEMPLATE_SIGMA_MM
 
 # Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
 SCAN_SIGMA_MM = 0.12
+TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for --pick."
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,13 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
     the scanner's accuracy. Raises REG-012, REG-001.
     """
     layout, spheres = checked_points(layout_mm, "layout"), checked_points(spheres_mm, "scan")
+    if len(spheres) > MOST_POINTS:
+        raise LayoutNotFound(
+            "the scan shows too many spheres to search it for a layout",
+            expected=f"at most {MOST_POINTS}",
+            got=str(len(spheres)),
+            action=TOO_MANY,
+        )
     found = match(
         layout,
         spheres,

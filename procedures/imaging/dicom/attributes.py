@@ -85,7 +85,14 @@ def numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[
         found = ()
     if len(found) != count or not all(math.isfinite(number) for number in found):
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise AttributeMissing(f"{path.name}: {keyword} is missing or not {expected}")
+        if stated is None or stated == "":
+            raise AttributeMissing(f"{path.name}: {keyword} is missing", expected=expected)
+        raise AttributeMissing(
+            f"{path.name}: {keyword} is unusable",
+            expected=expected,
+            got=str(stated),
+            action="Correct it where the series was made, and export it again.",
+        )
     return found
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -109,13 +110,13 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
     """
     images = read_images(directory, _TAGS, progress)
     _refuse_scouts(images)
-    _refuse_several(
-        SeriesMixed, "series", (text(path, header, "SeriesInstanceUID") for path, header in images)
-    )
+    series = [(text(path, header, "SeriesInstanceUID"), path) for path, header in images]
+    _refuse_several(SeriesMixed, "series", series)
     _refuse_several_patients(images)
     _refuse_other_modality(images)
     slices = tuple(_slice_header(path, header) for path, header in images)
-    _refuse_several(FramesMixed, "frames of reference", (one.frame_of_reference_uid for one in slices))
+    frames = [(one.frame_of_reference_uid, one.path) for one in slices]
+    _refuse_several(FramesMixed, "frames of reference", frames)
     return slices
 
 
@@ -177,12 +178,18 @@ def _is_image(path: Path, header: FileDataset) -> bool:
     return False
 
 
-def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: Iterable[str]) -> None:
-    distinct = sorted(set(values))
-    if len(distinct) > 1:
-        raise error(
-            f"the folder holds {len(distinct)} {noun}: {', '.join(uid or '(none)' for uid in distinct)}"
+def _refuse_several(
+    error: type[SeriesMixed | FramesMixed], noun: str, stated: Iterable[tuple[str, Path]]
+) -> None:
+    files = defaultdict[str, list[str]](list)
+    for uid, path in stated:
+        files[uid].append(path.name)
+    if len(files) > 1:
+        listed = (
+            f"{uid or '(none)'} in {len(names)} files, such as {min(names)}"
+            for uid, names in sorted(files.items())
         )
+        raise error(f"the folder holds {len(files)} {noun}: {'; '.join(listed)}")
 
 
 def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:

@@ -80,6 +80,28 @@ def test_a_scan_without_the_layout_is_refused(series: Path) -> None:
     assert "REG-012: the scan does not show the whole layout" in done.stderr
 
 
+def test_the_layout_is_found_beside_a_ball_of_another_size_which_is_told(tmp_path: Path) -> None:
+    placed_mm = np.array([[20.0, 20.0, 15.0], [20.0, 20.0, 31.0], [24.0, 14.0, 53.0]])
+    other_mm = (20.0, 21.0, 70.0)
+    scan = Scan(shape=(40, 80, 160), noise_hu=15.0)
+    for centre_mm in placed_mm:
+        scan.ball(centre_mm)
+    scan.ball(np.array(other_mm), radius_mm=5.5)
+    series = write_series(tmp_path / "ct", scan.voxels(), scan.spacing_mm)
+    layout, more = tmp_path / "three.csv", tmp_path / "four.csv"
+    np.savetxt(layout, placed_mm[:, ::-1], delimiter=",")
+    np.savetxt(more, np.vstack([placed_mm, other_mm])[:, ::-1], delimiter=",")
+    done = ronna_ct("localize", series, "--layout", layout)
+    assert done.returncode == 0
+    assert "the layout was found to 0.0" in done.stderr
+    refused = ronna_ct("localize", series, "--layout", more)
+    assert refused.returncode == 3
+    doubtful, error = refused.stderr.splitlines()
+    assert doubtful.startswith("doubtful, not taken: (")
+    assert "has radius 5.50 mm" in doubtful
+    assert error.startswith("REG-012")
+
+
 def test_a_layout_of_two_points_is_refused_before_the_series_is_read(tmp_path):
     (tmp_path / "lay.csv").write_text("0,0,0\n30,0,0\n")
     done = ronna_ct("localize", tmp_path / "none", "--layout", tmp_path / "lay.csv")

@@ -262,3 +262,15 @@ def test_progress_runs_from_zero_to_one(make_scan: Make) -> None:
     localize(as_volume(scan), progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
+
+
+def test_the_expected_number_of_clear_markers_is_taken_and_the_least_likely_told(make_scan: Make) -> None:
+    scan = make_scan(seed=1, **GOOD)
+    for centre_mm in ((20, 20, 15), (20, 20, 35), (22, 18, 55)):
+        scan.ball(centre_mm)
+    scan.ball((20, 21, 70), radius_mm=5.9)
+    assert len(localize(as_volume(scan)).markers) == 4
+    result = localize(as_volume(scan), expected=3)
+    assert len(result.markers) == 3
+    (doubtful,) = result.doubtful
+    assert "is less marker-like than the expected number of others" in doubtful.describe()

@@ -108,7 +108,7 @@ EDITED = {
     "slope not a number": (
         every(spelling("RescaleSlope", b"NaN ")),
         errors.AttributeMissing,
-        "RescaleSlope is missing or not a finite number",
+        "RescaleSlope is unusable; expected a finite number, got NaN",
     ),
     "intercept not a number": (
         every(spelling("RescaleIntercept", b"inf ")),
@@ -131,7 +131,16 @@ EDITED = {
         errors.ScoutView,
         "TOPOGRAM",
     ),
-    "several frames": (every(setting(NumberOfFrames=2)), errors.PixelsUnusable, "several frames"),
+    "several frames": (
+        every(setting(NumberOfFrames=2)),
+        errors.PixelsUnusable,
+        "several frames; expected NumberOfFrames of 1, got 2",
+    ),
+    "colour": (
+        every(setting(SamplesPerPixel=3)),
+        errors.PixelsUnusable,
+        "colour; expected SamplesPerPixel of 1, got 3",
+    ),
     "decimal pixels": (every(decimal_pixels), errors.PixelsUnusable, "floating-point"),
     "no frame": (
         every(lambda data: data.pop("FrameOfReferenceUID")),

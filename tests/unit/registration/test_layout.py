@@ -46,6 +46,12 @@ def test_a_scan_with_an_incomplete_frame_or_with_two_frames_is_refused(spheres_m
         find_layout(FRAME_MM, scan_of(spheres_mm, 1)[0])
 
 
+def test_a_scan_of_too_many_spheres_is_refused_by_their_number() -> None:
+    crowd = np.random.default_rng(1).uniform(-90.0, 90.0, (45, 3))
+    with pytest.raises(LayoutNotFound, match=r"REG-012.*expected at most 40, got 45.*--pick"):
+        find_layout(FRAME_MM, crowd)
+
+
 def test_a_layout_in_another_unit_is_refused_with_both_widths() -> None:
     with pytest.raises(LayoutNotFound) as refused:
         find_layout(FRAME_MM / 10.0, scan_of(FRAME_MM, 1)[0])
