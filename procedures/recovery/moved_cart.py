@@ -27,7 +27,7 @@ class MovedCart:
         if (following := engine.upcoming) is None:
             goes_on = "lock it; the work at every target is done: the arm goes home and the case ends"
         else:
-            goes_on = f"lock it, then the case continues from {following}"
+            goes_on = f"lock it; the arm goes home, and {following} is next"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
         value = (
             f"nobody is in the arm's way home; these results remain valid: {stands}",
