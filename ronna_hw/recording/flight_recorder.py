@@ -135,5 +135,8 @@ class FlightRecorder:
             if files is not None:
                 files.write(lines)
         except OSError as error:
+            if (files := self._files[link]) is not None:
+                with contextlib.suppress(OSError):
+                    files.close()
             self._files[link] = None
             logger(part="flight recorder").warning("bytes are no longer recorded", link=link, cause=error)
