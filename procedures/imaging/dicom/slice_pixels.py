@@ -35,9 +35,9 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: Fr
     """
     data = read_dicom(header.path)
     name = header.path.name
-    for keyword, told in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
+    for keyword, what in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
         if (count := _whole(header, data, keyword, 1)) != 1:
-            raise PixelsUnusable(f"{name} {told}", expected=f"{keyword} of 1", got=str(count))
+            raise PixelsUnusable(f"{name} {what}", expected=f"{keyword} of 1", got=str(count))
     if (photometry := text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2") != "MONOCHROME2":
         raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
