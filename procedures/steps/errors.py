@@ -53,5 +53,8 @@ class ToolSeenElsewhere(LimitError):
     """The tracker sees the frame of the mounted tool off its recorded position, or not at all."""
 
     code = "TOOL-006"
-    action = "Check that it is the right tool, properly seated and visible to the tracker; repeat tool_check."
+    action = (
+        "Check that it is the right tool, properly seated and visible to the tracker, and that the frame on "
+        "the mount is tight; repeat tool_check."
+    )
     exit_code = RefusedError.exit_code

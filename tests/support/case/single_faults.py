@@ -151,6 +151,8 @@ ROWS = (
         branch="WRONG_SPHERE",
     ),
     Row("tracker turn tool robot_frame 3 deg", "relocalization", DONE),
+    # A frame turned about its own place looks as if the guide's seat had given way.
+    Row("tracker turn tool robot_frame 3 deg", "positioning", "TOOL-006", theatre_s=15),
     Row("tracker turn tool robot_frame 3 deg", OTHERS, "done PRO-017 PRO-019", theatre_s=15),
     Row(
         "tracker move tool robot_frame +5 +0 +0 mm",
