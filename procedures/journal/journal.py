@@ -160,7 +160,7 @@ class Journal:
         try:
             self._put(line, durable=durable)
         except JournalNotWritable:
-            if entry not in ENDINGS or not self._room.exists():
+            if entry not in ENDINGS or self._spoilt or not self._room.exists():
                 raise
             self._room.unlink()
             self._put(line, durable=durable)

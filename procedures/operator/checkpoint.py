@@ -147,6 +147,8 @@ class Checkpoint:
     def _meet_abort(self) -> None:
         with self._wishes:
             abort, self._abort = self._abort, False  # met once: the way home is still to come
+            if abort:
+                self._pause = None  # it is not for the way home
         if abort:
             raise OperatorAborted("the operator ended the procedure")
 

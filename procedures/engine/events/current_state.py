@@ -21,10 +21,7 @@ from procedures.engine.events.happenings import (
 )
 from procedures.journal.journal import Entry
 
-BEGINNINGS = (
-    Entry.OPENED,
-    Entry.RESTARTED,
-)  # journal lines with theatre and banner
+BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # journal lines with theatre and banner
 LAST_LINES = 3  # of the journal, that a display shows
 LAST_ERROR = "last error"
 

@@ -150,14 +150,18 @@ def test_the_end_of_a_run_can_be_journalled_even_on_a_full_disk(
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
 
 
-@pytest.mark.hazard(33)
-def test_an_intent_is_refused_without_disk_space_for_the_end_of_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def let_no_room_be_held(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "posix_fallocate", full)
+
+
+@pytest.mark.hazard(33)
+def test_an_intent_is_refused_without_disk_space_for_the_end_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    let_no_room_be_held(monkeypatch)
     with pytest.raises(JournalNotWritable, match="No space left"):
         Journal(tmp_path).write(Entry.INTENT, 0.0, step="ct_import")
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
@@ -171,10 +175,7 @@ def test_a_journal_is_not_taken_up_without_disk_space_for_the_end_of_the_run(
     journal.write(Entry.CLOSED, 0.0, outcome="done")
     journal.close()
 
-    def full(*_: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
+    let_no_room_be_held(monkeypatch)
     with pytest.raises(JournalNotWritable, match="No space left"):
         Journal.taken_up(tmp_path, read_chain(journal.path))
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
@@ -185,6 +186,7 @@ def test_a_journal_whose_unflushed_line_cannot_be_removed_takes_no_more(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = Journal(tmp_path)
+    journal.write(Entry.INTENT, 0.0, step="ct_import")  # holds room for the last line
 
     def broken(*_: int) -> None:
         raise OSError(errno.EIO, os.strerror(errno.EIO))
@@ -193,8 +195,9 @@ def test_a_journal_whose_unflushed_line_cannot_be_removed_takes_no_more(
         monkeypatch.setattr(os, call, broken)
     for _ in range(2):
         with pytest.raises(JournalNotWritable, match="a line was not flushed, and Input/output error"):
-            journal.write(Entry.MOTION, 1.0)
+            journal.write(Entry.FAILED, 1.0)
         monkeypatch.undo()
+    assert journal.path.read_bytes().count(b"\n") == 2  # the second is the line that stayed
 
 
 @pytest.mark.hazard(33)

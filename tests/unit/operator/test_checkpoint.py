@@ -81,6 +81,16 @@ def test_an_abort_ends_the_case_without_a_question() -> None:
     assert rig.asked == []
 
 
+def test_an_abort_leaves_no_pause_for_the_way_home() -> None:
+    rig = Rig()
+    rig.checkpoint.pause("coffee")
+    rig.checkpoint.abort()
+    with pytest.raises(OperatorAborted):
+        rig.checkpoint.here("between steps")
+    rig.checkpoint.here("on the way home")
+    assert rig.rests == []
+
+
 def test_an_unmet_guard_suspends_the_case_until_it_is_met() -> None:
     rig = Rig()
     rig.checkpoint.guards.append(Disk(5))
