@@ -52,24 +52,24 @@ class Questions:
         )
         try:
             answer = self._operator.ask(numbered)
-        except BaseException:  # nobody answers it any more
+            if answer not in question.answers:
+                answer = question.silence
+            limit_s = question.timeout_s
+            self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
+            signed = asdict(signatures[-1]) if signatures else {}
+            self._journal.write(
+                Entry.CONFIRMATION,
+                self._now_s(),
+                topic=question.name,
+                subject=question.subject,
+                value=question.value,
+                answer=answer,
+                **signed,
+                asked_s=asked_s,
+            )
+        except BaseException:  # nobody answers it any more, or its answer is not kept and does not count
             self._events.publish(Answered(question=numbered.number, answer=""))
             raise
-        if answer not in question.answers:
-            answer = question.silence
-        limit_s = question.timeout_s
-        self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
-        signed = asdict(signatures[-1]) if signatures else {}
-        self._journal.write(
-            Entry.CONFIRMATION,
-            self._now_s(),
-            topic=question.name,
-            subject=question.subject,
-            value=question.value,
-            answer=answer,
-            **signed,
-            asked_s=asked_s,
-        )
         self._events.publish(Answered(question=numbered.number, answer=answer, by=signed.get("by", "")))
         return answer
 

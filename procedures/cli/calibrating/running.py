@@ -12,12 +12,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.asking import WritePrompt, write_prompt
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Watcher, opened_engine
-from procedures.cli.case.request import (
-    CalibrationRun,
-    TheatreRequest,
-    forget_if_empty,
-    forget_if_refused,
-)
+from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.cli.case.request_file import write_request
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.events import Event, Progress
@@ -78,27 +73,22 @@ def run_steps(
             yield write_prompt
 
     watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start(), asking=asking)
-    try:
-        with opened_steps(
-            request,
-            folder,
-            steps,
-            watcher,
-            title=title,
-            in_use=in_use,
-            recipe=recipe,
-            resumption=resumption,
-        ) as engine:
-            if resumption is not None and not resumption.left.untouched:
-                from procedures.recovery import recover
+    with opened_steps(
+        request,
+        folder,
+        steps,
+        watcher,
+        title=title,
+        in_use=in_use,
+        recipe=recipe,
+        resumption=resumption,
+    ) as engine:
+        if resumption is not None and not resumption.left.untouched:
+            from procedures.recovery import recover
 
-                recover(engine, resumption.left)
-            engine.run_to()
-            judge(engine)
-    except BaseException as problem:  # also an interruption: a folder that holds nothing is no run
-        forget_if_refused(folder, problem)
-        forget_if_empty(folder)
-        raise
+            recover(engine, resumption.left)
+        engine.run_to()
+        judge(engine)
     return engine
 
 

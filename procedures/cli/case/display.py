@@ -12,18 +12,12 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.asking import WritePrompt
 from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.event_follower import EventFollower, Show
-from procedures.cli.case.leaving_report import leave_report, seal_run, tell_way_on
+from procedures.cli.case.leaving_report import end_unfinished, leave_report, seal_run
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import (
-    CaseRequest,
-    check_request,
-    forget_if_empty,
-    forget_if_refused,
-    run_folder,
-)
+from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
@@ -147,13 +141,9 @@ def follow(
         with following(quiet=as_json) as watcher:
             outcome = run(watcher)
     except BaseException as problem:  # also an interruption: every run leaves a report
-        forget_if_refused(folder, problem)
-        forget_if_empty(folder)
-        ended = unfinished(request, folder, problem)
-        report = leave_report(folder, ended.error)
-        seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
-        tell_way_on(folder, problem)
+        report = end_unfinished(folder, problem)
         if as_json:
+            ended = unfinished(request, folder, problem)
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise
     report = leave_report(folder, name_it=False)  # the outcome names it

@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.request import CaseRequest, forget_if_refused
+from procedures.cli.case.request import CaseRequest, forget_if_empty, forget_if_refused
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.truth import truth_if_any
 from procedures.journal.journal import JOURNAL_FILE
@@ -170,16 +170,23 @@ def _left_by_another(folder: Path) -> bool:
     return False
 
 
+def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
+    """Leave the report and the seal of a run that `problem` ended, or no folder if it never began."""
+    forget_if_refused(folder, problem)
+    forget_if_empty(folder)
+    report = leave_report(folder, error_of(problem))
+    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
+    tell_way_on(folder, problem)
+    return report
+
+
 @contextlib.contextmanager
 def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
     try:
         yield
     except BaseException as problem:  # also an interruption: every run leaves a report
-        forget_if_refused(folder, problem)
-        leave_report(folder, error_of(problem))
-        seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
-        tell_way_on(folder, problem)
+        end_unfinished(folder, problem)
         raise
     leave_report(folder, with_truth=with_truth)
     seal_run(folder)

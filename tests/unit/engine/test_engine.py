@@ -9,10 +9,12 @@ from recording_cell import RecordingCell, RecordingOperator
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import WrongResult
+from procedures.engine.events import Questioned
 from procedures.engine.step import Outcome
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
 from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
@@ -226,6 +228,19 @@ def test_a_result_that_cannot_be_journalled_is_not_valid_and_holds_the_case(
         run(engine, "image")
     assert engine.machine.state == "held"
     assert engine.status(engine.order.find("image")) == "next"
+
+
+@pytest.mark.hazard(33)
+def test_an_answer_that_cannot_be_journalled_does_not_count_and_leaves_no_question_open(
+    cell: RecordingCell,
+) -> None:
+    engine = cell.engine(plain_order())
+    os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
+    os.close(full)
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
+        engine.ask(Question(Topic.REPEAT, "repeat image", "supersedes nothing"))
+    shown = [event.what for event in engine.events.subscribe().read(0).events]
+    assert not any(isinstance(what, Questioned) for what in shown)
 
 
 @pytest.mark.hazard(33)

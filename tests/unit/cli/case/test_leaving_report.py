@@ -15,7 +15,7 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.procedure import app
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.left_run import read_left_run
-from procedures.journal.journal import Entry, Journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
 from procedures.results.errors import GateFailed
 from ronna_hw.evidence.inspection import REQUEST_FILE, inspected
@@ -26,6 +26,7 @@ from ronna_hw.evidence.inspection import REQUEST_FILE, inspected
 def test_a_run_that_ends_in_an_error_or_interrupt_leaves_a_report_and_reraises_it(
     tmp_path: Path, problem: BaseException
 ) -> None:
+    (tmp_path / JOURNAL_FILE).touch()
     with pytest.raises(type(problem)) as met, leaving_report(tmp_path):
         raise problem
     assert met.value is problem
@@ -84,6 +85,7 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
     def full(*_: object, **__: object) -> Path:
         raise OSError(28, "No space left on device", "report.html")
 
+    (tmp_path / JOURNAL_FILE).touch()
     monkeypatch.setattr(report, "write_report", full)
     with pytest.raises(GateFailed), leaving_report(tmp_path):
         raise GateFailed("too far off")
