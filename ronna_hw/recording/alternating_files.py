@@ -21,7 +21,11 @@ class AlternatingFiles:
         self._file = self._open(os.O_APPEND)
         self._size = os.fstat(self._file).st_size
         if self._size:
-            self.write(b"\n")  # terminates a torn line
+            try:
+                self.write(b"\n")  # terminates a torn line
+            except OSError:
+                self.close()
+                raise
 
     def write(self, lines: bytes) -> None:
         """Append complete lines. Raises OSError."""

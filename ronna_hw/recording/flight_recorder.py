@@ -114,11 +114,14 @@ class FlightRecorder:
             lines[entry.link].append(self._encode(entry))
         with self._lock:
             dropped, self._dropped = self._dropped, defaultdict(int)
+        lost = {link: dropped.get(link, 0) + len(lines[link]) for link in {*lines, *dropped}}
         for link, count in dropped.items():
             note = _Entry(link, time.monotonic_ns(), self._last_s, None, b"", {"dropped": count})
             lines[link].append(self._encode(note))
         for link, new in lines.items():
-            self._write(link, "".join(new).encode("ascii"))
+            if not self._write(link, "".join(new).encode("ascii")):
+                with self._lock:
+                    self._dropped[link] += lost[link]
 
     def _encode(self, entry: _Entry) -> str:
         epoch_ns = self._epoch_ns + entry.host_ns
@@ -126,17 +129,20 @@ class FlightRecorder:
             return encode_note(epoch_ns, entry.theatre_time_s, entry.facts)
         return encode_bytes(epoch_ns, entry.theatre_time_s, entry.direction, entry.data)
 
-    def _write(self, link: str, lines: bytes) -> None:
+    def _write(self, link: str, lines: bytes) -> bool:
+        """Whether the lines were written; a link that could not be is tried again each time."""
+        files = self._files.get(link)
         try:
-            if link not in self._files:
-                self._files[link] = None
-                self._files[link] = AlternatingFiles(self._folder, link, self._file_bytes)
-            files = self._files[link]
-            if files is not None:
-                files.write(lines)
+            if files is None:
+                files = AlternatingFiles(self._folder, link, self._file_bytes)
+            files.write(lines)
         except OSError as error:
-            if (files := self._files[link]) is not None:
+            if files is not None:
                 with contextlib.suppress(OSError):
                     files.close()
+            if link not in self._files or files is not None:  # said once
+                logger(part="flight recorder").warning("bytes are not recorded", link=link, cause=error)
             self._files[link] = None
-            logger(part="flight recorder").warning("bytes are no longer recorded", link=link, cause=error)
+            return False
+        self._files[link] = files
+        return True

@@ -47,7 +47,11 @@ class SimulatedCase:
             *more,
             on_controller_message=on_controller_message,
         )
-        self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
+        try:
+            self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
+        except BaseException:  # such as no process left: nobody will leave this block
+            self.theatre.end()
+            raise
 
     def await_patient(self) -> None:
         """Return when the CT series and the plan are written; raises PRO-013 with the command's words.

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from user_commands import in_this_process
+from waiting import eventually
 
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.devices.byte_sink import Direction, Passed
@@ -127,6 +128,25 @@ def test_a_file_that_cannot_be_written_loses_only_its_own_bytes(make: Make, fold
     recorder.passed("eki", SENT, b"kept")
     recorder.close()
     assert [line.data for line in _kept(folder, "eki")] == [b"kept"]
+
+
+def test_a_link_is_recorded_again_once_its_file_can_be_written_and_says_how_much_is_missing(
+    make: Make, folder: Path
+) -> None:
+    recorder = make()
+    for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
+        (folder / name).mkdir()
+    for data in (b"one", b"two"):
+        recorder.passed("tracker", SENT, data)
+    recorder.passed("eki", SENT, b"later than both")
+    eventually((folder / "eki.a.jsonl").exists)
+    for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
+        (folder / name).rmdir()
+    recorder.passed("tracker", SENT, b"three")
+    recorder.close()
+    lines = _kept(folder, "tracker")
+    assert [line.data for line in lines if not line.note] == [b"three"]
+    assert sum(int(line.note["dropped"]) for line in lines if line.note) == 2
 
 
 def test_the_recorder_keeps_the_last_theatre_time_when_the_clock_ends(
