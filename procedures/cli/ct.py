@@ -16,6 +16,7 @@ from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.new_files import require_folder_of
+from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
     from procedures.imaging import Candidate, Localization, Marker, PatientIdentity
@@ -211,7 +212,7 @@ def view(
         float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
     ] = 11.5,
 ) -> None:
-    """Write one HTML page of a CT: three planes to scroll, markers and candidates with their reasons.
+    """Write one HTML page of a CT: three planes to scroll, markers and candidates with reasons and odds.
 
     A click shows a position in LPS mm; picked positions can be given to localize --pick. The page is
     self-contained, needs no network and does not name the patient. A series without markers also gets a page.
@@ -231,8 +232,9 @@ def view(
         except MarkerCountWrong as error:
             candidates = error.candidates
         likely = imaging.likeliest_first(candidates)
-        rejected = sum(not one.accepted for one in likely)
-        outcome = f"{len(markers)} markers found, {rejected} other candidates examined."
+        doubtful = sum(one.doubtful for one in likely)
+        rejected = len(likely) - len(markers) - doubtful
+        outcome = f"{counted(len(markers), 'marker')} found, {doubtful} doubtful, {rejected} rejected."
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
     write_whole(out, page.encode())
     terminal.tell(f"{outcome} Page {out}")

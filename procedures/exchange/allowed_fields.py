@@ -25,6 +25,7 @@ SPHERE_FIELDS = {
     "quality": "0 to 1",
     "agreement_mm": "between the two estimates of the centre",
     "flags": "fixed words of the localizer",
+    "odds": "that it is a marker, 0 to 1",
 }
 REGISTRATION_FIELDS = {
     "trajectory": "its label, or its number",

@@ -92,6 +92,7 @@ class Marker:
             "radius_mm": self.radius_mm,
             "quality": self.quality,
             "flags": list(self.flags),
+            "odds": self.odds,
         }
 
 

@@ -6,6 +6,7 @@ import base64
 from collections.abc import Sequence
 from typing import Any
 
+from procedures.imaging.doubts import EVEN
 from procedures.imaging.markers import Candidate, Marker
 from procedures.imaging.page.view_volume import BRIGHTEST_HU, DARKEST_HU, mosaic, view_volume
 from procedures.imaging.volume import Volume
@@ -18,13 +19,14 @@ def ct_page(
 ) -> str:
     """The page. `name` is the heading, `outcome` one sentence on the search; neither names a patient.
 
-    Positions are LPS mm. Rejected candidates are shown with their reasons.
+    Positions are LPS mm. Doubtful and rejected candidates are shown apart, with reasons and odds.
     """
     import jinja2
 
     view = view_volume(volume)
     geometry = view.geometry
     picture, across = mosaic(view)
+    left = [one for one in candidates if not one.accepted]
     content: dict[str, Any] = {
         "shape": geometry.shape,
         "spacing_mm": geometry.spacing_mm.tolist(),
@@ -35,7 +37,8 @@ def ct_page(
         "across": across,
         "mosaic": base64.b64encode(picture).decode(),
         "found": [*map(_marker, range(1, len(markers) + 1), markers)],
-        "rejected": [_candidate(one) for one in candidates if not one.accepted],
+        "doubtful": _candidates("doubtful", [one for one in left if one.doubtful]),
+        "rejected": _candidates("rejected", [one for one in left if not one.doubtful]),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("procedures.imaging.page", "template"),
@@ -45,25 +48,30 @@ def ct_page(
         lstrip_blocks=True,
     )
     return environment.get_template(TEMPLATE).render(
-        name=name, outcome=outcome, warnings=volume.warnings, content=content
+        name=name, outcome=outcome, warnings=volume.warnings, even=EVEN, content=content
     )
 
 
 def _marker(number: int, marker: Marker) -> dict[str, Any]:
     sigma_mm = float(marker.covariance_mm2.trace()) ** 0.5
-    words = [f"sigma {sigma_mm:.3f} mm", f"quality {marker.quality:.2f}", *marker.flags]
+    remarks = [f"sigma {sigma_mm:.3f} mm", f"quality {marker.quality:.2f}", *marker.flags]
     return {
         "name": f"marker {number}",
         "centre_mm": marker.centre_mm.tolist(),
         "radius_mm": marker.radius_mm,
-        "words": ", ".join(words),
+        "odds": marker.odds,
+        "remarks": ", ".join(remarks),
     }
 
 
-def _candidate(one: Candidate) -> dict[str, Any]:
-    return {
-        "name": "not a marker",
-        "centre_mm": list(one.centre_mm),
-        "radius_mm": one.radius_mm,
-        "words": one.reason,
-    }
+def _candidates(word: str, candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": f"{word} {number}",
+            "centre_mm": list(one.centre_mm),
+            "radius_mm": one.radius_mm,
+            "odds": one.odds,
+            "remarks": one.reason,
+        }
+        for number, one in enumerate(candidates, start=1)
+    ]

@@ -52,7 +52,7 @@ def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
     assert set(document) == {"markers", "series_instance_uid", "elapsed_s"}
     assert document["series_instance_uid"] == SERIES_UID
     assert 0.0 < document["elapsed_s"] < 60.0
-    keys = {"centre_mm", "covariance_mm2", "radius_mm", "quality", "flags"}
+    keys = {"centre_mm", "covariance_mm2", "radius_mm", "quality", "flags", "odds"}
     assert all(set(marker) == keys for marker in document["markers"])
     centres = np.array([marker["centre_mm"] for marker in document["markers"]])
     np.testing.assert_allclose(centres, CENTRES_MM[::-1], atol=0.02)  # superior first
@@ -61,6 +61,7 @@ def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
         assert marker["radius_mm"] == pytest.approx(5.75, abs=0.1)
         assert 0.5 < marker["quality"] <= 1.0
         assert marker["flags"] == []
+        assert marker["odds"] > 0.9
 
 
 def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> None:
@@ -72,6 +73,8 @@ def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> No
     document = json.loads(done.stdout)
     assert all("picked" in marker["flags"] for marker in document["markers"])
     assert [one["accepted"] for one in document["candidates"]] == [True, True]
+    odds = [sorted(one["odds"] for one in document[kind]) for kind in ("markers", "candidates")]
+    assert odds[0] == odds[1]
 
 
 def test_a_scan_without_the_layout_is_refused(series: Path) -> None:

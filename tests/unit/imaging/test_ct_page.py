@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pytest
 
-from procedures.imaging import Volume, VoxelGeometry, localize
+from procedures.imaging import Candidate, Volume, VoxelGeometry, localize
 from procedures.imaging.page.ct_page import ct_page
 from procedures.imaging.page.view_volume import BRIGHTEST_HU, DARKEST_HU, LEVELS, view_volume
 
@@ -51,6 +51,7 @@ def test_the_page_contains_every_slice_and_the_markers_found(make_scan: Callable
     found = localize(volume)
     content = content_of(ct_page(volume, "series", found.markers, found.candidates, "1 marker found."))
     assert [one["centre_mm"] for one in content["found"]] == found.centres_mm.tolist()
+    assert [one["odds"] for one in content["found"]] == [one.odds for one in found.markers]
     mosaic = cv2.imdecode(np.frombuffer(base64.b64decode(content["mosaic"]), np.uint8), cv2.IMREAD_GRAYSCALE)
     assert mosaic is not None
     slices, rows, columns = content["shape"]
@@ -59,6 +60,16 @@ def test_the_page_contains_every_slice_and_the_markers_found(make_scan: Callable
         down, across = divmod(number, content["across"])
         tile = mosaic[down * rows : (down + 1) * rows, across * columns : (across + 1) * columns]
         assert np.abs(tile.astype(int) - grey[number]).mean() < 2.0
+
+
+def test_doubtful_and_rejected_candidates_are_apart_with_reasons_and_odds() -> None:
+    one = Candidate((1.0, 2.0, 3.0), False, "is doubtful: ends under its cover", 900.0, 0.9, 5.7, 0.45)
+    other = Candidate((4.0, 5.0, 6.0), False, "shows no surface", 300.0)
+    content = content_of(ct_page(ramp_volume(), "series", (), (one, other), "no marker found."))
+    for kind, there in (("doubtful", one), ("rejected", other)):
+        (shown,) = content[kind]
+        assert (shown["remarks"], shown["odds"]) == (there.reason, there.odds)
+    assert content["found"] == []
 
 
 def test_the_page_fetches_nothing_and_escapes_names(make_scan: Callable[..., Any]) -> None:
