@@ -64,6 +64,10 @@ CASES = (
     Case("sharp kernel, 60 HU", ScannerFaults(kernel="sharp"), noise_hu=60.0),
     Case("metal stored beyond 3071 HU", ScannerFaults(extended_range=True)),
 )
+HIDDEN = tuple(
+    Case(f"gantry tilt of {tilt:g}° that the headers hide", ScannerFaults(tilt_deg=tilt, tilt_hidden=True))
+    for tilt in (0.5, 1.0, 2.0)
+)
 TILTS = tuple(Case(f"gantry tilt of {tilt:g}°", ScannerFaults(tilt_deg=tilt)) for tilt in (0.5, 5.0, 20.0))
 
 
@@ -131,7 +135,7 @@ def _options(case: Case) -> str:
     words = [
         f"--{name.replace('_', '-')}"
         + ("" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}")
-        for name, value in case.faults.said().items()
+        for name, value in case.faults.active().items()
     ]
     return " ".join(words)
 
@@ -153,9 +157,10 @@ def with_noise(scan: Scan, noise_hu: float) -> Scan:
 def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
     """The same markers for every case."""
     cost = Cost()
-    whole = case.faults.beam_hardening > 0.0  # beam hardening is slow to paint: one volume
-    for number in range(1 if whole else volumes):
-        cost.add(paint(_scan(case, seed + number), WHOLE_SLICES_MM if whole else MARGINS_MM))
+    slow = case.faults.beam_hardening > 0.0  # to paint: one volume
+    margins_mm = WHOLE_SLICES_MM if slow or case.faults.tilt_deg else MARGINS_MM  # of the middle that tilts
+    for number in range(1 if slow else volumes):
+        cost.add(paint(_scan(case, seed + number), margins_mm))
     return cost.row(case)
 
 
@@ -179,7 +184,7 @@ def main() -> None:
     parser.add_argument("--write", action="store_true", help="into docs/reference/scanner-faults.toml")
     arguments = parser.parse_args()
     rows = []
-    for case in CASES:
+    for case in (*CASES, *HIDDEN):
         rows.append(measure(case, arguments.volumes, arguments.seed))
         print(rows[-1], flush=True)
     for case in TILTS:

@@ -57,6 +57,9 @@ def phantom(
         ),
     ] = Fiducials.FREE,
     tilt_deg: Annotated[float, typer.Option(help="Gantry tilt.", rich_help_panel=SCANNER)] = 0.0,
+    tilt_hidden: Annotated[
+        bool, typer.Option("--tilt-hidden", help="Headers of upright slices.", rich_help_panel=SCANNER)
+    ] = False,
     table_scale: Annotated[
         float,
         typer.Option(min=-0.1, max=0.1, help="Relative error of the table feed.", rich_help_panel=SCANNER),
@@ -127,7 +130,7 @@ def phantom(
         _scan_after(postoperative, instrument, out, seed, protocol, as_json)
         return
     faults = ScannerFaults(
-        tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range
+        tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range, tilt_hidden
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if family is not None or carrier is None:

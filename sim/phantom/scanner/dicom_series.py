@@ -29,6 +29,7 @@ SCAN_DATE = "20180601"  # a fixed day: the date must not change the bytes
 UID_PREFIX = "2.25."  # UIDs based on a 128-bit number
 UID_BITS = 128
 COORDINATE_DIGITS = 4
+DIRECTION_DIGITS = 10  # of a cosine: four would displace the last row of a tilted slice by 0.01 mm
 FILE_PATTERN = "slice-*.dcm"
 
 
@@ -47,7 +48,7 @@ class DicomSeries:
         self._scene = scene
         self._grid = grid
         self._folder = folder
-        self._tilt_rad = radians(faults.tilt_deg)
+        self._tilt_rad = radians(faults.stated_tilt_deg)
         self._faults = faults
         active = json.dumps(faults.active()) if faults.active() else ""
         content = scene.model_dump_json(by_alias=True) + active + occasion
@@ -113,7 +114,8 @@ class DicomSeries:
         data.BodyPartExamined = "HEAD"
         data.KVP = "120"
         data.SliceThickness = _decimal(self._faults.thickness_mm or grid.slice_mm)
-        data.GantryDetectorTilt = _decimal(self._faults.tilt_deg)
+        if not self._faults.tilt_hidden:
+            data.GantryDetectorTilt = _decimal(self._faults.tilt_deg)
         data.ConvolutionKernel = KERNELS[self._faults.kernel].name
         data.PatientPosition = PATIENT_POSITION
         data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
@@ -123,7 +125,8 @@ class DicomSeries:
             "0",
             "0",
             "0",
-            *map(_decimal, (cos(self._tilt_rad), sin(self._tilt_rad))),
+            _decimal(cos(self._tilt_rad), DIRECTION_DIGITS),
+            _decimal(sin(self._tilt_rad), DIRECTION_DIGITS),
         ]
         data.FrameOfReferenceUID, data.PositionReferenceIndicator = self._frame_uid, ""
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
@@ -145,7 +148,7 @@ def stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint1
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 
-def _decimal(value: float) -> str:
+def _decimal(value: float, digits: int = COORDINATE_DIGITS) -> str:
     """A DICOM decimal string: at most 16 characters."""
-    text = f"{value:.{COORDINATE_DIGITS}f}".rstrip("0").rstrip(".")
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text

@@ -38,8 +38,8 @@ KERNELS = {
 @dataclass(frozen=True)
 class ScannerFaults:
     """Tilt of the gantry (degrees), true over stated table feed minus 1, slice thickness (None: the stated
-    spacing), beam hardening (1: typical), patient motion halfway up the markers, the kernel, and whether
-    metal is stored beyond 3071 HU.
+    spacing), beam hardening (1: typical), patient motion halfway up the markers, the kernel, whether metal is
+    stored beyond 3071 HU, and whether the headers show upright slices whatever the tilt.
     """
 
     tilt_deg: float = 0.0
@@ -49,6 +49,7 @@ class ScannerFaults:
     motion_mm: float = 0.0
     kernel: str = "standard"
     extended_range: bool = False
+    tilt_hidden: bool = False
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
@@ -59,6 +60,13 @@ class ScannerFaults:
                 limit=f"{MOST_TILT_DEG:g}",
                 action=SEE_PHANTOM,
             )
+        if self.tilt_hidden and not self.tilt_deg:
+            raise BadScene("a tilt of 0 degrees cannot be hidden", action=SEE_PHANTOM)
+
+    @property
+    def stated_tilt_deg(self) -> float:
+        """As the headers have it."""
+        return 0.0 if self.tilt_hidden else self.tilt_deg
 
     def active(self) -> dict[str, Any]:
         """Those that differ from the default, for the truth file."""

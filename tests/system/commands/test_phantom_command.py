@@ -48,6 +48,23 @@ def test_every_sphere_is_found_at_its_true_position(case: Path) -> None:
         assert errors[nearest] @ np.linalg.solve(covariance, errors[nearest]) < 25.0  # chi², 3 degrees
 
 
+@pytest.mark.parametrize(
+    ("options", "exit_code", "told"),
+    [
+        (("--tilt-deg", 2), 1, "CT-007: the scanner states a gantry tilt of 2 degrees"),
+        (("--tilt-deg", 2, "--tilt-hidden"), 3, "mm longer in one direction than in another"),
+    ],
+)
+def test_spheres_sheared_by_a_tilt_are_refused_whatever_the_headers_say(
+    tmp_path: Path, options: tuple[object, ...], exit_code: int, told: str
+) -> None:
+    words = ("phantom", "--scene", "mini", "--seed", "5", "--out", tmp_path / "case", *options)
+    assert in_this_process(ronna_sim, *words).returncode == 0
+    done = in_this_process(ronna_ct, "localize", tmp_path / "case" / "ct")
+    assert (done.returncode, done.stdout) == (exit_code, "")
+    assert told in done.stderr
+
+
 def test_the_plan_is_accepted_for_its_series(case: Path) -> None:
     done = in_this_process(ronna_plan, "check", case / "plan.toml", "--ct", case / "ct", "--json")
     assert done.returncode == 0, done.stderr

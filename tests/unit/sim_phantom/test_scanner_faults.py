@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pydicom
 import pytest
 from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
+from procedures.imaging import read_series
+from procedures.imaging.errors import GantryTilted
 from sim.errors import BadScene
+from sim.phantom.case import write_case
 from sim.phantom.head.anatomy import draw_anatomy
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.faults import ScannerFaults
@@ -70,7 +76,82 @@ def test_beam_hardening_darkens_the_tissue(coarse_scene: Scene) -> None:
     assert (hard - plain)[tissue].mean() < -1.0
 
 
-@pytest.mark.parametrize("faults", [{"tilt_deg": 31.0}, {"kernel": "crisp"}])
+MIDDLE = 26  # a slice whose tilted rows stay within the straight ones
+
+
+def series_of(scene: Scene, folder: Path, **faults: Any) -> Path:
+    quiet = scene.model_copy(update={"ct": scene.ct.model_copy(update={"noise_HU": 0.0})})
+    scan = Scan(quiet, place_grid(quiet.head, quiet.ct), draw_anatomy(quiet), faults=ScannerFaults(**faults))
+    return write_case(quiet, folder, scan=scan).series
+
+
+def middle_of(series: Path) -> pydicom.Dataset:
+    return pydicom.dcmread(sorted(series.glob("*.dcm"))[MIDDLE])
+
+
+def hu_where_the_header_says(scene: Scene, plain: NDArray[np.float64], data: pydicom.Dataset) -> Any:
+    """What an upright scan has at each pixel's place."""
+    right, down = np.array(data.ImageOrientationPatient, dtype=float).reshape(2, 3)
+    first_mm = np.array(data.ImagePositionPatient, dtype=float)
+    steps_mm = float(data.PixelSpacing[0]) * np.arange(data.Rows)
+    places_mm = first_mm + steps_mm[:, None, None] * down + steps_mm[None, :, None] * right
+    grid = place_grid(scene.head, scene.ct)
+    index = (places_mm - grid.origin_mm) / (grid.pixel_mm, grid.pixel_mm, grid.slice_mm)
+    return map_coordinates(plain, np.moveaxis(index[..., ::-1], -1, 0), order=1, mode="nearest")
+
+
+@pytest.mark.parametrize("tilt_deg", [10.0, -10.0])
+def test_a_tilted_slice_shows_what_is_where_its_header_says(
+    coarse_scene: Scene, tmp_path: Path, tilt_deg: float
+) -> None:
+    plain, painted = slices(coarse_scene), planes_of(coarse_scene, tilt_deg=tilt_deg).paint(MIDDLE)
+    data = middle_of(series_of(coarse_scene, tmp_path, tilt_deg=tilt_deg))
+    assert float(data.GantryDetectorTilt) == tilt_deg
+    np.testing.assert_allclose(painted, hu_where_the_header_says(coarse_scene, plain, data), atol=1.0)
+    assert np.abs(painted - plain[MIDDLE]).max() > 500.0  # it is another section
+
+
+def test_the_headers_of_a_hidden_tilt_are_those_of_an_upright_scan(
+    coarse_scene: Scene, tmp_path: Path
+) -> None:
+    hidden = middle_of(series_of(coarse_scene, tmp_path / "hidden", tilt_deg=10.0, tilt_hidden=True))
+    tilted = middle_of(series_of(coarse_scene, tmp_path / "tilted", tilt_deg=10.0))
+    upright = middle_of(series_of(coarse_scene, tmp_path / "upright"))
+    np.testing.assert_array_equal(hidden.pixel_array, tilted.pixel_array)
+    assert hidden.ImageOrientationPatient == upright.ImageOrientationPatient != tilted.ImageOrientationPatient
+    assert hidden.ImagePositionPatient == upright.ImagePositionPatient != tilted.ImagePositionPatient
+    assert "GantryDetectorTilt" not in hidden
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_a_series_painted_with_tilt_is_refused_whether_or_not_the_scanner_states_it(
+    coarse_scene: Scene, tmp_path: Path, stated: bool
+) -> None:
+    series = series_of(coarse_scene, tmp_path, tilt_deg=5.0)
+    if not stated:
+        for path in series.glob("*.dcm"):
+            data = pydicom.dcmread(path)
+            del data.GantryDetectorTilt
+            data.save_as(path)
+    with pytest.raises(GantryTilted, match="5") as refused:
+        read_series(series)
+    assert refused.value.code == "CT-007"
+
+
+def test_metal_is_cut_off_at_3071_hu_unless_the_range_is_extended(
+    coarse_scene: Scene, tmp_path: Path
+) -> None:
+    painted = slices(coarse_scene)
+    assert painted.max() > 3500.0
+    usual = read_series(series_of(coarse_scene, tmp_path / "usual")).voxels
+    extended = read_series(series_of(coarse_scene, tmp_path / "wide", extended_range=True)).voxels
+    np.testing.assert_array_equal(extended, np.maximum(np.rint(painted), -1024.0))
+    np.testing.assert_array_equal(usual, np.minimum(extended, 3071))
+    assert middle_of(tmp_path / "usual" / "ct").BitsStored == 12
+    assert middle_of(tmp_path / "wide" / "ct").BitsStored == 16
+
+
+@pytest.mark.parametrize("faults", [{"tilt_deg": 31.0}, {"tilt_hidden": True}, {"kernel": "crisp"}])
 def test_impossible_scanner_faults_are_refused(faults: dict[str, Any]) -> None:
     with pytest.raises(BadScene):
         ScannerFaults(**faults)
