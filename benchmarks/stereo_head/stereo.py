@@ -37,7 +37,7 @@ MEDIAN_MS, NEARLY_ALL_MS, PAIR_MS, FINAL_MS = 12.0, 30.0, 20.0, 60.0
 CENTRED_UM, OCCLUDED_UM, OFF_AXIS_UM = 2.0, 10.0, 1.0
 GIVEN_PERCENT, DISTRUSTED_PERCENT = 95.0, 95.0
 DECEIVING_PAIRS = 12
-SERVO_STARTS, EXACT_STARTS, TOLD_STARTS = 40, 10, 2000
+SERVO_STARTS, EXACT_STARTS, FROM_TRUTH_STARTS = 40, 10, 2000
 WITHIN_PERCENT = 99.9
 POINT_UM = 20.0
 
@@ -135,7 +135,7 @@ def _deceived(studio: Studio) -> list[Figure]:
 def _servo() -> list[Figure]:
     who = "the step's loop"
     drawn, exact = servo_campaign(SERVO_STARTS), servo_campaign(EXACT_STARTS, without_arm_errors)
-    from_truth = servo_campaign(TOLD_STARTS, drawn=False)
+    from_truth = servo_campaign(FROM_TRUTH_STARTS, drawn=False)
     truth_share = 100.0 * from_truth.within / from_truth.starts
     share = 100.0 * drawn.within / drawn.starts
     more = {"starts": float(drawn.starts), "most_steps": float(max(drawn.steps))}

@@ -35,7 +35,7 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
     if known is not None:
         points = np.concatenate([np.array(known.points_mm), points])
         within_mm, margin_mm = known.within_mm, known.margin_mm
-    with _mistakes_told():
+    with _mistakes_as_refusals():
         return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
 
 
@@ -43,7 +43,7 @@ def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: 
     """With a new structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
-    with _mistakes_told():
+    with _mistakes_as_refusals():
         return _bounded(
             draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
         )
@@ -54,7 +54,7 @@ def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
     known = draft.structure(name)
     if known is None:
         return draft
-    with _mistakes_told():
+    with _mistakes_as_refusals():
         changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
     raise_together(structure_in_another_unit(changed), "the structure")
     return draft.with_structure(changed)
@@ -75,7 +75,7 @@ def _bounded(draft: Draft) -> Draft:
 
 
 @contextmanager
-def _mistakes_told() -> Iterator[None]:
+def _mistakes_as_refusals() -> Iterator[None]:
     try:
         yield
     except ValidationError as error:

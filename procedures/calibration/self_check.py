@@ -30,7 +30,7 @@ from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class CheckResult:
         if not bad:
             return
         moved = float(np.linalg.norm(self.shift.value))
-        got, limit = told_apart(bad[0].statistic, bad[0].limit, 1)
+        got, limit = side_by_side(bad[0].statistic, bad[0].limit, 1)
         raise HeadMoved(
             "the stereo head has changed since its calibration "
             f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by "

@@ -162,7 +162,7 @@ class _Looking:
     _stop_wanted: bool = False
     _stopping: threading.Thread | None = None
     guide: GuideAtRest | None = None  # as it was held, while somebody works through it
-    _silence_told: bool = False
+    _silence_reported: bool = False
     _pushed: bool = False
 
     def __post_init__(self) -> None:
@@ -293,6 +293,6 @@ class _Looking:
 
     def _tell_silence(self, why: str) -> None:
         """Once, and at once: the motion that nothing watches any more may take its time."""
-        if not self._silence_told:
-            self._silence_told = True
+        if not self._silence_reported:
+            self._silence_reported = True
             self.tell(f"the head is not watched: {why}")

@@ -139,7 +139,7 @@ class RoomWatch:
         few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
-            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, told_apart=base_mm is not None)
+            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=base_mm is not None)
         if head is None and (strange := self._strange(reading)):
             raise PatientUnseen(
                 f"the tracker sees {counted(strange, 'sphere')} near the head at no known position",
@@ -151,7 +151,7 @@ class RoomWatch:
                 alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, PATIENT_LIMIT_MM)
                 if alone_mm is not None:
                     raise _screw_moved(head, alone_mm)
-                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM, told_apart=apart)
+                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM, tracker_excluded=apart)
             findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
         if reading.frame_mm is not None:
             self.references.append(reading)
@@ -229,9 +229,11 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
     return shifted
 
 
-def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_apart: bool) -> PatientMoved:
+def _patient_moved(
+    head: PointShift, head_mm: Array, limit_mm: float, *, tracker_excluded: bool
+) -> PatientMoved:
     # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
-    what = "the head" if told_apart else "the head, or the tracker,"
+    what = "the head" if tracker_excluded else "the head, or the tracker,"
     return PatientMoved.by(
         f"{what} has moved since it was localized, by {_in_words(head_mm)}, the mean of "
         f"{head.points} spheres",

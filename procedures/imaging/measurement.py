@@ -62,7 +62,7 @@ def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measu
     if rough is None:
         return measure_under_streaks(region, edge, nominal_radius_mm)
     if hidden:
-        return _by_both(region, edge, rough.refined(unseen), told_by_rays=True)
+        return _by_both(region, edge, rough.refined(unseen), directions_from_rays=True)
     under_streaks = None
     if rough.uneven > STREAKED_AT_SIGHT:
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
@@ -76,12 +76,12 @@ def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measu
 
 
 def _by_both(
-    region: Region, edge: RadialEdge, ball: BlurredBall | None, *, told_by_rays: bool = False
+    region: Region, edge: RadialEdge, ball: BlurredBall | None, *, directions_from_rays: bool = False
 ) -> Measured | None:
     if ball is None:
         return None
     combined = combine(edge, ball, region.spacing_mm)
-    return Measured(edge, combined, ball.metal_share, None if told_by_rays else ball.stretch)
+    return Measured(edge, combined, ball.metal_share, None if directions_from_rays else ball.stretch)
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from procedures.relocalization.errors import HeadTurned
-from ronna_hw.text.beyond import told_apart
+from ronna_hw.text.beyond import side_by_side
 
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
 # to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
@@ -46,7 +46,7 @@ def check_head(
     gap_mm = median(ray_gaps_mm)
     limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
     if gap_mm > limit_mm:
-        gap, limit = told_apart(gap_mm, limit_mm, 2)
+        gap, limit = side_by_side(gap_mm, limit_mm, 2)
         raise HeadTurned(
             "a camera of the stereo head has moved: the lines of sight do not meet",
             limit=f"{limit} mm",

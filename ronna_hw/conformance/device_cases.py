@@ -63,7 +63,7 @@ class DeviceCases:
         except Interruption:
             took_s = time.monotonic() - left_at_s
         else:
-            raise Nonconformity("expected the exception raised in the block, found that it was swallowed")
+            raise Nonconformity("expected the exception raised in the block, got none: it was swallowed")
         check(took_s < self.limit_s, f"an end within {self.limit_s:g} s", f"{took_s:.1f} s")
         check(device.state is Lifecycle.CONFIGURED, "state configured after the exception", device.state)
 

@@ -49,7 +49,7 @@ def unsealed(found: Inspection) -> dict[str, int]:
     }
 
 
-def told_unsealed(lines: tuple[Line, ...]) -> Iterator[str]:
+def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
     """What the seal covers and does not vouch for, in sentences."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)

@@ -17,7 +17,7 @@ def beyond(value: float, limit: float, decimals: int) -> str:
     return f"{value:.{decimals}f}"
 
 
-def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
+def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
     """The value and a computed limit, each with this many decimals, or as many more as distinguish them."""
     for more in range(MOST_MORE):
         shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))

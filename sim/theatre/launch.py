@@ -139,7 +139,7 @@ class Theatre:
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
-                on_message=_show_pendant,
+                on_message=_show_controller_message,
             )
             for name, more in arguments.items()
         ]
@@ -159,7 +159,7 @@ class Theatre:
         return files
 
 
-def _show_pendant(line: str) -> None:
+def _show_controller_message(line: str) -> None:
     """A message on the robot's pendant is one of the theatre."""
     if line.startswith(LINE_BEGINS):
         sys.stderr.write(f"{line}\n")

@@ -99,12 +99,12 @@ class Hands:
         self._done[f"{task} {trajectory}"] += 1
         return readings
 
-    def _set_stop(self, trajectory: str, told_mm: float) -> Readings:
+    def _set_stop(self, trajectory: str, setting_mm: float) -> Readings:
         scene = self._world.scene
         again = self._done[f"{DEPTH_STOP} {trajectory}"]
         drawn = noise(scene.seed, f"{STOP} {trajectory}", again).normal(0.0, scene.mount.guide.depth_stop_mm)
         off_mm = sum(float(one.argument) for one in self._board.active(WRONG_STOP.name))
-        self._stop_mm = told_mm + float(drawn) + off_mm
+        self._stop_mm = setting_mm + float(drawn) + off_mm
         return (_on_scale(self._stop_mm, SCALE_MM),)
 
     def _insert(self, trajectory: str) -> Readings:

@@ -158,12 +158,12 @@ def test_the_step_ends_and_the_seat_is_freed_while_the_pages_are_suspended_for_a
     answer(page)
     wakes_s = time.monotonic() + SUSPENDED_S
 
-    def told(entry: str) -> list[dict[str, Any]]:
+    def shown(entry: str) -> list[dict[str, Any]]:
         return [line for line in read_journal(case.run / JOURNAL_FILE) if line["entry"] == entry]
 
     with _suspended_pages():
-        eventually(lambda: told("result")[-1]["step"] == "relocalization:T1", SUSPENDED_S)
-        eventually(lambda: [line["by"] for line in told("seat")] == ["Ana", ""], SUSPENDED_S)
+        eventually(lambda: shown("result")[-1]["step"] == "relocalization:T1", SUSPENDED_S)
+        eventually(lambda: [line["by"] for line in shown("seat")] == ["Ana", ""], SUSPENDED_S)
         eventually(lambda: time.monotonic() > wakes_s, 2 * SUSPENDED_S)
     for one in (page, viewer):
         one.wait_for_selector(".seat >> text=/seat is empty|no one is operating/")

@@ -178,8 +178,8 @@ def test_no_address_title_or_message_of_the_planner_names_the_patient(page: Any,
         enter_planner(page, addresses["url"])
         page.wait_for_selector(".said[data-code^=CT-]")  # no spheres
         said_by_page = (page.title(), page.url, *page.requested, page.content())
-    for told in (*said_by_page, (tmp_path / "planner-errors").read_text()):
-        assert "secret" not in told.lower()
+    for shown in (*said_by_page, (tmp_path / "planner-errors").read_text()):
+        assert "secret" not in shown.lower()
 
 
 def test_a_viewer_sees_the_draft_and_cannot_change_it(opened: Open, page: Any, plan: Path) -> None:

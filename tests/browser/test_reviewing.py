@@ -33,8 +33,8 @@ def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
         assert not_reached_by_tab(page) == []
         assert too_wide_by_screen(page) == {}
         errors = (tmp_path / "review-errors").read_text()
-        for told in (page.title(), page.url, case.said, errors, (case.run / LOG_FILE).read_text()):
-            assert "Phantom" not in told  # as the CT calls the patient
+        for shown in (page.title(), page.url, case.said, errors, (case.run / LOG_FILE).read_text()):
+            assert "Phantom" not in shown  # as the CT calls the patient
         assert page.complaints == []
 
 

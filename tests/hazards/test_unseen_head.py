@@ -137,7 +137,7 @@ def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
     engine = guarded(cell)
     positioned(engine)
     answer = cell.operator.ask
-    told: list[str] = []
+    shown: list[str] = []
     reader = engine.events.subscribe()
 
     def cover_and_answer(question: Question) -> str:
@@ -145,13 +145,13 @@ def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
             before = cell.arm.stops  # it stands in hold
             cell.tracker.spheres_mm = NOTHING_MM
             eventually(lambda: any("too long" in str(one.what) for one in reader.read(0.1).events))
-            told.append(f"at once, after {cell.arm.stops - before} stops")
+            shown.append(f"at once, after {cell.arm.stops - before} stops")
         return "leave" if question.topic is Topic.HEAD_UNSEEN else answer(question)
 
     cell.operator.ask = cover_and_answer  # type: ignore[method-assign]
     with pytest.raises(GuardUnmet, match="PRO-017"):
         engine.run_step(engine.order.find(f"at_target:{FIRST}"))
-    assert told == ["at once, after 0 stops"]  # it rests already
+    assert shown == ["at once, after 0 stops"]  # it rests already
     assert engine.instrument_in == FIRST
 
 

@@ -141,13 +141,13 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     positioned(engine)
     reader, answer = engine.events.subscribe(), cell.operator.ask
 
-    def told() -> bool:
+    def shown() -> bool:
         return any(isinstance(one.what, Advisory) for one in reader.read(0.1).events)
 
     def move_and_answer(question: Question) -> str:
         if question.topic is Topic.AT_TARGET:
             cell.tracker.spheres_mm = MOVED_MM
-            eventually(told)
+            eventually(shown)
         return answer(question)
 
     cell.operator.ask = move_and_answer  # type: ignore[method-assign]
@@ -226,13 +226,13 @@ def test_a_watch_that_fails_during_a_motion_stops_nothing_and_is_a_finding(
         cell.tracker.read_frame = read  # type: ignore[method-assign]
         raise problem
 
-    def told() -> bool:
+    def shown() -> bool:
         said = [one.what for one in reader.read(0.1).events]
         return any(isinstance(one, Advisory) and "the head is not watched" in one.text for one in said)
 
     def break_it() -> None:
         cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
-        eventually(told)  # while the arm is on its way
+        eventually(shown)  # while the arm is on its way
         eventually(lambda: cell.tracker.state is Lifecycle.CONFIGURED)
 
     on_the_way(cell, break_it)
@@ -255,13 +255,13 @@ def test_a_tracker_that_replies_late_during_a_motion_stops_nothing_and_is_a_find
     engine = watched(cell)
     reader = engine.events.subscribe()
 
-    def told() -> bool:
+    def shown() -> bool:
         said = [one.what for one in reader.read(0.1).events]
         return any(isinstance(one, Advisory) and "watched late" in one.text for one in said)
 
     def delay_it() -> None:
         cell.tracker.replies_s = (0.5,) * JUDGED
-        eventually(told)  # while the arm is on its way
+        eventually(shown)  # while the arm is on its way
 
     on_the_way(cell, delay_it)
     positioned(engine)

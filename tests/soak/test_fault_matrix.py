@@ -77,9 +77,9 @@ def broken_promises(cell: Cell, outcome: dict[str, Any], journal: Sequence[Line]
     elif not stretches:
         yield f"ended as {outcome['outcome']} without a stop"
     if stretches:
-        told = codes_told(stretches[0][0], outcome)
-        if not (as_promised := told & cell.codes):
-            yield f"stopped with {', '.join(told)}"
+        said = codes_told(stretches[0][0], outcome)
+        if not (as_promised := said & cell.codes):
+            yield f"stopped with {', '.join(said)}"
         else:
             yield from too_late(cell, journal, as_promised)
 

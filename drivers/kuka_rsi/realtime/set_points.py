@@ -116,7 +116,7 @@ class SetPoints:
         elif choice is Choice.REPEAT:
             self.monitor.sent_again()
         else:
-            self._stand()
+            self._rest_here()
         if self._motion is not None and self._motion.finished:
             self.stopped_early = not isinstance(self._motion, PathMotion) or self._motion.stopped_early
             self._motion = None
@@ -128,7 +128,7 @@ class SetPoints:
         self._motion = None
         self.monitor.stands()
 
-    def _stand(self) -> None:
+    def _rest_here(self) -> None:
         one_back = self.held_rad is not self.last_rad
         self.monitor.stands()
         if isinstance(self._motion, PathMotion):

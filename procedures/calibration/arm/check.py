@@ -21,7 +21,7 @@ from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import told_apart
+from ronna_hw.text.beyond import side_by_side
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class ArmCheck:
     def require(self) -> None:
         """Raise CAL-012 unless they do."""
         if not self.passed:
-            error, limit = told_apart(self.error_mm, self.expected_mm, 3)
+            error, limit = side_by_side(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
                 f"the measurements do not match calibration {self.calibration}",
                 limit=f"{limit} mm rms expected",

@@ -17,7 +17,7 @@ from procedures.calibration.pose_set import centred_looks
 from procedures.calibration.sufficiency import require_count
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -65,7 +65,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
     statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
-        got, refused_from = told_apart(statistic, limit, 0)
+        got, refused_from = side_by_side(statistic, limit, 0)
         raise DoesNotFit(
             "the identified arm does not agree with the measurements kept for validation",
             limit=f"chi-square {refused_from}",

@@ -23,7 +23,7 @@ from procedures.calibration.tool_tip.looks import TipLooks, TipPairs, pairs_of
 from procedures.calibration.tool_tip.tip import TipFit, fit_tip, tips_of
 from ronna_hw.calibration import ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -120,7 +120,7 @@ def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
     limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
     if rms_mm > limit_mm:
-        rms, limit = told_apart(rms_mm, limit_mm, 3)
+        rms, limit = side_by_side(rms_mm, limit_mm, 3)
         raise DoesNotFit(
             "the tip does not agree with the readings kept for validation",
             limit=f"{limit} mm rms",

@@ -21,7 +21,7 @@ from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, sl
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
 from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -127,7 +127,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
     limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
         rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
-        got, refused_from = told_apart(statistic, limit, 0)
+        got, refused_from = side_by_side(statistic, limit, 0)
         raise DoesNotFit(
             "the frame does not agree with the poses kept for validation",
             limit=f"chi-square {refused_from}",

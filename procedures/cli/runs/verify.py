@@ -10,14 +10,14 @@ from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of, unchecked_folders
-from ronna_hw.evidence.unsealed import told_unsealed
+from ronna_hw.evidence.unsealed import unsealed_sentences
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
     """Print what is changed, missing or added; ends with exit code 3 when anything is."""
     found = inspected(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
-    not_vouched_for = list(told_unsealed(found.chain.lines))
+    not_vouched_for = list(unsealed_sentences(found.chain.lines))
     unchecked = unchecked_folders(folder)
     checked = sum(1 for _ in files_of(folder))
     if as_json:

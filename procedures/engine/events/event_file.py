@@ -40,8 +40,8 @@ class EventFile:
         self._signals_left = signals_bytes
         self._written_s: dict[str, float] = {}  # monotonic, of signals by subject
         self._held: dict[str, Event] = {}  # signals that came too soon
-        self._lost = self._lost_told = 0  # signals that are not in the file
-        self._lost_told_s = time.monotonic()
+        self._lost = self._lost_reported = 0  # signals that are not in the file
+        self._lost_reported_s = time.monotonic()
         self._last: Event | None = None
         self._waiting: list[bytes] = []
         self._complained = False
@@ -113,9 +113,9 @@ class EventFile:
     def _tell_lost(self, *, at_once: bool) -> None:
         """It bears number and time of the last event: of the stream itself it is none."""
         now_s = time.monotonic()
-        due = at_once or now_s - self._lost_told_s >= LOST_PERIOD_S
-        if due and self._lost > self._lost_told and (last := self._last) is not None:
-            self._lost_told, self._lost_told_s = self._lost, now_s
+        due = at_once or now_s - self._lost_reported_s >= LOST_PERIOD_S
+        if due and self._lost > self._lost_reported and (last := self._last) is not None:
+            self._lost_reported, self._lost_reported_s = self._lost, now_s
             self._waiting.append(_line(last.model_copy(update={"what": SignalsLost(count=self._lost)})))
 
     def _write(self) -> None:

@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 FEWEST, MOST = 3, 8
 CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
 DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
-TOLD_APART_BY_NUMBER = 5
+DISTINCT_BY_NUMBER = 5
 DRAWS = 20_000  # random sets tried first, representing freehand choices
 USUAL = 50.0  # per cent of them are better
 MOST_ROUNDS = 20  # of exchanges; three to five is usual
@@ -186,7 +186,7 @@ def allowed(points: Array) -> NDArray[np.bool_]:
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
     good = distances[:, 0] >= APART_MM
-    if points.shape[1] < TOLD_APART_BY_NUMBER:
+    if points.shape[1] < DISTINCT_BY_NUMBER:
         good &= np.diff(distances, axis=1).min(axis=1) >= DIFFER_MM
     return np.asarray(good)
 

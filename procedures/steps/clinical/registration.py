@@ -52,7 +52,7 @@ from procedures.steps.clinical.validity.followed_move import FollowedMove, Measu
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -233,7 +233,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
         return pairs, ()
     moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
     names = " and ".join(context.served_trajectories)
-    fre, limit = told_apart(gate.fre_mm, gate.limit_mm, 3)
+    fre, limit = side_by_side(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
         f"the fit disagrees with its own error budget at {names}",
         limit=f"{limit} mm",

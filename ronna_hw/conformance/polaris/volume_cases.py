@@ -78,7 +78,7 @@ def unknown_parameter(dut: DeviceUnderTest) -> None:
     "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers",
     needs=NEEDS,
 )
-def volumes_are_told(dut: DeviceUnderTest) -> None:
+def volumes_are_reported(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         model = unit.ask("VER:4").upper()
         volumes = measuring_volumes(unit)

@@ -82,8 +82,8 @@ class RsiTap:
         self.seen.append(self._look())
         if self.on_cycle is not None:
             self.on_cycle()
-        told = 0 if self._never else before if self._late else self.lost
-        return data[: found.start(1)] + str(told).encode() + data[found.end(1) :]
+        said = 0 if self._never else before if self._late else self.lost
+        return data[: found.start(1)] + str(said).encode() + data[found.end(1) :]
 
 
 def _address(endpoint: str) -> tuple[str, int]:

@@ -52,12 +52,12 @@ def run_exercises(page: str, commands: Commands, folder: Path) -> int:
         if language == "console":
             run_all(_after_prompts(block), commands, folder)
             continue
-        told: list[str] = []
+        said: list[str] = []
         example = doctest.DocTestParser().get_doctest(block, session, f"{page}, block {number}", page, 0)
         runner = doctest.DocTestRunner(optionflags=LENIENT, verbose=False)
-        failed = runner.run(example, out=told.append, clear_globs=False).failed
+        failed = runner.run(example, out=said.append, clear_globs=False).failed
         session = example.globs
-        assert not failed, "".join(told)
+        assert not failed, "".join(said)
         statements += len(example.examples)
     return statements
 

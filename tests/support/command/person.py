@@ -58,12 +58,12 @@ class Person:
                 except OSError:
                     break
                 happens(text)
-                told, asked = TOLD.findall(text), [found[1] for found in ASKED.finditer(text)]
+                said, asked = TOLD.findall(text), [found[1] for found in ASKED.finditer(text)]
                 if len(asked) <= answered:
                     continue
-                for hand in told[done:]:  # what stands before the question is done before it is answered
+                for hand in said[done:]:  # what stands before the question is done before it is answered
                     read_off += self.hands(hand)
-                answered, done = len(asked), len(told)
+                answered, done = len(asked), len(said)
                 os.write(primary, self._answer(asked[-1], text, read_off).encode() + b"\n")
             return process.wait(5), text
         finally:

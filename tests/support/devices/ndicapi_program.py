@@ -32,9 +32,9 @@ class Host:
             self._device = ndicapy.ndiOpenNetwork("127.0.0.1", int(endpoint.rpartition(":")[2]))
             return None
         self._serial_path = endpoint.removeprefix("serial://")
-        told: int | None = ndicapy.ndiProbe(self._serial_path) if probe else None
+        shown: int | None = ndicapy.ndiProbe(self._serial_path) if probe else None
         self._device = ndicapy.ndiOpen(self._serial_path)
-        return told
+        return shown
 
     def close(self) -> None:
         (ndicapy.ndiCloseNetwork if self._serial_path is None else ndicapy.ndiClose)(self._device)

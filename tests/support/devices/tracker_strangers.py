@@ -101,5 +101,5 @@ def scikit_frames(configuration: dict[str, Any], frames: int) -> list[dict[str, 
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    told: list[dict[str, Any]] = json.loads(done.stdout)
-    return told
+    shown: list[dict[str, Any]] = json.loads(done.stdout)
+    return shown

@@ -140,11 +140,11 @@ def test_aravis_reads_and_writes_features_through_the_description(cameras: Child
     left = addresses(cameras)[0]
     changed = run(TOOL, "-a", left, "control", "Width=1024", "ExposureTimeAbs=1234", "PixelFormat=Mono12")
     assert "Width = 1024" in changed
-    told = run(TOOL, "-a", left, "control", "PayloadSize", "ExposureTimeRaw", "DeviceID", "TriggerSelector")
-    assert f"PayloadSize = {1024 * 1088 * 2} B" in told
-    assert "ExposureTimeRaw = 1234" in told
-    assert f"DeviceID = {SERIALS[0]}" in told
-    assert "TriggerSelector = FrameStart" in told
+    shown = run(TOOL, "-a", left, "control", "PayloadSize", "ExposureTimeRaw", "DeviceID", "TriggerSelector")
+    assert f"PayloadSize = {1024 * 1088 * 2} B" in shown
+    assert "ExposureTimeRaw = 1234" in shown
+    assert f"DeviceID = {SERIALS[0]}" in shown
+    assert "TriggerSelector = FrameStart" in shown
     run(TOOL, "-a", left, "control", "UserSetSelector=Default", "UserSetLoad")
     every = run(TOOL, "-a", left, "values")
     assert "Error" not in every
@@ -208,9 +208,9 @@ camera.stop_acquisition()
 
 def test_aravis_switches_events_on_through_the_description(cameras: ChildProcess) -> None:
     # Aravis 0.8 receives no events itself; the message is looked at by a socket of the script.
-    told = json.loads(run(SYSTEM_PYTHON, "-c", SUBSCRIBE, addresses(cameras)[0]).splitlines()[-1])
-    assert (told["command"], told["id"]) == (0xC0, 0x9004)
-    assert told["from"] == told["said"]
+    shown = json.loads(run(SYSTEM_PYTHON, "-c", SUBSCRIBE, addresses(cameras)[0]).splitlines()[-1])
+    assert (shown["command"], shown["id"]) == (0xC0, 0x9004)
+    assert shown["from"] == shown["said"]
 
 
 def test_the_test_program_of_aravis_grabs_free_running_frames(cameras: ChildProcess) -> None:

@@ -82,9 +82,9 @@ def test_a_head_that_moves_during_the_withdrawal_stops_the_arm_within_twelve_fra
     (folder,) = (tmp_path / "runs").iterdir()
     lines = list(read_journal(folder / JOURNAL_FILE))
     began_s = next(line["theatre_time_s"] for line in lines if line.get("what") == "withdraw")
-    told = [json.loads(line) for line in (folder / EVENTS_FILE).read_text().splitlines()]
+    said = [json.loads(line) for line in (folder / EVENTS_FILE).read_text().splitlines()]
     alarm_s = next(
-        line["theatre_time_s"] for line in told if "the arm is stopped" in line["what"].get("text", "")
+        line["theatre_time_s"] for line in said if "the arm is stopped" in line["what"].get("text", "")
     )
     assert alarm_s - began_s <= 12 / 60
     stopped = next(line for line in lines if line.get("error") == "PRO-020")

@@ -82,10 +82,10 @@ def test_after_an_emergency_stop_is_acknowledged_by_name_the_arm_goes_home(cell:
     assert folder is not None
     acknowledge = ("ronna-procedure", "acknowledge", str(folder), "--by", "A. Nurse", "--json")
     pressed = {("home", str(folder)): "emergency stop: pressed", acknowledge[1:]: "emergency stop is active"}
-    for words, told in pressed.items():
+    for words, said in pressed.items():
         code, text = cell.by_hand(*words)
         assert code == EXIT_REFUSED, text
-        assert told in text
+        assert said in text
     cell.simulator("fault", "--clear")
     code, text = cell.by_hand("home", str(folder))
     assert code == EXIT_REFUSED
@@ -104,7 +104,7 @@ def test_the_mount_command_reports_an_unreachable_theatre() -> None:
 
 
 def test_the_work_command_accepts_negative_joint_values() -> None:
-    told = "work gauge -40 -75 99 0 66 180 60 --control tcp://127.0.0.1:9?token=x"
-    done = in_this_process(ronna_sim, *told.split())
+    said = "work gauge -40 -75 99 0 66 180 60 --control tcp://127.0.0.1:9?token=x"
+    done = in_this_process(ronna_sim, *said.split())
     assert done.returncode == 4
     assert one_error(done.stderr)[0].startswith("CTL-001")

@@ -51,7 +51,7 @@ def nothing_left(commands: Commands, temporary: Path) -> Callable[[], None]:
 @pytest.mark.slow
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "shown"),
     [
         ("sim.cli theatre", "ronna-sim theatre did not become ready"),
         ("sim.cli polaris", "ronna-sim polaris did not become ready"),
@@ -64,13 +64,13 @@ def nothing_left(commands: Commands, temporary: Path) -> Callable[[], None]:
     ],
 )
 def test_a_process_halted_at_its_start_ends_the_case_and_leaves_nothing_behind(
-    commands: Commands, tmp_path: Path, nothing_left: Callable[[], None], words: str, told: str
+    commands: Commands, tmp_path: Path, nothing_left: Callable[[], None], words: str, shown: str
 ) -> None:
     process = commands.start("ronna-procedure", *CASE, "--out", str(tmp_path / "runs"))
     os.kill(_first_sight(commands, words), signal.SIGSTOP)
     _, stderr = process.communicate(timeout=ENDS_WITHIN_S)
     assert process.returncode not in (0, 1), stderr
-    assert told in " ".join(one_error(stderr))
+    assert shown in " ".join(one_error(stderr))
     nothing_left()
 
 

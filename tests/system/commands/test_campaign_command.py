@@ -27,9 +27,9 @@ def test_a_campaign_writes_tables_and_a_plot_and_recognizes_that_it_is_done(tmp_
     arguments = ("registration", "--runs", "2", "--seed", "3", "--workers", "1", "--out", tmp_path)
     first = in_this_process(app, *arguments, "--json")
     assert first.returncode == 0, first.stderr
-    told = json.loads(first.stdout)
-    assert Path(told["report"]) == tmp_path / "report.md"
-    formulas = told["tables"][0]
+    said = json.loads(first.stdout)
+    assert Path(said["report"]) == tmp_path / "report.md"
+    formulas = said["tables"][0]
     assert [row[0] for row in formulas["rows"]] == [3, 4, 5, 6, 8]
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {
@@ -48,9 +48,9 @@ def test_a_campaign_writes_tables_and_a_plot_and_recognizes_that_it_is_done(tmp_
 def test_the_pairing_of_the_thesis_can_be_chosen_with_its_e_alongside_ours(tmp_path: Path) -> None:
     arguments = ["correspondence", "--runs", "1", "--workers", "1", "--out", tmp_path, "--json"]
     arguments += ["--method", "count", "--method", "thesis-validated", "--e", "2", "--e", "1.5"]
-    told = in_this_process(app, *arguments)
-    assert told.returncode == 0, told.stderr
-    rows = {(row[0], row[1]) for row in json.loads(told.stdout)["tables"][0]["rows"]}
+    said = in_this_process(app, *arguments)
+    assert said.returncode == 0, said.stderr
+    rows = {(row[0], row[1]) for row in json.loads(said.stdout)["tables"][0]["rows"]}
     assert rows == {
         ("clique + planned count", None),
         ("thesis, validated", 1.5),

@@ -65,9 +65,9 @@ def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
 
 
 def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> None:
-    spheres, told = tmp_path / "spheres.csv", tmp_path / "spheres.json"
-    assert ronna_ct("localize", series, "--write", spheres, "--write", told).returncode == 0
-    assert [one["name"] for one in json.loads(told.read_text())["spheres"]] == ["M1", "M2"]
+    spheres, said = tmp_path / "spheres.csv", tmp_path / "spheres.json"
+    assert ronna_ct("localize", series, "--write", spheres, "--write", said).returncode == 0
+    assert [one["name"] for one in json.loads(said.read_text())["spheres"]] == ["M1", "M2"]
     done = ronna_ct("localize", series, "--pick", spheres, "--expected", 2, "--candidates", "--json")
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
@@ -139,10 +139,10 @@ def test_a_doubtful_sphere_is_told_with_its_reason_and_odds(tmp_path: Path) -> N
         scan.ball(np.array([20.0, 20.0, place_mm]))
     scan.ball(np.array([20.0, 20.0, 45.0]), 2.8, -1000.0)
     done = ronna_ct("localize", write_series(tmp_path, scan.voxels()))
-    (told,) = done.stderr.splitlines()
-    assert told.startswith("doubtful, not taken: (25.0, -10.0, 60.0) is doubtful: ")
-    assert "of its core is a different material" in told
-    assert "(odds 0." in told
+    (said,) = done.stderr.splitlines()
+    assert said.startswith("doubtful, not taken: (25.0, -10.0, 60.0) is doubtful: ")
+    assert "of its core is a different material" in said
+    assert "(odds 0." in said
 
 
 def test_without_a_terminal_the_table_is_tab_separated_lines(series: Path) -> None:
@@ -205,8 +205,8 @@ def test_the_patient_is_named_on_request(series: Path, tmp_path: Path) -> None:
     assert patient == {"name": "Secret^Name", "identifier": "SECRET-ID", "birth_date": "", "sex": ""}
     fiducials = pydicom.dcmread(tmp_path / "spheres.dcm")
     assert (fiducials.PatientName, fiducials.PatientID) == ("Secret^Name", "SECRET-ID")
-    told = ronna_ct("localize", series, "--identity")
-    assert told.stderr == "patient: Secret^Name, identifier SECRET-ID\n"
+    said = ronna_ct("localize", series, "--identity")
+    assert said.stderr == "patient: Secret^Name, identifier SECRET-ID\n"
 
 
 ANOTHER_SERIES = setting(SeriesInstanceUID="1.2.3.4.5")

@@ -301,9 +301,9 @@ def test_the_doctor_predicts_each_refusal_of_set_up(name: str, room: Room, tmp_p
     assert refused is not None
     assert refused.code == trouble.code, refused
     assert not case["ready"]
-    told = " ".join(finding["seen"] for finding in report["findings"] if not finding["well"])
+    said = " ".join(finding["seen"] for finding in report["findings"] if not finding["well"])
     if trouble.named:
         assert trouble.named in " ".join(case["because"])
     else:
-        assert trouble.code in told, told
+        assert trouble.code in said, said
     assert done.returncode == trouble.exit_code

@@ -161,13 +161,13 @@ def test_a_first_day_case_is_refused_then_calibrated_and_completes(
     commands: Commands, tmp_path: Path
 ) -> None:
     refused, frame, tip, case = commands_of("docs/how-to/calibration/calibrate-tool-tip.md")[-4:]
-    told = run_all([refused], commands, tmp_path)[0].stderr
+    said = run_all([refused], commands, tmp_path)[0].stderr
     assert (
-        "CAL-001: calibration tool-tip-as-drawn expired; calibration tracker-frame-as-drawn expired" in told
+        "CAL-001: calibration tool-tip-as-drawn expired; calibration tracker-frame-as-drawn expired" in said
     )
     first, then = (f"ronna-procedure calibrate {what} --sim" for what in ("tracker-frame", "tool-tip"))
-    assert told.index(first) < told.index(then)
-    assert "ct_import" not in told  # before anything is asked or read
+    assert said.index(first) < said.index(then)
+    assert "ct_import" not in said  # before anything is asked or read
     assert not (tmp_path / "runs").exists()
     run_all([frame, tip], commands, tmp_path)
     done = run_all([case], commands, tmp_path)[0]

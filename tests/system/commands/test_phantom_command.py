@@ -26,9 +26,9 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
         words = ("phantom", "--scene", "mini", "--seed", "5", "--markers", "5", "--out", folder, "--json")
         done = in_this_process(ronna_sim, *words)
         assert (done.returncode, done.stderr) == (0, "")
-        told = json.loads(done.stdout)
-        assert (told["slices"], told["markers"], told["targets"]) == (134, 5, 1)
-        assert Path(told["series"]) == folder / "ct"
+        said = json.loads(done.stdout)
+        assert (said["slices"], said["markers"], said["targets"]) == (134, 5, 1)
+        assert Path(said["series"]) == folder / "ct"
         assert len(list((folder / "ct").glob("*.dcm"))) == 134
         return str(folder)
 
@@ -49,20 +49,20 @@ def test_every_sphere_is_found_at_its_true_position(case: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "exit_code", "told"),
+    ("options", "exit_code", "said"),
     [
         (("--tilt-deg", 2), 1, "CT-007: the scanner states a gantry tilt of 2 degrees"),
         (("--tilt-deg", 2, "--tilt-hidden"), 3, "mm longer in one direction than in another"),
     ],
 )
 def test_spheres_sheared_by_a_tilt_are_refused_whatever_the_headers_say(
-    tmp_path: Path, options: tuple[object, ...], exit_code: int, told: str
+    tmp_path: Path, options: tuple[object, ...], exit_code: int, said: str
 ) -> None:
     words = ("phantom", "--scene", "mini", "--seed", "5", "--out", tmp_path / "case", *options)
     assert in_this_process(ronna_sim, *words).returncode == 0
     done = in_this_process(ronna_ct, "localize", tmp_path / "case" / "ct")
     assert (done.returncode, done.stdout) == (exit_code, "")
-    assert told in done.stderr
+    assert said in done.stderr
 
 
 def test_the_plan_is_accepted_for_its_series(case: Path) -> None:

@@ -175,9 +175,9 @@ def test_a_plan_with_an_invalid_template_is_refused(case, text, said):
 def test_a_template_is_made_on_the_skin_of_a_ct(case, tmp_path):
     done = ronna_plan("template", "--ct", case[1], "--markers", "3", "--out", tmp_path / "t.toml", "--json")
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert told["least_difference_mm"] >= 10.0
-    assert len(read_marker_template(tmp_path / "t.toml").markers) == len(told["markers"]) == 3
+    shown = json.loads(done.stdout)
+    assert shown["least_difference_mm"] >= 10.0
+    assert len(read_marker_template(tmp_path / "t.toml").markers) == len(shown["markers"]) == 3
 
 
 SCENE = "[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\nsemi_axes_mm = [75.0, 95.0, 90.0]\n"

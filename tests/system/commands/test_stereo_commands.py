@@ -268,7 +268,7 @@ def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
 
 @pytest.mark.hazard(27)
 @pytest.mark.parametrize(
-    ("line", "told"),
+    ("line", "shown"),
     [
         (None, "STE-002: both cameras: the image is completely dark"),
         ("camera darken right", "STE-002: both cameras: the image is completely dark"),
@@ -283,18 +283,18 @@ def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
     fault: Callable[[str], None],
     tmp_path: Path,
     line: str | None,
-    told: str,
+    shown: str,
 ) -> None:
     if line is not None:
         fault(line)
     picture = tmp_path / "pair.png"
     said = stereo("measure", "--config", theatre, "--picture", picture)
     assert said.code == 1
-    assert one_error(said.errors)[0].startswith(told)
+    assert one_error(said.errors)[0].startswith(shown)
     (run,) = Path("calibrations").iterdir()
-    assert told.partition(":")[0] in (run / REPORT_FILE).read_text()
+    assert shown.partition(":")[0] in (run / REPORT_FILE).read_text()
     assert inspected(run).problems == ()
-    if "STE-011" not in told:
+    if "STE-011" not in shown:
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
@@ -333,8 +333,8 @@ def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFacto
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    folder, told = made_once(tmp_path_factory, "calibrated", calibrate)
-    said = json.loads(told)
+    folder, shown = made_once(tmp_path_factory, "calibrated", calibrate)
+    said = json.loads(shown)
     return Calibrated(scene, folder / "scene.json", said, Path(said["folder"]))
 
 

@@ -85,14 +85,14 @@ class Surgeon:
         assert script.order("claim", name=SURGEON) == ""
         with contextlib.suppress(OSError):  # the console ends with the case
             while not (state := script.state())["outcome"]:
-                told = TOLD.findall(self._text)[hands:]
-                hands += len(told)
-                read_off += [number for line in told for number in self._person.hands(line)]
+                said = TOLD.findall(self._text)[hands:]
+                hands += len(said)
+                read_off += [number for line in said for number in self._person.hands(line)]
                 asked = state["question"]
                 time.sleep(BETWEEN_S)
                 if asked is None and state["waiting"] and state["upcoming"]:
                     script.order("resume", upcoming=state["upcoming"])
-                if asked is None or told:  # it may be older than what was done just now
+                if asked is None or said:  # it may be older than what was done just now
                     continue
                 readings = {"readings": [float(one) for one in read_off]} if asked["reads"] else {}
                 if not script.answer(asked, PATIENT, **readings):
@@ -120,9 +120,9 @@ def lab(commands: Commands, tmp_path: Path) -> Iterator[Day]:
 def test_the_lab_engineer_gets_from_a_cell_full_of_faults_to_a_finished_case(lab: Day) -> None:
     code, text = lab.to("ronna-procedure doctor")
     assert code == EXIT_NOT_FOUND
-    told = " ".join(text.split())
+    said = " ".join(text.split())
     for what in ("emergency stop", "NDI-022", "GEV-004", "CAL-001"):
-        assert what in told, text
+        assert what in said, text
     code, text = lab.to("ronna-procedure doctor")
     assert code == EXIT_NOT_FOUND
     assert "NDI-022" not in text
@@ -167,9 +167,9 @@ def from_a_bad_morning(day: Day) -> None:
     """The doctor names everything that is wrong, and is content once the page has put it right."""
     code, text = day.to("ronna-procedure doctor")
     assert code == EXIT_NOT_FOUND
-    told = " ".join(text.split())
+    said = " ".join(text.split())
     for what in ("emergency stop", "NDI-022", "STE-010", "CAL-001"):
-        assert what in told, text
+        assert what in said, text
     code, text = day.to("ronna-procedure doctor")
     assert code == 0, text
 

@@ -62,8 +62,8 @@ def test_the_simulators_of_a_theatre_are_not_told_its_control_token(process: The
     simulators = descendants_of(process.child.process.pid)
     assert len(simulators) == SIMULATORS
     for simulator in simulators:
-        for told in ("cmdline", "environ"):
-            assert token not in Path(f"/proc/{simulator.pid}/{told}").read_bytes()
+        for shown in ("cmdline", "environ"):
+            assert token not in Path(f"/proc/{simulator.pid}/{shown}").read_bytes()
 
 
 def start_to_move(arm: RobotArm) -> tuple[threading.Thread, list[RonnaError]]:

@@ -136,11 +136,11 @@ def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
     from sim.kuka.rsi.telegram_writer import TelegramWriter
 
     path = Path(context("joints")).with_name(f"RSI_EthernetConfig_{name}.xml")
-    told = read_ethernet_file(path, None, 255)
-    telegram = TelegramWriter(told.send, 4, (0.0,) * 6, (0.0,) * 6).write((1.0,) * 6, (2.0,) * 6, 3, 4)
-    tags = {element.tag.removeprefix("DEF_").partition(".")[0] for element in told.send} - {"FREE"}
+    said = read_ethernet_file(path, None, 255)
+    telegram = TelegramWriter(said.send, 4, (0.0,) * 6, (0.0,) * 6).write((1.0,) * 6, (2.0,) * 6, 3, 4)
+    tags = {element.tag.removeprefix("DEF_").partition(".")[0] for element in said.send} - {"FREE"}
     assert {child.tag for child in ElementTree.fromstring(telegram)} == {*tags, "IPOC"}
-    assert told.ethernet.only_send is (name == "OnlySend")
+    assert said.ethernet.only_send is (name == "OnlySend")
 
 
 def test_the_next_client_is_served_after_one_was_killed(config: Path) -> None:

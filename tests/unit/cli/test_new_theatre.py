@@ -220,7 +220,7 @@ def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras,
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "shown"),
     [
         (("--interface", "eth77"), "no network interface eth77"),
         (("--controller", "192.168.10.300"), "192.168.10.300 is not an IPv4 address"),
@@ -241,11 +241,11 @@ def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras,
     ],
 )
 def test_a_mistake_is_reported_and_leaves_no_file(
-    cameras: Cameras, out: Path, options: tuple[str, ...], told: str
+    cameras: Cameras, out: Path, options: tuple[str, ...], shown: str
 ) -> None:
     code, _, errors = new_theatre(out, *options)
     assert code == EXIT_USAGE
-    assert any(told in line for line in one_error(errors)), errors
+    assert any(shown in line for line in one_error(errors)), errors
     assert not list(out.parent.iterdir())
 
 

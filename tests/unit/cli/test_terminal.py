@@ -377,10 +377,10 @@ def test_external_names_cannot_inject_escape_sequences_or_lines(
 
 def test_long_numbers_and_paths_are_shortened_to_a_line() -> None:
     path = f"/patients/{'a' * 300}/slice.dcm"
-    told = str(TooFar(f"cannot read {path}", got="9" * 400))
-    assert max(len(word.rstrip(".:")) for word in told.split()) <= 160
-    assert "/patients/aaa" in told
-    assert "aaa/slice.dcm: 999" in told
+    message = str(TooFar(f"cannot read {path}", got="9" * 400))
+    assert max(len(word.rstrip(".:")) for word in message.split()) <= 160
+    assert "/patients/aaa" in message
+    assert "aaa/slice.dcm: 999" in message
     assert len(str(TooFar("word " * 10_000))) < 5000
 
 

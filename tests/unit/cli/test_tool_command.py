@@ -80,9 +80,9 @@ def test_defining_a_known_tool_again_names_what_its_former_record_had_besides(th
     options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
     again = [option if option != "3" else "2" for option in DEFINE]
     done = in_this_process(app, "define", "guide", *options, *again)
-    told = " ".join(done.stderr.split())
-    assert (done.returncode, "the former record of guide had [tools.guide.frame]" in told) == (0, True), told
-    assert "copy what this tool still has" in told
+    text = " ".join(done.stderr.split())
+    assert (done.returncode, "the former record of guide had [tools.guide.frame]" in text) == (0, True), text
+    assert "copy what this tool still has" in text
 
 
 def test_a_tool_named_like_a_known_one_but_for_capitals_is_refused(theatre: Path) -> None:
@@ -212,9 +212,9 @@ def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Pa
     bent = written(tmp_path / "bent.txt", *[f"{x + 3} {y - 4} {z} 0 0"] * 12)
     options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--by", "A. Nurse")
     done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", bent)
-    told = " ".join(done.stderr.split())
-    assert (done.returncode, "the tip is 0.000 mm" in told) == (0, True), told
-    assert "the mandrel reads 5.000 mm from where the former record of guide has it" in told
+    text = " ".join(done.stderr.split())
+    assert (done.returncode, "the tip is 0.000 mm" in text) == (0, True), text
+    assert "the mandrel reads 5.000 mm from where the former record of guide has it" in text
 
 
 def shifted(pose: dict[str, list[float]]) -> None:
@@ -275,7 +275,7 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
 
 
 @pytest.mark.parametrize(
-    ("command", "told"),
+    ("command", "text"),
     [
         ("renew guide --by '' --gauge-mm DIALS", "name of a person; expected letters, got nothing"),
         ("renew gide --by Nurse --gauge-mm DIALS", "no tool 'gide' with a gauge; expected guide"),
@@ -312,14 +312,14 @@ def test_the_doctor_warns_of_a_guide_whose_record_does_not_say_where_its_tip_was
     ],
 )
 def test_an_impossible_value_is_refused_with_its_name_value_and_range(
-    theatre: Path, dials: Path, command: str, told: str
+    theatre: Path, dials: Path, command: str, text: str
 ) -> None:
     name, *arguments = shlex.split(command.replace("DIALS", str(dials)))
     last = theatre.with_name("last.toml")
     given = (*PLAIN, *arguments) if name == "define" else arguments
     said = in_this_process(app, name, *given, "--config", theatre, "--write", last)
     assert said.returncode != 0
-    assert told in " ".join(one_error(said.stderr))
+    assert text in " ".join(one_error(said.stderr))
     assert not last.exists()
 
 
@@ -339,13 +339,13 @@ def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code:
         theatre.write_text(theatre.read_text().replace('purpose = "needle_guide"', 'purpose = "drill"'))
     done = in_this_process(app, name, *(PLAIN if name == "define" else ()), *arguments, "--config", theatre)
     assert done.returncode == code, done.stderr
-    told = " ".join(in_this_process(app, name, "--help").stdout.split())
-    assert f" {code} " in told.partition("Exit codes:")[2].partition("Options:")[0]
+    text = " ".join(in_this_process(app, name, "--help").stdout.split())
+    assert f" {code} " in text.partition("Exit codes:")[2].partition("Options:")[0]
 
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize(
-    ("lines", "told"),
+    ("lines", "text"),
     [
         ([ONE_READ] * 11, "dials.txt has 11 approaches; expected at least 12, in 3 mountings"),
         ([*[ONE_READ] * 11, "0.01 -0.02 400 0.04 -0.05"], "dials.txt:12: Z is 400; expected -10"),
@@ -360,13 +360,13 @@ def test_the_exit_codes_are_those_of_the_help(theatre: Path, command: str, code:
     ids=["too few", "beyond the dial", "no number", "misread", "decimal commas", "incomplete"],
 )
 def test_gauge_readings_that_make_no_record_are_refused(
-    theatre: Path, dials: Path, lines: list[str], told: str
+    theatre: Path, dials: Path, lines: list[str], text: str
 ) -> None:
     last = theatre.with_name("last.toml")
     options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", written(dials, *lines))
     done = in_this_process(app, "renew", "guide", *options)
     assert done.returncode == 2
-    assert told in " ".join(one_error(done.stderr))
+    assert text in " ".join(one_error(done.stderr))
     assert not last.exists()
 
 

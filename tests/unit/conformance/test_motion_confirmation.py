@@ -44,10 +44,10 @@ def test_motion_without_a_confirming_name_is_refused_before_connecting(
     monkeypatch.setattr(sys, "stdin", io.StringIO("Ana\n"))  # no terminal: nobody can be asked
     assert _run("--allow", "motion") == EXIT_REFUSED
     assert _run("--allow", "motion", "--confirmed-by", "  ") == EXIT_REFUSED
-    told = capsys.readouterr().err
-    assert "CNF-005" in told
-    assert "R11" in told
-    assert "20 if a stop fails" in told
+    said = capsys.readouterr().err
+    assert "CNF-005" in said
+    assert "R11" in said
+    assert "20 if a stop fails" in said
     assert confirmed == []
 
 

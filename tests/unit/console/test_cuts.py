@@ -59,8 +59,8 @@ def test_a_mark_appears_at_its_computed_picture_position(plane: Plane, axes: np.
 
 
 def test_the_sides_of_the_pictures_follow_the_radiological_convention() -> None:
-    told = {plane: [side(np.array(one)) for one in DIRECTIONS[plane]] for plane in DIRECTIONS}
-    assert told == {Plane.AXIAL: ["L", "P"], Plane.CORONAL: ["L", "I"], Plane.SAGITTAL: ["P", "I"]}
+    said = {plane: [side(np.array(one)) for one in DIRECTIONS[plane]] for plane in DIRECTIONS}
+    assert said == {Plane.AXIAL: ["L", "P"], Plane.CORONAL: ["L", "I"], Plane.SAGITTAL: ["P", "I"]}
     assert side(np.array([0.8, -0.6, 0.0])) == "LA"
 
 

@@ -151,11 +151,11 @@ def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:
 
         task = asyncio.create_task(engine())
         await asyncio.sleep(0)
-        told = [await hub.order(OPERATOR, {"kind": "claim", "name": name}) for name in ("Ana", "Ben")]
+        said = [await hub.order(OPERATOR, {"kind": "claim", "name": name}) for name in ("Ana", "Ben")]
         await task
         writer.close()
         await feed
-        return told[0], told[1]
+        return said[0], said[1]
 
     assert asyncio.run(give()) == ("", "the seat is taken by Ana")
 

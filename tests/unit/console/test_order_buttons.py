@@ -55,14 +55,14 @@ def test_faults_can_be_acknowledged_at_a_pause(topic: str, possible: bool) -> No
 def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
     up: dict[str, Any], acted: int
 ) -> None:
-    done, told = [], []
+    done, said = [], []
 
     async def act() -> None:
         done.append(True)
 
     async def hold() -> None:
         with Client(ui.page("/of-a-test"), request=None):
-            button = HeldButton("yes", act, told.append)
+            button = HeldButton("yes", act, said.append)
         button._down(SimpleNamespace(args={"timeStamp": 10.0}))
         await button._up(SimpleNamespace(args={"timeStamp": 5000.0}))  # it has only just appeared
         button._appeared_s -= ARMED_S
@@ -70,7 +70,7 @@ def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
         await button._up(SimpleNamespace(args=up))
 
     asyncio.run(hold())
-    assert (len(done), len(told)) == (acted, 1 - acted)
+    assert (len(done), len(said)) == (acted, 1 - acted)
 
 
 def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_means() -> None:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 TESTS = Path(__file__).resolve().parents[2]
 
@@ -85,7 +85,7 @@ def test_a_figure_and_a_computed_limit_keep_their_order_when_rounded(
     limit: float, share: float, above: bool, decimals: int
 ) -> None:
     value = limit * (1.0 + share if above else 1.0 - share)
-    shown, refused_from = told_apart(value, limit, decimals)
+    shown, refused_from = side_by_side(value, limit, decimals)
     assert (float(shown) > float(refused_from)) == above
     assert float(shown) != float(refused_from)
 

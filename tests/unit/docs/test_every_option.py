@@ -63,6 +63,6 @@ def test_api_pages_show_field_types_enumeration_members_and_signatures() -> None
 
 def test_a_driver_method_without_a_docstring_shows_that_of_its_interface() -> None:
     driver = api_pages.devices().partition("class `PolarisTracker`")[2]
-    told = next(line for line in driver.splitlines() if line.startswith("- **`observe("))
+    said = next(line for line in driver.splitlines() if line.startswith("- **`observe("))
     interface = api_pages.devices().partition("class `OpticalTracker`")[2]
-    assert told in interface
+    assert said in interface

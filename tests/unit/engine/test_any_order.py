@@ -126,8 +126,8 @@ class AnyOrder(RuleBasedStateMachine):
     @invariant()
     def the_journal_tells_the_same_as_the_engine(self) -> None:
         run = read_run(self.cell.folder)
-        told = {record.identifier for record in run.records} - run.superseded
-        assert told == {stored.record.identifier for stored in self.cell.case.standing}
+        said = {record.identifier for record in run.records} - run.superseded
+        assert said == {stored.record.identifier for stored in self.cell.case.standing}
 
     def teardown(self) -> None:
         self.cell.journal.close()

@@ -30,9 +30,9 @@ def test_bodies_are_published_only_when_the_surroundings_change(cell: RecordingC
     for _ in range(3):
         view.at(POSE)
         view.publish(events)
-    told = [event.what for event in reader.read(0.0).events]
-    bare, tooled = (one for one in told if isinstance(one, Bodies))
-    assert len(told) == 2
+    said = [event.what for event in reader.read(0.0).events]
+    bare, tooled = (one for one in said if isinstance(one, Bodies))
+    assert len(said) == 2
     assert [body.name for body in tooled.moving[-1:]] == ["needle"]
     assert len(tooled.moving) == len(bare.moving) + 1
     assert [body.name for body in tooled.fixed if body.is_head] == ["head"]
@@ -65,8 +65,8 @@ def test_the_health_of_the_link_is_published_once_more_when_its_stream_has_ended
     for state in (Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.CONFIGURED):
         cell.arm.state = state
         view.publish(events)
-    told = [event.what for event in reader.read(0.0).events]
-    assert [one.cycles for one in told if isinstance(one, LinkHealth)] == [1]
+    said = [event.what for event in reader.read(0.0).events]
+    assert [one.cycles for one in said if isinstance(one, LinkHealth)] == [1]
 
 
 def test_the_health_of_a_link_that_still_streams_is_published_at_the_last_look(cell: RecordingCell) -> None:

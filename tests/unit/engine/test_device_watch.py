@@ -92,8 +92,8 @@ def test_facts_reported_by_a_device_are_published_on_change() -> None:
     watch.look()
     del says[0]
     watch.look()
-    told = [event.what.says for event in reader.read(0).events]
-    assert [[(one.found, one.ready) for one in facts] for facts in told] == [[("EXT", True)], [("T1", False)]]
+    said = [event.what.says for event in reader.read(0).events]
+    assert [[(one.found, one.ready) for one in facts] for facts in said] == [[("EXT", True)], [("T1", False)]]
 
 
 def test_a_failing_final_observation_raises_nothing() -> None:

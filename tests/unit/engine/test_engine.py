@@ -290,10 +290,10 @@ def test_a_repeated_step_supersedes_the_results_derived_from_its_former_one(cell
 
 def test_repeating_steps_keeps_every_record_named_in_the_journal(cell: RecordingCell) -> None:
     engine = run(run_to(cell.engine(plain_order()), "fit:T2"), *("localization:T1", "fit:T1") * 2)
-    told = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
+    said = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
     kept = {path.stem: read_record(path).sha256 for path in (cell.folder / "records").glob("*.json")}
-    assert {line["record"]: line["sha256"] for line in told} == kept
-    assert len(told) == len(kept) == 9
+    assert {line["record"]: line["sha256"] for line in said} == kept
+    assert len(said) == len(kept) == 9
     assert engine.machine.state == "operation.fit"
 
 

@@ -17,9 +17,9 @@ def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
 
 
 def test_differences_in_the_last_digits_count_as_rounded_and_are_named() -> None:
-    told = verdict(centre_mm=[812.186505, 0.25], covariance_mm2=[[1.0005e-5, 0.0]], joints_rad=[0.00900001])
-    assert told[0] is Verdict.ROUNDED
-    assert told[1][0] == "centre_mm[0]: 812.1865 recorded, 812.186505 computed"
+    said = verdict(centre_mm=[812.186505, 0.25], covariance_mm2=[[1.0005e-5, 0.0]], joints_rad=[0.00900001])
+    assert said[0] is Verdict.ROUNDED
+    assert said[1][0] == "centre_mm[0]: 812.1865 recorded, 812.186505 computed"
     assert verdict() == (Verdict.EQUAL, ())
 
 

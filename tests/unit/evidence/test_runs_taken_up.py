@@ -17,7 +17,7 @@ from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
-from ronna_hw.evidence.unsealed import UNSEALED, told_unsealed
+from ronna_hw.evidence.unsealed import UNSEALED, unsealed_sentences
 
 READINGS = "readings.jsonl"
 
@@ -203,14 +203,14 @@ def test_verify_names_what_a_later_session_sealed_as_it_lay(
 
 def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> None:
     files = {"log.jsonl": 9, "bytes/a": 1, "bytes/b": 2, "theatre/world.json": 3}
-    (sentence,) = told_unsealed(({"entry": Entry.RESTARTED, UNSEALED: files},))
+    (sentence,) = unsealed_sentences(({"entry": Entry.RESTARTED, UNSEALED: files},))
     assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) had no seal" in sentence
 
 
 def told_by_verify(run: Path) -> list[str]:
     verified = in_this_process(ronna_procedure, "verify", run, "--json")
-    told = json.loads(verified.stdout)
-    assert (verified.returncode, told["whole"]) == (0, True), told
+    said = json.loads(verified.stdout)
+    assert (verified.returncode, said["whole"]) == (0, True), said
     shown = in_this_process(ronna_procedure, "verify", run).stdout.splitlines()
-    assert shown[1:] == told["not_vouched_for"]
-    return list(told["not_vouched_for"])
+    assert shown[1:] == said["not_vouched_for"]
+    return list(said["not_vouched_for"])

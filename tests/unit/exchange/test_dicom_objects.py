@@ -85,9 +85,9 @@ def dump(path: Path) -> str:
 @pytest.mark.parametrize("kind", OBJECTS)
 def test_the_dicom_validator_finds_no_error(kind: str, tmp_path: Path) -> None:
     path = write(OBJECTS[kind](), tmp_path / "object.dcm")
-    told = subprocess.run(["dciodvfy", "-new", str(path)], capture_output=True, text=True).stderr
-    assert f"Spatial{kind.capitalize()}" in told
-    assert "Error" not in told, told
+    said = subprocess.run(["dciodvfy", "-new", str(path)], capture_output=True, text=True).stderr
+    assert f"Spatial{kind.capitalize()}" in said
+    assert "Error" not in said, said
 
 
 def test_gdcm_reads_the_same_matrix_between_the_same_frames(tmp_path: Path) -> None:
@@ -118,23 +118,23 @@ def test_gdcm_reads_the_same_spheres(tmp_path: Path) -> None:
 
 @needs("dcmdump")
 def test_dcmtk_reads_the_same_matrix(tmp_path: Path) -> None:
-    told = dump(write(registration(), tmp_path / "reg.dcm"))
-    matrices = re.findall(r"\(3006,00c6\) DS \[([^\]]*)\]", told)
+    said = dump(write(registration(), tmp_path / "reg.dcm"))
+    matrices = re.findall(r"\(3006,00c6\) DS \[([^\]]*)\]", said)
     read = [np.array([float(x) for x in text.split("\\")]).reshape(4, 4) for text in matrices]
     assert np.array_equal(read[0], np.eye(4))
     points = np.array([sphere.centre_mm for sphere in SPHERES])
     mapped = points @ read[1][:3, :3].T + read[1][:3, 3]
     assert np.abs(mapped - POSE.apply(points)).max() < 1e-9
-    assert ORIGIN.frame_of_reference_uid in told
+    assert ORIGIN.frame_of_reference_uid in said
 
 
 @needs("dcmdump")
 def test_dcmtk_reads_the_same_spheres(tmp_path: Path) -> None:
-    told = dump(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
-    centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", told)
+    said = dump(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", said)
     assert [tuple(float(x) for x in text.split("\\")) for text in centres] == [s.centre_mm for s in SPHERES]
-    assert re.findall(r"\(0070,0312\) FD ([\d.]+)", told) == ["0.0123", "0.02"]
-    assert all(fiducial_uid(ORIGIN, sphere) in told for sphere in SPHERES)
+    assert re.findall(r"\(0070,0312\) FD ([\d.]+)", said) == ["0.0123", "0.02"]
+    assert all(fiducial_uid(ORIGIN, sphere) in said for sphere in SPHERES)
 
 
 @pytest.mark.hazard(35)

@@ -100,15 +100,15 @@ def rows(folder: Path, name: str) -> list[dict[str, str]]:
 def test_pictures_are_written_losslessly_with_their_sensor_offset(run: Path, tmp_path: Path) -> None:
     folder, whole = write_raw(run, tmp_path / "raw")
     assert whole
-    told = rows(folder, "pictures.csv")
-    assert [(row["file"], row["side"], row["serial"], row["step"]) for row in told] == [
+    said = rows(folder, "pictures.csv")
+    assert [(row["file"], row["side"], row["serial"], row["step"]) for row in said] == [
         ("pictures/00001-left.png", "left", "L1", "registration:T1"),
         ("pictures/00001-right.png", "right", "R1", "registration:T1"),
     ]
-    assert {(row["offset_x_px"], row["offset_y_px"], row["theatre_time_s"]) for row in told} == {
+    assert {(row["offset_x_px"], row["offset_y_px"], row["theatre_time_s"]) for row in said} == {
         ("16", "32", "3.5")
     }
-    for row, side in zip(told, (PAIR.left, PAIR.right), strict=True):
+    for row, side in zip(said, (PAIR.left, PAIR.right), strict=True):
         picture = cv2.imread(str(folder / row["file"]), cv2.IMREAD_UNCHANGED)
         assert side is not None
         assert picture.dtype == side.pixels.dtype
@@ -206,8 +206,8 @@ def test_sealing_at_once_or_interrupted_keeps_the_existing_raw_readings(
 def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Path) -> None:
     run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
     seal_run(run)
-    told = [in_this_process(app, command, run) for command in ("show", "verify")]
-    assert not any(f"{RAW_FOLDER}/" in one.stdout for one in told)
+    said = [in_this_process(app, command, run) for command in ("show", "verify")]
+    assert not any(f"{RAW_FOLDER}/" in one.stdout for one in said)
     journal = Journal.taken_up(run, read_chain(run / "journal.jsonl"))
     journal.write(Entry.RESTARTED, 4.0)
     journal.write(Entry.INTENT, 4.0, step="relocalization:T2")

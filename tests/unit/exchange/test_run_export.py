@@ -73,8 +73,8 @@ def test_an_export_has_the_spheres_and_the_last_registration_of_each_trajectory(
         *("registration-T1.dcm", "registration-T2.dcm"),
     }
     assert (out / "spheres.csv").read_text().splitlines()[1].startswith("M1,1.0,2.0,3.0,0.01")
-    told = json.loads((out / "registrations.json").read_text())["registrations"]
-    assert [(one["trajectory"], one["robot_from_ct"]["translation_mm"][0]) for one in told] == [
+    said = json.loads((out / "registrations.json").read_text())["registrations"]
+    assert [(one["trajectory"], one["robot_from_ct"]["translation_mm"][0]) for one in said] == [
         ("T2", 2.0),
         ("T1", 3.0),
     ]
@@ -93,8 +93,8 @@ def test_the_tables_agree_with_the_dicom_objects(finished: Path) -> None:
         read = dcmread(out / f"registration-{row['trajectory']}.dcm").RegistrationSequence[1]
         step = read.MatrixRegistrationSequence[0].MatrixSequence[0]
         matrix = np.array(step.FrameOfReferenceTransformationMatrix, dtype=float).reshape(4, 4)
-        told = [float(row[f"m{i}{j}"]) for i in range(1, 4) for j in range(1, 5)]
-        np.testing.assert_allclose(told, matrix[:3].ravel(), atol=1e-12)
+        said = [float(row[f"m{i}{j}"]) for i in range(1, 4) for j in range(1, 5)]
+        np.testing.assert_allclose(said, matrix[:3].ravel(), atol=1e-12)
         assert float(row["predicted_tre_mm"]) == 0.2
 
 

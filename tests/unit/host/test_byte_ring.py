@@ -18,7 +18,7 @@ def ring() -> tuple[ByteRing, bytearray]:
 def test_entries_are_read_once_and_in_order_across_the_wrap_around(ring: tuple[ByteRing, bytearray]) -> None:
     entries, memory = ring
     at, heard = 0, b""
-    told = b"".join(b"%03d;" % number for number in range(100))
+    said = b"".join(b"%03d;" % number for number in range(100))
     for number in range(100):
         entries.write(memory, b"%03d;" % number)
         if number % 7 == 0:
@@ -26,7 +26,7 @@ def test_entries_are_read_once_and_in_order_across_the_wrap_around(ring: tuple[B
             assert lost == 0
             heard += content
     heard += entries.read(memory, at).content
-    assert heard == told
+    assert heard == said
 
 
 def test_an_overtaken_reader_continues_with_the_newest_entry_and_knows_how_much_it_lost(

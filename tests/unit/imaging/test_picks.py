@@ -71,10 +71,10 @@ def test_a_pick_on_something_doubtful_is_taken_and_its_doubts_are_told(make_scan
         scan.ball(middle + np.array([0.0, 0.0, step_mm]))
     geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
     picked = localize_picks(Volume(scan.voxels(), geometry, "1.2.3", "1.2.4"), middle[None])
-    (marker,), (told,) = picked.markers, picked.doubtful
-    assert told.accepted
-    assert "longer in one direction than in another" in told.reason
-    assert marker.odds == told.odds < 0.2
+    (marker,), (said,) = picked.markers, picked.doubtful
+    assert said.accepted
+    assert "longer in one direction than in another" in said.reason
+    assert marker.odds == said.odds < 0.2
 
 
 def test_picks_in_ras_are_refused_with_a_hint(volume: Volume) -> None:

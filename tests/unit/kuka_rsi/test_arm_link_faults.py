@@ -145,7 +145,7 @@ def test_foreign_datagrams_are_counted_and_named_when_the_controllers_telegram_d
 ) -> None:
     arm, activated = waiting_arm
     _strangers_say(controller, b"hello", _elsewhere(controller), _elsewhere(controller))
-    told = "A1 is 0.000 deg by EKI and 30.000 by RSI; 2 reported other axes, 1 were malformed"
-    with pytest.raises(PoseDisagrees, match=re.escape(told) + ".*the last from 127.0.0.1"):
+    said = "A1 is 0.000 deg by EKI and 30.000 by RSI; 2 reported other axes, 1 were malformed"
+    with pytest.raises(PoseDisagrees, match=re.escape(said) + ".*the last from 127.0.0.1"):
         activated.result(5.0)
     assert state_of(arm) is Lifecycle.FAULT

@@ -92,13 +92,13 @@ def test_the_context_wires_each_channel_to_its_object() -> None:
 
 
 def test_the_context_wires_feedback_to_its_channel() -> None:
-    told = CONTEXT.model_copy(
+    said = CONTEXT.model_copy(
         update={
             "send": (*CONTEXT.send, SendElement(tag="Stat", type="LONG", indx=5)),
             "feedback": (Feedback(indx=5, object="AXISCORR"),),
         }
     )
-    made = render(told)
+    made = render(said)
     ethernet = ElementTree.fromstring(made["ronna_rsi.rsi.xml"])[0]
     assert ethernet.get("ObjType") == "ETHERNET"
     (wire,) = ethernet.findall("Inputs/Input")

@@ -116,14 +116,14 @@ def test_brakes_are_judged_as_the_controller_reports_them(
     assert (fact.found, fact.ready, bool(fact.advice)) == (found, well, not well)
 
 
-@pytest.mark.parametrize(("told", "serial"), [("601234", "601234"), ("0", ""), (None, "")])
+@pytest.mark.parametrize(("said", "serial"), [("601234", "601234"), ("0", ""), (None, "")])
 def test_the_arm_has_the_serial_number_that_its_controller_reports(
-    controller: FakeController, make_arm: Callable[[], KukaRsiArm], told: str | None, serial: str
+    controller: FakeController, make_arm: Callable[[], KukaRsiArm], said: str | None, serial: str
 ) -> None:
-    if told is None:  # files of an earlier version
+    if said is None:  # files of an earlier version
         del controller.facts["Serial"]
     else:
-        controller.facts["Serial"] = told
+        controller.facts["Serial"] = said
     identity = make_arm().connect()
     assert identity.serial == serial
     assert ("verified", "yes") in identity.details

@@ -118,8 +118,8 @@ def test_no_rate_is_negotiated_on_a_link_without_one(make_tracker: Make, unit: A
 
 def test_plausible_command_time_limits_from_the_unit_are_adopted(make_tracker: Make, unit: Any) -> None:
     usual = unit._do_get
-    told = ["BX=1.5", "TX=9", "GET=0", "INIT=900", "PHSR=soon", "NOPE=3", "TSTOP=7"]
-    limits = "\n".join(f"Info.Timeout.{line}" for line in told)
+    said = ["BX=1.5", "TX=9", "GET=0", "INIT=900", "PHSR=soon", "NOPE=3", "TSTOP=7"]
+    limits = "\n".join(f"Info.Timeout.{line}" for line in said)
     unit._do_get = lambda name: limits if name == "Info.Timeout.*" else usual(name)
     device = make_tracker(time_limits_s={"TSTOP": 3.0})
     device.connect()

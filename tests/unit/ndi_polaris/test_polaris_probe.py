@@ -278,19 +278,19 @@ def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
 
 
 def test_a_controller_that_speaks_first_is_sent_nothing() -> None:
-    told: list[bytes] = []
+    shown: list[bytes] = []
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def serve() -> None:
             with server.accept()[0] as peer:
                 peer.sendall(b'<State Mode="EXT"></State>')
-                told.append(peer.recv(4096))
+                shown.append(peer.recv(4096))
 
         controller = threading.Thread(target=serve)
         controller.start()
         seen = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1]))).seen
         controller.join()
-    assert told == [b""]
+    assert shown == [b""]
     assert "a robot controller that sends its state over EKI" in seen
 
 

@@ -128,10 +128,10 @@ def test_a_break_lasts_500_ms(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_usb_adapter_is_set_to_low_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     unit, terminal = pty.openpty()
-    told: list[bool] = []
-    monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _port, wanted: told.append(wanted))
+    said: list[bool] = []
+    monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _port, wanted: said.append(wanted))
     SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}")).close()
-    assert told == [True]
+    assert said == [True]
     os.close(unit)
     os.close(terminal)
 

@@ -157,7 +157,7 @@ def test_a_position_at_which_the_arm_at_home_hides_a_sphere_from_the_tracker_is_
 
 @pytest.mark.hazard(48)
 @pytest.mark.parametrize(
-    ("way", "far_mm", "told"),
+    ("way", "far_mm", "said"),
     [
         (ABOVE, 1900.0, ""),
         (ABOVE, 2400.0, "the frame on the arm at home is outside the measuring volume of the tracker"),
@@ -167,8 +167,8 @@ def test_a_position_at_which_the_arm_at_home_hides_a_sphere_from_the_tracker_is_
     ],
 )
 def test_a_position_from_which_the_tracker_cannot_see_the_frame_on_the_arm_is_refused(
-    way: tuple[float, float, float], far_mm: float, told: str
+    way: tuple[float, float, float], far_mm: float, said: str
 ) -> None:
     setting = _setting()
     judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judged(HERE, (_known(),))
-    assert (judged.serves, judged.reason) == (not told, told)
+    assert (judged.serves, judged.reason) == (not said, said)

@@ -50,8 +50,8 @@ def test_a_trajectory_within_the_margin_of_a_structure_is_refused(
     near = structure_of("vessel", margin_mm, [BESIDE_TARGET])
     check = check_plan(avoiding(plan, near), make_volume())
     assert check.passed == passes
-    told = check.as_payload()["structures"][0]
-    assert (told["name"], told["trajectory"], told["margin_mm"]) == ("vessel", "T1", margin_mm)
+    said = check.as_payload()["structures"][0]
+    assert (said["name"], said["trajectory"], said["margin_mm"]) == ("vessel", "T1", margin_mm)
     if not passes:
         with pytest.raises(NearStructure, match=r"PLAN-027.*T1.*vessel.*at least 4\.5 mm.*got 4\.0 mm"):
             check.require()
@@ -89,11 +89,11 @@ def test_a_thinned_structure_never_seems_farther_away_than_it_is(plan: Plan) -> 
     thin = structure_of("vessel", 1.0, cloud)
     assert len(thin.points_mm) <= MOST_POINTS
     within = avoiding(plan, thin)
-    for told in structure_distances(within):
-        way = plan.trajectory(told.trajectory)
+    for said in structure_distances(within):
+        way = plan.trajectory(said.trajectory)
         samples = np.linspace(way.entry_mm, way.target_mm, 200)
         nearest = min(float(np.linalg.norm(cloud - one, axis=1).min()) for one in samples)
-        assert told.distance_mm <= nearest + 0.1
+        assert said.distance_mm <= nearest + 0.1
 
 
 def test_a_plan_with_structures_survives_writing_and_reading(plan: Plan, tmp_path: Path) -> None:

@@ -28,10 +28,10 @@ def test_a_sphere_behind_the_forearm_is_hidden_and_one_off_to_the_side_is_not() 
 
 
 def test_expected_visibility_agrees_with_the_simulator_for_nearly_every_sphere() -> None:
-    told = []
+    said = []
     for seed in range(SCENES):
         case = TrackedCase(seed)
         sight = GuideSight(case)
         for joints in (joints for approach in sight.approaches for joints in approach):
-            told.extend(sight.expected(joints) == sight.seen(joints))
-    assert np.mean(told) >= LEAST_AGREEMENT
+            said.extend(sight.expected(joints) == sight.seen(joints))
+    assert np.mean(said) >= LEAST_AGREEMENT

@@ -61,7 +61,7 @@ def move_frame(tracker: SeeingTracker) -> None:
 
 
 @pytest.mark.parametrize(
-    ("move", "told"),
+    ("move", "said"),
     [
         (move_head(0.35), "the head has moved"),
         (move_head(30.0), "the head has moved"),  # no sphere is near its place: known by their layout
@@ -69,14 +69,14 @@ def move_frame(tracker: SeeingTracker) -> None:
     ],
 )
 def test_a_change_that_a_step_would_refuse_is_a_difference(
-    cell: ClinicalCell, move: Callable[[SeeingTracker], None], told: str
+    cell: ClinicalCell, move: Callable[[SeeingTracker], None], said: str
 ) -> None:
     engine = localized(cell)
     move(cell.tracker)
     seen, comparison = compared(engine)
     assert seen
     assert len(comparison.differences) == 1
-    assert told in comparison.differences[0]
+    assert said in comparison.differences[0]
 
 
 def test_two_spheres_are_too_few_for_a_comparison(cell: ClinicalCell) -> None:

@@ -120,9 +120,9 @@ def test_positioning_is_refused_before_the_new_check(cell: ClinicalCell) -> None
 
 def test_the_restart_question_announces_the_repeated_tool_check(cell: ClinicalCell) -> None:
     again, _ = restarted(cell, operation(cell, FIRST), f"positioning:{FIRST}")
-    told = again.operator.asked[0].value.split("\n")
-    assert f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in told
-    assert any("tool_check is repeated" in line for line in told)
+    said = again.operator.asked[0].value.split("\n")
+    assert f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in said
+    assert any("tool_check is repeated" in line for line in said)
 
 
 def test_an_instrument_in_the_guide_comes_out_before_the_check(cell: ClinicalCell) -> None:

@@ -103,10 +103,10 @@ def test_an_image_without_a_sphere_is_refused(renderer, head, look):
 def test_a_fault_in_either_image_is_reported_with_its_camera(renderer, head, look):
     black, white = (AreaImage(np.full((1088, 2048), level, np.uint8)) for level in (3, 255))
     good = pair(renderer, head, look)[0]
-    for images, kind, told in (
+    for images, kind, said in (
         ((good, black), NoContrast, "right camera: the image is completely dark"),
         ((black, black), NoContrast, "both cameras: the image is completely dark"),
         ((black, white), Saturated, "left camera: the image is completely dark; right camera: .* saturated"),
     ):
-        with pytest.raises(kind, match=told):
+        with pytest.raises(kind, match=said):
             locate_sphere(*images, head.calibration)

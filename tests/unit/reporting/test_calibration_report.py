@@ -92,14 +92,14 @@ def test_the_key_that_identifies_a_kind_of_figures_is_always_in_it_and_never_in_
 
 
 @pytest.mark.hazard(26)
-@pytest.mark.parametrize(("smallest_mm", "told"), [(3.84, True), (0.04, False), (None, False)])
+@pytest.mark.parametrize(("smallest_mm", "shown"), [(3.84, True), (0.04, False), (None, False)])
 def test_a_calibration_says_how_large_a_slip_of_the_head_it_can_see_and_what_sees_a_smaller_one(
-    smallest_mm: float | None, told: bool
+    smallest_mm: float | None, shown: bool
 ) -> None:
     figures = HeadFigures.model_validate_json(json.dumps({**HEAD, "smallest_slip_mm": smallest_mm}))
     said = " ".join(figures.warnings())
-    assert ("less than 3.84 mm" in said) is told
-    assert ("ronna-stereo check" in said) is told
+    assert ("less than 3.84 mm" in said) is shown
+    assert ("ronna-stereo check" in said) is shown
 
 
 def test_excluded_acquisitions_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:

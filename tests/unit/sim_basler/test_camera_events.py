@@ -172,13 +172,13 @@ def test_acquisition_and_frame_triggers_are_reported_whether_obeyed_or_not(
     assert bench.set("TriggerSelector", 1) == bench.set("TriggerMode", 1) == OK
     for selector in (0, 0, 1):
         assert bench.set("TriggerSelector", selector) == bench.set("TriggerSoftware", 1) == OK
-    told: list[int] = []
-    while len(told) < 3:
+    said: list[int] = []
+    while len(said) < 3:
         message = listener.message()
-        told += [item[0] for item in message.items]
+        said += [item[0] for item in message.items]
         listener.acknowledge(message)
         bench.camera.messages.receive()
-    assert told == [
+    assert said == [
         EventKind.ACQUISITION_START,
         EventKind.ACQUISITION_START_OVERTRIGGER,
         EventKind.FRAME_START,
@@ -318,14 +318,14 @@ def test_excess_events_are_lost_and_at_most_one_overrun_event_reports_it(
     # one message under way, the queue behind it, and three that find it full
     for _ in range(2 + 1 + EVENTS_KEPT + 3):
         assert bench.set("TriggerSoftware", 1) == OK
-    told: list[int] = []
+    said: list[int] = []
     for _ in range(2 if EVENTS_KEPT < EVENTS_PER_MESSAGE else 3):
         message = listener.message()
-        told += [item[0] for item in message.items]
+        said += [item[0] for item in message.items]
         listener.acknowledge(message)
         bench.camera.messages.receive()
-    assert told.count(EventKind.FRAME_START_OVERTRIGGER) == 1 + EVENTS_KEPT
-    assert told.count(EventKind.EVENT_OVERRUN) == overruns
+    assert said.count(EventKind.FRAME_START_OVERTRIGGER) == 1 + EVENTS_KEPT
+    assert said.count(EventKind.EVENT_OVERRUN) == overruns
 
 
 class LosesFirst(NoFaults):

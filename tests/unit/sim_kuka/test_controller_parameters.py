@@ -21,7 +21,7 @@ def test_parameters_are_set_by_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("assignment", "told"),
+    ("assignment", "said"),
     [
         ("lag=1", "unknown parameter 'lag'"),
         ("lag_s", "lag_s cannot be ''"),
@@ -36,8 +36,8 @@ def test_parameters_are_set_by_name() -> None:
         ("streams_after_stop=perhaps", "streams_after_stop cannot be 'perhaps'; expected true or false"),
     ],
 )
-def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, told: str) -> None:
-    with pytest.raises(UnknownParameter, match=told) as caught:
+def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, said: str) -> None:
+    with pytest.raises(UnknownParameter, match=said) as caught:
         changed_parameters([assignment])
     assert caught.value.code == "KRC-003"
 
@@ -46,6 +46,6 @@ def test_list_parameters_shows_every_best_estimate_with_its_meaning(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     kuka(list_parameters=True)
-    told = capsys.readouterr().out.splitlines()
-    assert len(told) == len(fields(ControllerParameters))
-    assert "lag_s=0.015  Time constant of the drives, first order; 10 to 30 ms are published." in told
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == len(fields(ControllerParameters))
+    assert "lag_s=0.015  Time constant of the drives, first order; 10 to 30 ms are published." in said

@@ -145,7 +145,7 @@ def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(
 
 
 @pytest.mark.parametrize(
-    ("tells", "lag", "told"),
+    ("tells", "lag", "said"),
     [
         ("total", 0, [0, 1, 2, 2, 3]),
         ("total", 1, [0, 0, 1, 2, 2]),
@@ -154,7 +154,7 @@ def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(
     ],
 )
 def test_delay_d_counts_late_replies_as_configured(
-    bench_with: Callable[..., Any], tells: str, lag: int, told: list[int]
+    bench_with: Callable[..., Any], tells: str, lag: int, said: list[int]
 ) -> None:
     bench = bench_with(delay_tells=tells, delay_lag_cycles=lag)
     bench.enter_movecorr()
@@ -162,7 +162,7 @@ def test_delay_d_counts_late_replies_as_configured(
     for answered in (False, False, True, False, True):
         seen.append(int(bench.telegram().split(b'<Delay D="')[1].split(b'"')[0]))
         bench.answer() if answered else bench.miss()
-    assert seen == told
+    assert seen == said
 
 
 def test_stat_reports_limits_only_when_configured(
@@ -332,8 +332,8 @@ def test_inverted_status_bits_apply_when_reported_and_when_received(
     position = _ask(bench, '<Cmd Id="3" Name="STATUS"></Cmd>')[0].find("Pos")
     assert position is not None
     assert int(position.attrib["S"]) == 0b010 ^ inverted
-    told = " ".join(f'{name}="{value}"' for name, value in position.attrib.items())
-    acknowledged = _ask(bench, f'<Cmd Id="4" Name="PTP_POS" {told}></Cmd>')[0]
+    said = " ".join(f'{name}="{value}"' for name, value in position.attrib.items())
+    acknowledged = _ask(bench, f'<Cmd Id="4" Name="PTP_POS" {said}></Cmd>')[0]
     assert acknowledged.get("Code") == "0"
     while bench.controller.moving:
         bench.controller.settle()

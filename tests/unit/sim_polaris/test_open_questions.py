@@ -69,7 +69,7 @@ def test_a_parameter_can_change_which_commands_a_mode_allows(
 
 
 def test_replies_can_list_disabled_handles(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
-    for status, told in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
+    for status, shown in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
         bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status).ready()
         bench.enable(pointer)
         bench.enable(pointer)
@@ -77,7 +77,7 @@ def test_replies_can_list_disabled_handles(make_bench: Callable[..., Bench], poi
         bench.send("TSTART 80")
         answer = bench.send("TX 0001")
         assert answer.startswith("0201+")
-        assert told in answer
+        assert shown in answer
         raw = bench.raw("BX 0003")
         assert raw[6:8] == b"\x02\x01"
         assert raw[6 + 1 + 2 + 32 + 8 + 11 :][:2] == b"\x02\x04"
@@ -124,10 +124,10 @@ def test_out_of_volume_bits_can_start_at_either_end_of_a_byte() -> None:
 def test_phinf_can_report_the_serial_number_in_either_byte_order(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
-    for number, told in ((True, "3E000001"), (False, "0100003E")):
+    for number, shown in ((True, "3E000001"), (False, "0100003E")):
         bench = make_bench(serial_low_byte_first=number).ready()
         bench.enable(pointer)
-        assert bench.send("PHINF 01")[23:31] == told
+        assert bench.send("PHINF 01")[23:31] == shown
 
 
 def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:

@@ -83,8 +83,8 @@ def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request()
     alone = ReplyOption.STRAY_PASSIVE
     every = alone | ReplyOption.OUT_OF_VOLUME
     assert text_reply(frame, alone, USUAL) == "00" + "021" + "+000100+000200-100000" + "0000"
-    told = "+000100+000200-100000+090000+000000-100000"
-    assert text_reply(frame, every, USUAL) == "00" + "021" + told + "0000"
+    said = "+000100+000200-100000+090000+000000-100000"
+    assert text_reply(frame, every, USUAL) == "00" + "021" + said + "0000"
     assert binary_body(frame, alone, USUAL) == b"\0\2\2" + struct.pack("<3f", 1, 2, -1000) + b"\0\0"
     assert len(binary_body(frame, every, USUAL)) == 3 + 24 + 2
 

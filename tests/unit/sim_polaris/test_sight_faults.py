@@ -63,19 +63,19 @@ def disturb(bench: Bench, *lines: str) -> None:
 
 
 def test_an_undisturbed_tool_is_tracked(tracked: Bench) -> None:
-    told = tell(tracked)
-    assert not told.missing
-    assert (told.status, told.information, told.digits) == (0x31, 0x10, "3333")
-    assert len(told.strays_mm) == BENCH_STRAYS
-    assert told.system_status == 0
+    said = tell(tracked)
+    assert not said.missing
+    assert (said.status, said.information, said.digits) == (0x31, 0x10, "3333")
+    assert len(said.strays_mm) == BENCH_STRAYS
+    assert said.system_status == 0
 
 
 def test_a_hidden_tool_is_reported_missing_for_too_few_markers(tracked: Bench) -> None:
     disturb(tracked, f"occlude tool {POINTER_NUMBER}")
-    told = tell(tracked)
-    assert told.missing
-    assert (told.status, told.information, told.digits) == (0x31, 0x02, "0000")
-    assert len(told.strays_mm) == BENCH_STRAYS
+    said = tell(tracked)
+    assert said.missing
+    assert (said.status, said.information, said.digits) == (0x31, 0x02, "0000")
+    assert len(said.strays_mm) == BENCH_STRAYS
 
 
 def test_a_tool_is_tracked_with_one_marker_hidden_but_not_with_two(tracked: Bench) -> None:
@@ -92,11 +92,11 @@ def test_a_tool_is_tracked_with_one_marker_hidden_but_not_with_two(tracked: Benc
 
 def test_a_bent_tool_does_not_fit_its_definition(tracked: Bench) -> None:
     disturb(tracked, f"bend tool {POINTER_NUMBER} 20 mm")
-    told = tell(tracked)
-    assert told.missing
-    assert told.information == 0x01
-    assert "2" in told.digits
-    assert len(told.strays_mm) == BENCH_STRAYS + 4
+    said = tell(tracked)
+    assert said.missing
+    assert said.information == 0x01
+    assert "2" in said.digits
+    assert len(said.strays_mm) == BENCH_STRAYS + 4
 
 
 def test_a_slightly_bent_tool_is_tracked_with_a_larger_error(tracked: Bench) -> None:
@@ -109,10 +109,10 @@ def test_a_slightly_bent_tool_is_tracked_with_a_larger_error(tracked: Bench) -> 
 @pytest.mark.parametrize(("angle", "digits"), [("-60", "3333"), ("100", "1111"), ("-120", "1111")])
 def test_a_tool_turned_beyond_its_angle_is_missing(tracked: Bench, angle: str, digits: str) -> None:
     disturb(tracked, f"turn tool {POINTER_NUMBER} {angle} deg")
-    told = tell(tracked)
-    assert told.missing is (digits == "1111")
-    assert told.digits == digits
-    assert told.information == (0x02 if told.missing else 0x10)
+    said = tell(tracked)
+    assert said.missing is (digits == "1111")
+    assert said.digits == digits
+    assert said.information == (0x02 if said.missing else 0x10)
 
 
 def test_a_tool_moved_out_of_the_volume_is_reported_only_on_request(tracked: Bench) -> None:
@@ -130,9 +130,9 @@ def test_a_tool_moved_out_of_the_volume_is_reported_only_on_request(tracked: Ben
 def test_a_tool_partially_out_of_the_volume_is_flagged(tracked: Bench) -> None:
     _, half_y = PYRAMID.half_widths_mm(1500.0)
     disturb(tracked, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
-    told = tell(tracked, "1003")
-    assert told.status == 0x31 | PortStatus.PARTIALLY_OUT_OF_VOLUME
-    assert not told.missing
+    said = tell(tracked, "1003")
+    assert said.status == 0x31 | PortStatus.PARTIALLY_OUT_OF_VOLUME
+    assert not said.missing
 
 
 def test_a_unit_may_hide_tools_that_are_partially_out(
@@ -147,9 +147,9 @@ def test_a_unit_may_hide_tools_that_are_partially_out(
 
 def test_a_tool_behind_the_sensor_is_not_seen_at_all(tracked: Bench) -> None:
     disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 3000 mm")
-    told = tell(tracked)
-    assert told.missing
-    assert told.digits == "0000"
+    said = tell(tracked)
+    assert said.missing
+    assert said.digits == "0000"
 
 
 def test_additional_strays_stay_where_they_are(tracked: Bench) -> None:
@@ -174,12 +174,12 @@ def test_reflections_come_and_go(tracked: Bench) -> None:
 
 def test_a_loose_stereo_match_reports_phantoms_on_the_epipolar_planes(tracked: Bench) -> None:
     disturb(tracked, "phantoms 30 mm")
-    told = tell(tracked)
-    assert len(told.strays_mm) > BENCH_STRAYS
+    said = tell(tracked)
+    assert len(said.strays_mm) > BENCH_STRAYS
     truth = np.array(tracked.world.scene.tracker.strays_mm)
-    ghosts = [stray for stray in told.strays_mm if np.linalg.norm(truth - stray, axis=1).min() > 5.0]
+    ghosts = [stray for stray in said.strays_mm if np.linalg.norm(truth - stray, axis=1).min() > 5.0]
     # x / z is the epipolar plane: each phantom lies near that of a true marker
-    tool = told.position_mm + np.array(
+    tool = said.position_mm + np.array(
         [[0.0, 0.0, 0.0], [0.0, 50.0, 0.0], [25.0, 100.0, 0.0], [-25.0, 135.0, 0.0]]
     )
     slopes = np.array([x / z for x, _, z in (*truth, *tool)])
@@ -191,17 +191,17 @@ def test_a_loose_stereo_match_reports_phantoms_on_the_epipolar_planes(tracked: B
 def test_sunlight_flags_too_much_infrared_for_system_and_tool_and_adds_strays(tracked: Bench) -> None:
     disturb(tracked, "sunlight")
     seen = [tell(tracked) for _ in range(20)]
-    assert all(told.system_status == 0x0002 for told in seen)
-    assert all(told.status & PortStatus.IR_INTERFERENCE for told in seen)
-    assert max(len(told.strays_mm) for told in seen) > BENCH_STRAYS
+    assert all(said.system_status == 0x0002 for said in seen)
+    assert all(said.status & PortStatus.IR_INTERFERENCE for said in seen)
+    assert max(len(said.strays_mm) for said in seen) > BENCH_STRAYS
 
 
 def test_interference_flags_the_tool_and_not_the_system(tracked: Bench) -> None:
     disturb(tracked, f"interference tool {POINTER_NUMBER}")
-    told = tell(tracked)
-    assert told.status == 0x31 | PortStatus.IR_INTERFERENCE
-    assert told.information == 0x14
-    assert told.system_status == 0
+    said = tell(tracked)
+    assert said.status == 0x31 | PortStatus.IR_INTERFERENCE
+    assert said.information == 0x14
+    assert said.system_status == 0
 
 
 @pytest.mark.parametrize(
@@ -211,10 +211,10 @@ def test_interference_flags_the_tool_and_not_the_system(tracked: Bench) -> None:
 def test_a_fault_leaves_no_trace_after_it_ends(tracked: Bench, line: str) -> None:
     tracked.world.set_fault_script(f"at 0.5 s: tracker {line} for 0.5 s")
     seen = [tell(tracked) for _ in range(90)]
-    for told in (*seen[:29], *seen[60:]):
-        assert (told.status, told.digits, len(told.strays_mm), told.system_status) == (0x31, "3333", 3, 0)
+    for said in (*seen[:29], *seen[60:]):
+        assert (said.status, said.digits, len(said.strays_mm), said.system_status) == (0x31, "3333", 3, 0)
     assert any(
-        told.status != 0x31 or told.digits != "3333" or len(told.strays_mm) > 3 for told in seen[31:59]
+        said.status != 0x31 or said.digits != "3333" or len(said.strays_mm) > 3 for said in seen[31:59]
     )
 
 

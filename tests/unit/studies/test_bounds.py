@@ -63,9 +63,9 @@ def test_bounds_change_the_plot_of_a_zero_count() -> None:
 def test_plots_label_their_bands_and_whiskers(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     monkeypatch.setattr(plots, "_png", drawn.append)
-    told = bounds.percent(1, 10)
-    curves("t", "x", "y", {"ours": [(1.0, told), (2.0, told)]})
-    bars("t", "y", {"5": {"ours": told}}, x_label="x")
+    said = bounds.percent(1, 10)
+    curves("t", "x", "y", {"ours": [(1.0, said), (2.0, said)]})
+    bars("t", "y", {"5": {"ours": said}}, x_label="x")
     for figure in drawn:
         (legend,) = figure.legends or [figure.axes[0].get_legend()]
         assert {text.get_text() for text in legend.get_texts()} == {"ours", "95 % bounds"}

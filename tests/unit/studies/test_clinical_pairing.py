@@ -51,9 +51,9 @@ def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by
     conditions = {
         condition: study.run(Unit(condition, 0, 40)) for condition in (f"{PHANTOM}|1", f"{PATIENT}|1")
     }
-    (told,) = tables(conditions)
-    for row in told.rows:
-        shown = dict(zip(told.columns, row, strict=True))
+    (said,) = tables(conditions)
+    for row in said.rows:
+        shown = dict(zip(said.columns, row, strict=True))
         assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)
         assert shown["least % there, here"] == 100.0
         assert shown["100 % from e mm"] < shown["100 % to e mm"]

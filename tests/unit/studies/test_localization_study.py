@@ -92,11 +92,11 @@ def sums_of(
 ) -> dict[str, float]:
     """Ours on one family: all errors alike."""
     found = spheres - missed
-    told = {"spheres": spheres, "found": found, "missed": missed, "false": 0.0}
-    told |= {"error2": found * error_mm**2, "chi2": found * (error_mm / sigma_mm) ** 2}
-    told[f"bin {int(1e3 * error_mm)}"] = found
+    said = {"spheres": spheres, "found": found, "missed": missed, "false": 0.0}
+    said |= {"error2": found * error_mm**2, "chi2": found * (error_mm / sigma_mm) ** 2}
+    said[f"bin {int(1e3 * error_mm)}"] = found
     return {"volumes": volumes, "objects": 250.0} | {
-        f"combined|{key}": float(value) for key, value in told.items()
+        f"combined|{key}": float(value) for key, value in said.items()
     }
 
 
@@ -134,9 +134,9 @@ def test_one_bad_family_is_not_hidden_by_the_others() -> None:
     wide, narrow = sums_of(0.008, 0.008 / (3 * 0.6) ** 0.5, 60), sums_of(0.008, 0.008 / (3 * 1.6) ** 0.5, 60)
     buried = sums_of(0.045, 0.045 / 3**0.5, 60)
     far = sums_of(0.008, 0.008 / 3**0.5, 60) | {"combined|bin 8": 59.0, "combined|bin 160": 1.0}
-    told = goals({"broad|good": wide, "clamp|good": narrow, "soaked|poor": buried, "edge|poor": far})
-    assert told is not None
-    assert {row[0] for row in told.rows if row[3] == "NO"} >= {
+    said = goals({"broad|good": wide, "clamp|good": narrow, "soaked|poor": buried, "edge|poor": far})
+    assert said is not None
+    assert {row[0] for row in said.rows if row[3] == "NO"} >= {
         "chi² / 3n, good, broad",
         "chi² / 3n, good, clamp",
         "rms µm, poor, soaked",

@@ -234,7 +234,7 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
 
 def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() -> None:
     right = frozenset({(0, 2), (1, 0), (2, 1), (3, 3)})
-    told = {
+    shown = {
         outcome: study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right)
         for outcome, pairs in {
             "whole": [(0, 2), (1, 0), (2, 1), (3, 3)],
@@ -243,7 +243,7 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
             "one more": [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)],
         }.items()
     }
-    assert told == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
+    assert shown == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
     key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
     lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
     ((_, share),) = shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()

@@ -30,7 +30,7 @@ def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
         ),
         20.0,
     )
-    (told,) = tables({condition: sums})
-    assert [row[3:] for row in told.rows] == [
+    (said,) = tables({condition: sums})
+    assert [row[3:] for row in said.rows] == [
         (20, 0.0, "at most 14", "0-0", 0.0, "at most 14", "yes", "yes")
     ] * 4

@@ -109,9 +109,9 @@ def test_a_calibration_with_a_non_finite_number_is_refused(value: float) -> None
 
 def test_another_cycle_time_is_passed_to_the_robot_driver() -> None:
     scene = named_scene("mini")
-    for cycle_ms, told in ((12, 12), (None, None)):
+    for cycle_ms, said in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
-        assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == told
+        assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == said
 
 
 def test_on_the_first_day_the_frame_and_tip_records_are_as_drawn_and_expired() -> None:

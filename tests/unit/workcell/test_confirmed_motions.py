@@ -119,15 +119,15 @@ def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
 ) -> None:
     KINDS[kind](cell)
     (asked,) = cell.operator.asked
-    told = TOLD.search(asked.value)
-    assert told is not None
-    assert (told[2] is not None) is (kind == "go past a post")
+    said = TOLD.search(asked.value)
+    assert said is not None
+    assert (said[2] is not None) is (kind == "go past a post")
     ways = [points(cell, plan) for plan in arm_of(cell).plans]
     bodies = Bodies(cell.arm.kinematics, arm_of(cell).surroundings)
     steps_mm = [np.diff(sweep(bodies, way).ends_mm, axis=0) for way in ways]
     fastest_mm_s = max(np.linalg.norm(step, axis=-1).max() for step in steps_mm) / CYCLE_S
-    assert float(told[3]) == pytest.approx(sum(len(way) - 1 for way in ways) * CYCLE_S, abs=0.07)
-    assert float(told[4]) == pytest.approx(fastest_mm_s, rel=0.05, abs=1.0)
+    assert float(said[3]) == pytest.approx(sum(len(way) - 1 for way in ways) * CYCLE_S, abs=0.07)
+    assert float(said[4]) == pytest.approx(fastest_mm_s, rel=0.05, abs=1.0)
 
 
 def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:

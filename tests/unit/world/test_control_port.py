@@ -127,8 +127,8 @@ def test_an_internal_error_is_answered_and_the_connection_stays_open(
 
 @pytest.mark.parametrize("number", ["nan", "inf"])
 def test_a_number_that_is_not_finite_is_refused(port: ControlPort, number: str) -> None:
-    told = one_error(in_this_process(ronna_sim, "work", "skin", number, "--control", port.endpoint).stderr)
-    assert told[0].startswith("CTL-002: work is refused: a number is not finite")
+    shown = one_error(in_this_process(ronna_sim, "work", "skin", number, "--control", port.endpoint).stderr)
+    assert shown[0].startswith("CTL-002: work is refused: a number is not finite")
 
 
 @pytest.mark.parametrize("sent", [b"", b'{"tok', b"TOKEN", b"TOKEN{"])

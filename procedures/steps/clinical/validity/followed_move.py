@@ -31,7 +31,7 @@ from procedures.workcell.tracker_look import FRAMES, frames_at_rest
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, told_apart
+from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
@@ -198,7 +198,7 @@ def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
 
 def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
     if not fit.gate.passed:
-        residual, limit = told_apart(move.residual_mm, move.limit_mm, 2)
+        residual, limit = side_by_side(move.residual_mm, move.limit_mm, 2)
         raise PatientMoved(
             "the spheres on the head have not moved as a rigid body",
             limit=f"{limit} mm",

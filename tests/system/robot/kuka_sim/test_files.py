@@ -86,8 +86,8 @@ def exchange(client: socket.socket, turn_deg: float) -> bytes:
 def test_layout_peer_wiring_limits_timeout_and_precision_come_from_the_files(
     client: socket.socket, controller: ChildProcess
 ) -> None:
-    told = {key: controller.ready[key] for key in ("wiring", "timeout_packets", "precision")}
-    assert told == {"wiring": "context", "timeout_packets": TIMEOUT_PACKETS, "precision": 2}
+    said = {key: controller.ready[key] for key in ("wiring", "timeout_packets", "precision")}
+    assert said == {"wiring": "context", "timeout_packets": TIMEOUT_PACKETS, "precision": 2}
     first = exchange(client, 0.0)
     axes = rb'( A\d="-?\d+\.\d\d"){6}'
     assert re.fullmatch(

@@ -92,13 +92,13 @@ def test_answers_to_other_requests_and_garbage_are_ignored(channel_to):
 
 
 def test_every_datagram_is_reported_in_both_directions_even_ignored_ones():
-    peer, told = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
-    channel = ControlChannel("127.0.0.1", port=peer.port, passed=lambda *passed: told.append(passed))
+    peer, said = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
+    channel = ControlChannel("127.0.0.1", port=peer.port, passed=lambda *passed: said.append(passed))
     channel.read_register(0x938, soon())
     channel.close()
     peer.close()
     (sent,) = peer.seen
-    assert told == [
+    assert said == [
         (Direction.SENT, sent),
         (Direction.RECEIVED, b"rubbish"),
         (Direction.RECEIVED, ack(sent, b"\0\0\0\x09")),

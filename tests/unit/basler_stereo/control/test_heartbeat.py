@@ -39,18 +39,18 @@ class ScriptedCamera:
 
 
 def verdict(camera: ScriptedCamera, timeout_ms: int, monkeypatch: pytest.MonkeyPatch) -> RonnaError:
-    told: list[RonnaError] = []
+    said: list[RonnaError] = []
     heard = threading.Event()
 
     def lost(error: RonnaError) -> None:
-        told.append(error)
+        said.append(error)
         heard.set()
 
     monkeypatch.setattr(heartbeat, "SLOWEST_BEAT_S", 0.0)
     beats = Heartbeat(camera, timeout_ms, lost, "test", monotonic=camera.monotonic)  # type: ignore[arg-type]
     assert heard.wait(HANG_LIMIT_S)
     beats.close()
-    return told[0]
+    return said[0]
 
 
 @pytest.mark.parametrize(("timeout_ms", "beats"), [(500, SILENT_BEATS), (3000, 3), (10_000, 10)])

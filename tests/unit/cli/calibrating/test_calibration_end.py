@@ -36,15 +36,15 @@ class NoFigures(RecordFigures):
 
 
 @pytest.mark.parametrize(
-    ("written", "told"), [(Path("new.toml"), "written to new.toml"), (None, "or use --write")]
+    ("written", "shown"), [(Path("new.toml"), "written to new.toml"), (None, "or use --write")]
 )
 def test_the_message_names_the_written_file_or_how_to_write_one(
-    written: Path | None, told: str, capsys: pytest.CaptureFixture[str]
+    written: Path | None, shown: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     figures = NoFigures(calibration="tool-tip", created="", expires="")
     show(figures, Path("out"), written=written, as_json=False)
     said = capsys.readouterr().err
-    assert told in said
+    assert shown in said
     assert ("--write" in said) is (written is None)
 
 

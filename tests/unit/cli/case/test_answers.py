@@ -145,18 +145,18 @@ def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
 
 
-@pytest.mark.parametrize(("at_terminal", "told"), [(True, ""), (False, "nobody can answer")])
+@pytest.mark.parametrize(("at_terminal", "said"), [(True, ""), (False, "nobody can answer")])
 def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     at_terminal: bool,
-    told: str,
+    said: str,
 ) -> None:
     monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: at_terminal)
     operator_of(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path), Watcher(), None)
     error = capsys.readouterr().err
-    assert told in error if told else error == ""
+    assert said in error if said else error == ""
 
 
 def test_acknowledging_does_not_warn_that_nobody_can_answer(

@@ -83,9 +83,9 @@ def test_a_result_that_no_longer_holds_is_told_with_the_reason_and_not_as_repeat
     reader = engine.events.subscribe()
     engine.void(engine.order.find("localization:T1"), GateFailed("the head has moved"))
     voided = [one for one in reader.read(0.0).events if "superseded" in str(one.what)]
-    told = [(entry.text, done_or_note(one)) for one in voided if (entry := entry_of(one)) is not None]
+    lines = [(entry.text, done_or_note(one)) for one in voided if (entry := entry_of(one)) is not None]
     text = "02-localization-T1 no longer holds: the head has moved"
-    assert told == [(text, f"note: {text}")]
+    assert lines == [(text, f"note: {text}")]
 
 
 def test_a_live_view_that_reappears_keeps_text_written_meanwhile() -> None:
@@ -138,5 +138,5 @@ def test_without_a_terminal_each_step_and_finding_gets_a_line_unless_quiet(
         engine.run_to(engine.order.find("image"))
         engine.find("the tracker is silent")
         engine.events.end()
-    told = capsys.readouterr().err.splitlines()
-    assert [line.partition(":")[0] for line in told] == ([] if quiet else ["done image", "note"])
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in lines] == ([] if quiet else ["done image", "note"])

@@ -72,10 +72,10 @@ def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
     journal.close()
     with pytest.raises(KeyboardInterrupt), leaving_report(tmp_path):
         raise KeyboardInterrupt
-    told = capsys.readouterr().err
-    assert said in told
-    assert ("ronna-procedure home" in told) == moved
-    assert f"ronna-procedure resume {tmp_path}" in told
+    shown = capsys.readouterr().err
+    assert said in shown
+    assert ("ronna-procedure home" in shown) == moved
+    assert f"ronna-procedure resume {tmp_path}" in shown
 
 
 @pytest.mark.hazard(41)
@@ -89,9 +89,9 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
     monkeypatch.setattr(report, "write_report", full)
     with pytest.raises(GateFailed), leaving_report(tmp_path):
         raise GateFailed("too far off")
-    told = capsys.readouterr().err
-    assert "the report could not be written: CLI-003: report.html: " in told
-    assert f"To write it: ronna-procedure report {tmp_path}" in told
+    shown = capsys.readouterr().err
+    assert "the report could not be written: CLI-003: report.html: " in shown
+    assert f"To write it: ronna-procedure report {tmp_path}" in shown
 
 
 def test_the_report_command_works_on_a_run_killed_at_its_start(tmp_path: Path) -> None:

@@ -41,9 +41,9 @@ def test_only_a_simulated_room_shows_a_mount_command(
     simulated: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     TerminalRoom(simulated=simulated).change_tool(2, "the surgical guide")
-    told = capsys.readouterr().err
-    assert told.startswith("Mount the surgical guide (tool 2).\n")
-    assert ("ronna-sim mount 2 --control" in told) == simulated
+    said = capsys.readouterr().err
+    assert said.startswith("Mount the surgical guide (tool 2).\n")
+    assert ("ronna-sim mount 2 --control" in said) == simulated
 
 
 def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
@@ -51,12 +51,12 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
 ) -> None:
     typing(monkeypatch, "zero", "0,12", "nan", "0.1 cm", "-0.05 mm", "0.30mm", "y", "yes")
     assert TerminalRoom(simulated=True).work(THREE_DIALS) == (0.12, -0.05, 0.30)
-    told = capsys.readouterr().err
-    assert told.startswith("Read the three dials.\n")
-    assert "ronna-sim work dials --control" in told
+    said = capsys.readouterr().err
+    assert said.startswith("Read the three dials.\n")
+    assert "ronna-sim work dials --control" in said
     refused = "'0.1 cm' is not a reading: type one number in mm, such as 0.01 or 0.01 mm"
-    assert f"{refused}, or 'nobody' to end the step." in told
-    assert "'y' is not an answer" in told
+    assert f"{refused}, or 'nobody' to end the step." in said
+    assert "'y' is not an answer" in said
 
 
 def test_an_implausible_reading_is_asked_again_at_once(
@@ -73,9 +73,9 @@ def test_a_depth_stop_read_in_centimetres_is_asked_again_without_costing_an_atte
     typing(monkeypatch, "18.24", "182.4")
     task = Task(DEPTH_STOP, "set it", reads=("depth stop in mm",), plausible_mm=(85.0, 250.0))
     assert TerminalRoom().work(task) == (182.4,)
-    told = capsys.readouterr().err
+    said = capsys.readouterr().err
     assert (
-        "18.24 is implausible: expected 85 to 250; did you type centimetres?; type one number in mm" in told
+        "18.24 is implausible: expected 85 to 250; did you type centimetres?; type one number in mm" in said
     )
 
 
@@ -103,6 +103,6 @@ def test_work_is_shown_and_nothing_is_read_without_a_terminal(
 ) -> None:
     task = Task(DEPTH_STOP, "set the depth stop for T1 to 165.00 mm", "T1", (165.0,), ("depth stop in mm",))
     assert TerminalRoom(simulated=simulated).work(task) == ()
-    told = capsys.readouterr().err
-    assert told.startswith("Set the depth stop for T1 to 165.00 mm.\n")
-    assert ("ronna-sim work depth_stop 165 --trajectory T1 --control" in told) == simulated
+    said = capsys.readouterr().err
+    assert said.startswith("Set the depth stop for T1 to 165.00 mm.\n")
+    assert ("ronna-sim work depth_stop 165 --trajectory T1 --control" in said) == simulated

@@ -122,7 +122,7 @@ def test_the_address_of_a_page_is_one_line_for_scripts_and_on_a_terminal_another
     monkeypatch: pytest.MonkeyPatch, terminal: bool, lines: list[str]
 ) -> None:
     monkeypatch.setattr(messages, "on_terminal", lambda _stream: terminal)
-    told: list[str] = []
-    messages.tell_address({"url": "http://127.0.0.1:1/?token=t"}, told.append)
-    assert [line.split()[0] for line in told] == lines
-    assert told[-1].endswith(("http://127.0.0.1:1/?token=t", '"}'))
+    shown: list[str] = []
+    messages.tell_address({"url": "http://127.0.0.1:1/?token=t"}, shown.append)
+    assert [line.split()[0] for line in shown] == lines
+    assert shown[-1].endswith(("http://127.0.0.1:1/?token=t", '"}'))

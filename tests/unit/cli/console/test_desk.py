@@ -176,16 +176,16 @@ def test_a_question_expires_unsigned_while_its_operators_page_is_suspended_and_w
 
 def test_of_two_simultaneous_claims_exactly_one_is_refused(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
-    told: list[str] = []
+    said: list[str] = []
     both = [
-        threading.Thread(target=lambda one=one: told.append(stand.give("claim", one, name=one)))
+        threading.Thread(target=lambda one=one: said.append(stand.give("claim", one, name=one)))
         for one in (ANA, BEN)
     ]
     for thread in both:
         thread.start()
     for thread in both:
         thread.join()
-    assert sorted(bool(one) for one in told) == [False, True]
+    assert sorted(bool(one) for one in said) == [False, True]
 
 
 def test_a_pause_ends_only_by_its_question_and_resume_works_between_steps(stand: Stand) -> None:

@@ -63,9 +63,9 @@ def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
     with run_on(theatre, folder) as number:
         report = examine(theatre)
     assert report.devices == ()
-    (told,) = [one for one in report.case if one.subject == RUN]
-    assert f"{folder.name} (pid {number}) is using this theatre" in told.seen
-    assert f"ronna-procedure watch {folder}" in told.advice
+    (said,) = [one for one in report.case if one.subject == RUN]
+    assert f"{folder.name} (pid {number}) is using this theatre" in said.seen
+    assert f"ronna-procedure watch {folder}" in said.advice
     assert not report.verdicts[-1].ready
     assert examine(theatre).devices != ()
 

@@ -255,5 +255,5 @@ def test_watch_first_names_the_files_changed_since_the_run_finished(run: Path) -
     assert "NOT AS THE RUN LEFT IT" not in in_this_process(app, "watch", run).stderr
     events = run / EVENTS_FILE
     events.write_bytes(events.read_bytes().replace(b"finished", b"recovery"))
-    told = in_this_process(app, "watch", run).stderr.splitlines()
-    assert told[0] == "NOT AS THE RUN LEFT IT: events.jsonl: changed"
+    said = in_this_process(app, "watch", run).stderr.splitlines()
+    assert said[0] == "NOT AS THE RUN LEFT IT: events.jsonl: changed"

@@ -77,10 +77,10 @@ class HoldingController:
         held, late = self.taken[-1], self.late[-1]
         if loss != "telegram":
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, held, strict=True))
-            told = 0 if self._tells is None else self.late[-1 - self._tells]
+            shown = 0 if self._tells is None else self.late[-1 - self._tells]
             ipoc = str(CYCLE_MS * (1000 + self._cycle)).encode()
             head = self.responder.answer(
-                Telegram((a, b, c, d, e, f), told, ipoc),
+                Telegram((a, b, c, d, e, f), shown, ipoc),
                 Orders(self._cycle, self.stop_word, self._commands),
                 1_000_000_000 + self._cycle * CYCLE_MS * 1_000_000,
             )

@@ -134,11 +134,11 @@ def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it()
     after = [moment + 3_000_000_000 for moment in before]
     world = ToldTime(before + after)
     reception = world.reception()
-    told = []
+    said = []
     while world.arrivals_ns:
         if reception.next() is not None:
-            told.append(reception.paced())
-    assert told == [False] * (STEADY_ARRIVALS + 1) + [True] * (STEADY_ARRIVALS + 3)
+            said.append(reception.paced())
+    assert said == [False] * (STEADY_ARRIVALS + 1) + [True] * (STEADY_ARRIVALS + 3)
     reception.hurried()
     assert not reception.paced()
 

@@ -198,14 +198,14 @@ def test_the_sdk_client_receives_the_status_once_and_again_when_it_changes(
 ) -> None:
     controller = make_bench(start=False).controller
     channel = SdkChannel(line.server, controller, Autostart(controller, wanted=False))
-    told = []
+    said = []
     for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
         change()
         line.time.now_s += 1.0
         channel.tick(line.time.now_s)
         line.loop()
-        told.append(line.heard().count(b"<Status "))
-    assert told == [1, 0, 1, 0]
+        said.append(line.heard().count(b"<Status "))
+    assert said == [1, 0, 1, 0]
 
 
 def test_the_driver_receives_a_state_change_before_the_next_periodic_state_is_due(
@@ -213,14 +213,14 @@ def test_the_driver_receives_a_state_change_before_the_next_periodic_state_is_du
 ) -> None:
     controller = make_bench(start=False).controller
     channel = ProjectChannel(line.server, controller, Autostart(controller, wanted=False))
-    told = []
+    said = []
     for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
         change()
         line.time.now_s += STATE_PERIOD_MS / 5000.0
         channel.tick(line.time.now_s)
         line.loop()
-        told.append(line.heard().count(b"<State "))
-    assert told == [1, 0, 1, 0]
+        said.append(line.heard().count(b"<State "))
+    assert said == [1, 0, 1, 0]
 
 
 @pytest.mark.parametrize("tail", [b"9", b"a ", b"'", b'"', b"/", b"<a ", b"<a>", b'<a "'])

@@ -104,14 +104,14 @@ def test_rejected_replies_are_reported_once_a_second_with_reason_and_count(
     bench: Any, reply: bytes, reason: str
 ) -> None:
     run = bench.controller.run
-    told: list[tuple[str, int]] = []
+    said: list[tuple[str, int]] = []
     data = reply % run.ipoc if b"%d" in reply else reply
     for now_s in (10.0, 10.5, 11.5):
         assert run.read(data) is None
-        run.rejected.tell(now_s, lambda why, count: told.append((why, count)))
-    run.rejected.tell(20.0, lambda why, count: told.append((why, count)))
-    assert [count for _, count in told] == [1, 3]
-    assert all(why.startswith(f"reply rejected: {reason}") for why, _ in told)
+        run.rejected.tell(now_s, lambda why, count: said.append((why, count)))
+    run.rejected.tell(20.0, lambda why, count: said.append((why, count)))
+    assert [count for _, count in said] == [1, 3]
+    assert all(why.startswith(f"reply rejected: {reason}") for why, _ in said)
 
 
 def test_an_accepted_reply_counts_no_rejection(bench: Any) -> None:

@@ -98,8 +98,8 @@ def test_wired_feedback_changes_the_context_hash() -> None:
     context = load_context()
     content = context.model_dump(by_alias=True)
     content["send"] = (*content["send"], {"tag": "Stat", "type": "LONG", "indx": 1})
-    told = RsiContext.model_validate({**content, "feedback": ({"indx": 1, "object": "AXISCORR"},)})
-    assert context_hash(RsiContext.model_validate({**content, "feedback": ()})) != context_hash(told)
+    said = RsiContext.model_validate({**content, "feedback": ({"indx": 1, "object": "AXISCORR"},)})
+    assert context_hash(RsiContext.model_validate({**content, "feedback": ()})) != context_hash(said)
 
 
 def test_an_unknown_keyword_is_refused() -> None:

@@ -38,7 +38,7 @@ def motion(start: str, end: str, kind: str = "") -> MotionPreview:
     )
 
 
-def told(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
+def said(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
     engine = cell.begin(paths, *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     key = next(key for key in engine.order.sequence if key.name == STEP.name)
@@ -62,7 +62,7 @@ def test_from_home_every_motion_is_listed_and_spheres_are_numbered_from_one(
     cell: ClinicalCell, paths: CheckedPaths
 ) -> None:
     cell.arm.joints_rad = HOME_RAD
-    lines = told(cell, paths)
+    lines = said(cell, paths)
     assert lines[0].startswith("move home to T1/sphere 1, ")
     assert lines[-2].startswith("line onto T1/sphere 4, ")
     assert lines[-1].startswith("back from T1/sphere 4, ")
@@ -75,7 +75,7 @@ def test_a_way_by_home_from_one_sphere_to_the_next_is_listed(cell: ClinicalCell,
     direct = next(one for one in paths.motions if one.end == second)
     by_home = (motion(direct.start, HOME), motion(HOME, second))
     before, after = paths.motions[: paths.motions.index(direct)], paths.motions[len(by_home) + 2 :]
-    lines = told(cell, paths.model_copy(update={"motions": (*before, *by_home, *after)}))
+    lines = said(cell, paths.model_copy(update={"motions": (*before, *by_home, *after)}))
     assert len(lines) == 3 * len(PLACES[1:]) + 1
     assert lines[3].startswith("move T1/sphere 1 to home, ")
 
@@ -99,7 +99,7 @@ def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retr
 
 def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell, paths: CheckedPaths) -> None:
     cell.arm.joints_rad = paths.localizations["T1"][0].joints_rad
-    heading, first, *_others = told(cell, paths)
+    heading, first, *_others = said(cell, paths)
     assert heading == "the arm is over sphere 1; from there"
     assert first.startswith("move T1/sphere 1 to T1/sphere 2, ")
 

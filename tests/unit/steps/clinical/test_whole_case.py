@@ -61,8 +61,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[ClinicalCell, di
         engine = cell.begin(*steps())
         reader = engine.events.subscribe()
         engine.run_to()
-    told = [one.what for one in reader.read(0.0).events]
-    return cell, {one.step: one.summary for one in told if isinstance(one, StepState) and one.summary}
+    shown = [one.what for one in reader.read(0.0).events]
+    return cell, {one.step: one.summary for one in shown if isinstance(one, StepState) and one.summary}
 
 
 @pytest.fixture

@@ -296,9 +296,9 @@ def test_a_turn_of_the_wrist_that_leaves_the_frame_in_its_place_suspends_the_cas
 
     cell.operator.meanwhile = turn
     work(engine)
-    (told,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
+    (said,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
     pushed_mm = cell.case.get(ReachedTarget, FIRST).result.pushed_mm
-    assert f"pushed or pulled by {pushed_mm:.2f} mm" in told
+    assert f"pushed or pulled by {pushed_mm:.2f} mm" in said
     assert pushed_mm is not None
     assert PUSHED_MM < pushed_mm <= LEVER_MM * TURN_RAD
 
@@ -331,9 +331,9 @@ def test_a_seat_of_the_guide_that_gives_way_meanwhile_suspends_the_case(cell: Cl
 
     cell.operator.meanwhile = give_way
     work(engine)
-    (told,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
-    assert f"pushed or pulled by {2.0 * PUSHED_MM:.2f} mm" in told
-    assert "its seat has given way" in told
+    (said,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
+    assert f"pushed or pulled by {2.0 * PUSHED_MM:.2f} mm" in said
+    assert "its seat has given way" in said
 
 
 @pytest.mark.hazard(46)
@@ -378,8 +378,8 @@ def test_a_push_released_before_the_stage_is_confirmed_is_recorded_and_not_told_
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(0.0, abs=1e-9)
     (found,) = (text for text in findings(cell) if text.endswith(f" mm during the hold at {FIRST}"))
     assert PUSHED_MM < float(found.removesuffix(f" mm during the hold at {FIRST}").split()[-1]) <= at_most_mm
-    told = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
-    assert len([text for text in told if "from where it was held" in text]) == 1
+    said = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Advisory)]
+    assert len([text for text in said if "from where it was held" in text]) == 1
 
 
 @pytest.mark.hazard(46)
@@ -396,8 +396,8 @@ def test_a_pushed_guide_that_is_then_hidden_from_the_tracker_does_not_count_as_r
 
     cell.operator.meanwhile = push_and_hide
     work(engine)
-    told = [one.subject for one in cell.operator.asked if one.topic is Topic.GUARD]
-    assert ["it is not seen now" in subject for subject in told] == [False, True]
+    said = [one.subject for one in cell.operator.asked if one.topic is Topic.GUARD]
+    assert ["it is not seen now" in subject for subject in said] == [False, True]
 
 
 @pytest.mark.hazard(46)

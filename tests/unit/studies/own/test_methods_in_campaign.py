@@ -119,15 +119,15 @@ def test_a_hanging_method_is_reported_once_and_ends_with_the_campaign(
     (folder / "loops.py").write_text("def loops(image_mm, physical_mm, **given):\n    while True: pass\n")
     study = study_of(own_method(PAIRING, "loops:loops"))
     monkeypatch.setattr(Silence.__init__, "__defaults__", (0.1,))
-    told = []
+    said = []
 
     def interrupt_after_the_first(text: str) -> None:
-        told.append(text)
+        said.append(text)
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         run_study(study, Ledger(folder / "out", study), workers=1, tell=interrupt_after_the_first)
-    assert told == ["loops:loops has not answered for 0.1 s, in norm|1|4|0 #0; Ctrl-C stops it"]
+    assert said == ["loops:loops has not answered for 0.1 s, in norm|1|4|0 #0; Ctrl-C stops it"]
     assert not active_children()
 
 
