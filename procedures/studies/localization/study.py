@@ -45,7 +45,7 @@ JUDGING = (
     *COVERED,
     *BESIDE_OBJECTS,
 )
-TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps")
+TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps", "sizes")
 PROTOCOLS = ("good", "poor")
 FRAMES = "frames"
 FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, Draw
+from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
 from sim.world.scene.model import CtProtocol
 
 Range = tuple[float, float]
@@ -122,6 +122,7 @@ FAMILIES: dict[str, Family] = {
         _beside_objects("rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED),
         _beside_objects("caps", Purpose.TUNING, "domes on the skin, mushroom shapes, barrels, buttons", CAPS),
         _beside_objects("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
+        _beside_objects("sizes", Purpose.TUNING, "balls half a millimetre smaller than markers", SIZES),
         Family(
             "narrow",
             Purpose.JUDGING,

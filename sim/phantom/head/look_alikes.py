@@ -183,6 +183,12 @@ def other_ball(seat: Seat) -> LookAlike:
     return LookAlike("other ball", (Ball(seat.polymer(), middle, radius),), (middle,))
 
 
+def near_ball(seat: Seat) -> LookAlike:
+    """A whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
+    middle = _point(seat.middle())
+    return LookAlike("near ball", (Ball(seat.polymer(), middle, seat.between(5.3, 5.6)),), (middle,))
+
+
 def gel(seat: Seat) -> LookAlike:
     """A drop of gel with air bubbles."""
     middle, hu = seat.middle(), seat.between(*GEL_HU)
@@ -264,6 +270,7 @@ def cup_electrode(seat: Seat) -> LookAlike:
 
 
 ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)
+SIZES: tuple[Draw, ...] = (near_ball,)
 JOINED: tuple[Draw, ...] = (beads, knob)
 ENDS: tuple[Draw, ...] = (elbow, thumb, round_ended_rod)
 CAPS: tuple[Draw, ...] = (dome, mushroom, barrel, button)

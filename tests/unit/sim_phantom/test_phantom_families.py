@@ -43,9 +43,9 @@ def test_a_drawn_family_has_its_markers_and_nothing_intersects_its_spheres(name:
     assert spacing[spacing > 0].min() > (PAIR_DISTANCE_MM - 0.01 if FAMILIES[name].pairs else 25.0)
 
 
-def test_seven_families_are_for_tuning_and_fifteen_for_judging() -> None:
+def test_eight_families_are_for_tuning_and_fifteen_for_judging() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
-    assert purposes.count(Purpose.TUNING) == 7
+    assert purposes.count(Purpose.TUNING) == 8
     assert purposes.count(Purpose.JUDGING) == 15
 
 
