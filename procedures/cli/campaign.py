@@ -178,7 +178,7 @@ def registration(
 def localization(
     volumes: Annotated[
         int, typer.Option("--volumes", min=1, help="Phantom scans per family and protocol.")
-    ] = 4,
+    ] = 6,
     sets: Annotated[
         int, typer.Option("--sets", min=1, help="Sets of five scans of the x-shaped frame (tables 2 and 3).")
     ] = 2,

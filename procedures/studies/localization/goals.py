@@ -7,7 +7,7 @@ from math import sqrt
 
 from procedures.studies.campaign.table import Cell, Table
 from procedures.studies.campaign.unit import Sums
-from procedures.studies.localization.study import COVERED, JUDGING, STREAKED, Method, pooled
+from procedures.studies.localization.study import COVERED, JUDGING, STREAKED, TAIL, Method, pooled
 from procedures.studies.localization.tables import of_method, percentile_um, tables
 
 RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
@@ -15,6 +15,8 @@ COVERED_RMS_UM = 40.0  # half buried
 LARGEST_UM = 150.0
 SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
 CHI2 = (0.7, 1.4)
+LEAST_OF_A_FAMILY = 60  # spheres: right covariances leave the range once in 900 times (20: once in 17)
+CHANCE = 1e-3  # of right covariances to miss a goal for the tail
 LEAST_SPHERES, LEAST_OBJECTS, LEAST_VOLUMES = 500, 500, 100
 FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
@@ -43,6 +45,10 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
             if found:
                 rows += _accuracy(total, protocol, streaked, found)
         rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
+    for family in dict.fromkeys(condition.split("|")[0] for condition in conditions):
+        of_family = [condition for condition in conditions if condition.startswith(f"{family}|")]
+        rows += _covariances(pooled(sums, of_family), family)
+    rows.append(_tail(pooled(sums, conditions), "all families"))
     return Table(
         "Goals",
         ("figure", "value", "goal", "met"),
@@ -66,14 +72,11 @@ def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[
 def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Sequence[Cell]]:
     """What each family of one protocol must meet: pooled, a bad one would hide behind a good one."""
     rows: list[Sequence[Cell]] = []
-    low, high = CHI2
     for condition in conditions:
         total, where = sums[condition], ", ".join(condition.split("|")[::-1])
         found = of_method(total, Method.OURS, "found")
         if not found:
             continue
-        chi2 = of_method(total, Method.OURS, "chi2") / (3.0 * found)
-        rows.append((f"chi² / 3n, {where}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)))
         if condition.split("|")[0] in COVERED:
             rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
             rows.append(_at_most(f"rms µm, {where}", rms_um, COVERED_RMS_UM))
@@ -81,6 +84,29 @@ def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Seque
         if largest_um is not None:
             rows.append(_at_most(f"largest error µm, {where}", largest_um, LARGEST_UM))
     return rows
+
+
+def _covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
+    """Whether the stated covariances of a family are right, all protocols: one alone has too few spheres."""
+    found = of_method(total, Method.OURS, "found")
+    if not found:
+        return []
+    (low, high), chi2 = CHI2, of_method(total, Method.OURS, "chi2") / (3.0 * found)
+    spheres = int(of_method(total, Method.OURS, "spheres"))
+    enough = _word(spheres >= LEAST_OF_A_FAMILY)
+    return [
+        (f"spheres, {family}", spheres, f"at least {LEAST_OF_A_FAMILY}", enough),
+        (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)),
+        _tail(total, family),
+    ]
+
+
+def _tail(total: Sums, where: str) -> Sequence[Cell]:
+    from scipy.stats import binom  # half a second
+
+    found, beyond = (of_method(total, Method.OURS, key) for key in ("found", "tail"))
+    most = float(binom.ppf(1.0 - CHANCE, int(found), TAIL))
+    return _at_most(f"errors outside 99 %, {where}", int(beyond), most)
 
 
 def _detection(total: Sums) -> list[Sequence[Cell]]:

@@ -52,6 +52,8 @@ FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set 
 FRAME_PROTOCOL = "usual"
 SAME_SPHERE_MM = 2.0
 LARGE_ERROR_MM = 0.1
+TAIL = 0.01  # share of errors outside the stated 99 % region
+CHI2_AT_TAIL = 11.345  # of three degrees of freedom
 BIN_MM = 0.001
 SEED_BOUND = 2**31
 OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
@@ -67,7 +69,7 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
-SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
+SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 
@@ -159,7 +161,9 @@ def _counted(
         if not markers:
             continue
         marker = markers[hit]
-        sums["chi2"] += float(error @ np.linalg.solve(marker.covariance_mm2, error))
+        chi2 = float(error @ np.linalg.solve(marker.covariance_mm2, error))
+        sums["chi2"] += chi2
+        sums["tail"] += chi2 > CHI2_AT_TAIL
         if length_mm > LARGE_ERROR_MM:
             sums["large"] += 1
             sums["large flagged"] += ESTIMATORS_DISAGREE in marker.flags

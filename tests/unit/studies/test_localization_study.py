@@ -61,6 +61,7 @@ def test_missed_false_cut_and_large_errors_are_counted_separately(monkeypatch: p
     assert (counted["large"], counted["large flagged"]) == (1, 1)
     assert counted["error2"] == pytest.approx(0.003**2 + 0.2**2)
     assert counted["chi2"] == pytest.approx(0.3**2 + 20.0**2)
+    assert counted["tail"] == 1
     assert counted["bin 3"] + counted.get("bin 2", 0) == 1
 
 
@@ -107,10 +108,15 @@ def test_goals_are_compared_with_the_results() -> None:
         "rms µm, good, without streaks on posts": "yes",
         "rms µm, good, with streaks on posts": "yes",
         "95th percentile µm, good, with streaks on posts": "yes",
-        "chi² / 3n, good, narrow": "yes",
         "largest error µm, good, narrow": "yes",
-        "chi² / 3n, good, streaks": "yes",
         "largest error µm, good, streaks": "yes",
+        "spheres, narrow": "yes",
+        "chi² / 3n, narrow": "yes",
+        "errors outside 99 %, narrow": "yes",
+        "spheres, streaks": "yes",
+        "chi² / 3n, streaks": "yes",
+        "errors outside 99 %, streaks": "yes",
+        "errors outside 99 %, all families": "yes",
         "spheres": "yes",
         "other objects": "yes",
         "volumes": "yes",
@@ -121,7 +127,8 @@ def test_goals_are_compared_with_the_results() -> None:
     assert bad is not None
     assert {row[0] for row in bad.rows if row[3] == "NO"} == {
         "rms µm, poor, without streaks on posts",
-        "chi² / 3n, poor, narrow",
+        "spheres, narrow",
+        "chi² / 3n, narrow",
         "spheres",
         "other objects",
         "volumes",
@@ -137,11 +144,23 @@ def test_one_bad_family_is_not_hidden_by_the_others() -> None:
     said = goals({"broad|good": wide, "clamp|good": narrow, "soaked|poor": buried, "edge|poor": far})
     assert said is not None
     assert {row[0] for row in said.rows if row[3] == "NO"} >= {
-        "chi² / 3n, good, broad",
-        "chi² / 3n, good, clamp",
+        "chi² / 3n, broad",
+        "chi² / 3n, clamp",
         "rms µm, poor, soaked",
         "largest error µm, poor, edge",
     }
+
+
+def test_chi_squared_rests_on_a_familys_spheres_in_all_protocols_and_its_tail_is_judged_too() -> None:
+    half = sums_of(0.006, 0.0035, 30)
+    both = goals({"ends|good": half, "ends|poor": half | {"combined|tail": 4.0}})
+    assert both is not None
+    assert [row[1:] for row in both.rows if row[0] == "spheres, ends"] == [(60, "at least 60", "yes")]
+    tail = {row[0]: row[1:] for row in both.rows if row[0].startswith("errors outside")}
+    assert tail["errors outside 99 %, ends"] == (4, "at most 4", "yes")
+    fifth = goals({"ends|good": half, "ends|poor": half | {"combined|tail": 5.0}})
+    assert fifth is not None
+    assert {row[0] for row in fifth.rows if row[3] == "NO"} >= {"errors outside 99 %, ends"}
 
 
 def test_the_protocols_of_tables_2_and_3_recover_the_error_of_manual_localization() -> None:
