@@ -1,10 +1,12 @@
 import json
 import os
 from dataclasses import replace
+from functools import reduce
 from pathlib import Path
 from typing import Any
 
 import pytest
+from bounded_cost import bounded_cost
 
 from ronna_hw.records import BadRecord, Record, RecordExists, read_record, write_record, write_whole
 
@@ -58,6 +60,20 @@ def test_a_reformatted_record_is_refused(tmp_path: Path) -> None:
     path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
     path.write_text(path.read_text() + " ")
     with pytest.raises(BadRecord, match="was rewritten"):
+        read_record(path)
+
+
+@pytest.mark.parametrize("own_hash", [True, False], ids=["own hash", "another hash"])
+def test_a_record_of_nested_lists_is_refused_at_bounded_cost(tmp_path: Path, own_hash: bool) -> None:
+    nested = [reduce(lambda inner, _: [inner], range(50), 0) for _ in range(19_000)]
+    record = Record("a", "k", {}, {"x": nested})
+    path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
+    content = json.loads(path.read_text()) | {"payload": record.payload, "created": record.created}
+    path.write_text(
+        json.dumps(content | ({"sha256": record.sha256} if own_hash else {}), separators=(",", ":"))
+    )
+    del record, nested, content
+    with bounded_cost(), pytest.raises(BadRecord, match="was rewritten" if own_hash else "match its hash"):
         read_record(path)
 
 
