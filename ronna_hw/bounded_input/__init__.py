@@ -14,6 +14,7 @@ from ronna_hw.bounded_input.json_text import (
     parse_json,
     read_json_bytes,
     read_json_lines,
+    values_in,
 )
 from ronna_hw.bounded_input.refusal import InputRefused
 from ronna_hw.bounded_input.toml_text import LARGEST_TOML_BYTES, parse_toml, read_toml, toml_of
@@ -35,4 +36,5 @@ __all__ = [
     "read_toml",
     "toml_of",
     "unzip",
+    "values_in",
 ]

@@ -17,7 +17,7 @@ from ronna_hw.bounded_input.refusal import InputRefused
 LARGEST_JSON_BYTES = 100_000_000  # a case's journal has a hundredth of it
 MOST_VALUES = 2_000_000  # up to 120 bytes each in memory
 MOST_VALUES_OF_A_MODEL = 100_000  # two are an empty object, whose missing fields take four kilobytes
-MOST_VALUES_OF_LINES = 3_000_000  # parsed one line at a time
+MOST_VALUES_OF_LINES = 2_000_000  # of which a case's tape of readings has a tenth
 DEEPEST = 64  # records nest about ten deep
 MOST_DIGITS = 20  # of an integer: nanoseconds since 1970 have 19
 
@@ -66,9 +66,14 @@ def check_json(
 
 
 def _check_count(content: bytes, most_values: int) -> bytes:
-    if sum(content.count(mark) for mark in (b"[", b"{", b",", b":")) > most_values:
+    if values_in(content) > most_values:
         raise InputRefused("too many values in JSON", limit=str(most_values))
     return content
+
+
+def values_in(content: bytes) -> int:
+    """At most so many values are in a JSON text."""
+    return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
 
 
 def _deeper_than_allowed(content: bytes) -> bool:

@@ -14,9 +14,10 @@ from procedures.engine.events.event import Event
 from procedures.engine.events.event_file import EVENTS_FILE, LARGEST_BYTES
 from procedures.engine.events.happenings import VERSION, JournalLine
 from procedures.journal.journal import Entry
-from ronna_hw.bounded_input import check_json
+from ronna_hw.bounded_input import check_json, values_in
 from ronna_hw.command_line.errors import PathProblem
 
+MOST_VALUES_OF_JOURNAL = 1_000_000  # in its lines together: nothing else is nested freely; a case has 13,000
 LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
@@ -31,7 +32,7 @@ class FollowedRun:
                 f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has started"
             )
         self._sleep = sleep
-        self._offset = self._lines = 0
+        self._offset = self._lines = self._values = 0
         self.closed = False  # whether the run came to its own end
 
     @property
@@ -88,6 +89,12 @@ class FollowedRun:
             )
         if isinstance(event.what, JournalLine):
             self.closed = event.what.line.get("entry") == Entry.CLOSED
+            self._values += values_in(line)
+            if self._values > MOST_VALUES_OF_JOURNAL:
+                raise EventsUnreadable(
+                    f"too many values in the lines of a journal in {self._path}",
+                    expected=f"at most {MOST_VALUES_OF_JOURNAL}",
+                )
         return event
 
 

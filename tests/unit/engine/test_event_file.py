@@ -3,6 +3,7 @@
 import fcntl
 import os
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -181,3 +182,17 @@ def test_the_sessions_of_a_resumed_run_are_followed_one_after_the_other(tmp_path
     happened = [event.what for event in course]
     states_seen = [what.state for what in happened if isinstance(what, CaseState)]
     assert states_seen == ["idle", "held", "recovery", "finished"]
+
+
+def test_a_file_of_nested_journal_lines_is_refused_at_bounded_cost(tmp_path: Path) -> None:
+    nested = '{"":' * 50 + "0" + "}" * 50
+    line = Event(
+        number=1,
+        host_time=datetime(2026, 11, 20, tzinfo=UTC),
+        theatre_time_s=1.5,
+        what=JournalLine(line={"entry": "opened", "values": "@"}),
+    )
+    text = line.model_dump_json().replace('"@"', f"[{','.join([nested] * 90)}]")
+    (tmp_path / EVENTS_FILE).write_text(f"{text}\n" * (10_000_000 // len(text)))
+    with bounded_cost(), pytest.raises(EventsUnreadable, match="too many values"):
+        list(FollowedRun(tmp_path).batches(whole=True))
