@@ -20,7 +20,7 @@ from ronna_hw.text.counting import counted
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]
 Pixels = tuple[float, float]
-Joints = tuple[float, float, float, float, float, float]  # A1..A6
+Joints = tuple[float, float, float, float, float, float]  # from the base outwards
 S = TypeVar("S", bound=Strict)
 
 
@@ -47,7 +47,7 @@ class Observation(Strict):
     `orientation` is the number of a self-check orientation; None for views used only for calibration.
     """
 
-    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(description="Nominal pose robot <- flange at these joints.")
     left: Outline = Field(description="In the left image.")
     right: Outline = Field(description="In the right image.")

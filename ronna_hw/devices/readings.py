@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # scalar first, unit
-JointVector = tuple[float, float, float, float, float, float]  # A1..A6, radians
+JointVector = tuple[float, float, float, float, float, float]  # from the base outwards, radians
 
 
 class Validity(StrEnum):

@@ -81,7 +81,8 @@ def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
 def account_at(peer: tuple[str, int], here: tuple[str, int]) -> int | None:
     """The user id of the program that has the other end of a TCP connection within this computer.
 
-    IPv4 addresses and ports; None if that end is closed, or elsewhere.
+    IPv4 addresses and ports; None if that end is closed, or elsewhere. psutil does not report the account
+    of a connection, and its process only where it is not another account's.
     """
     ends = [_in_kernel(peer), _in_kernel(here)]
     for table, mapped in (("tcp", ""), ("tcp6", _MAPPED)):
@@ -100,7 +101,10 @@ def _in_kernel(place: tuple[str, int]) -> str:
 
 
 def holder_of_lock(file: int) -> PortUser | None:
-    """The process that holds the `flock` of an open file, with its terminal; None if it is hidden."""
+    """The process that holds the `flock` of an open file, with its terminal; None if it is hidden.
+
+    psutil does not know locks.
+    """
     inode = os.fstat(file).st_ino
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/locks").read_text().splitlines():

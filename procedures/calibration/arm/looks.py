@@ -33,7 +33,7 @@ class SphereLook(Strict):
     """One measurement of one sphere."""
 
     sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
-    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     flanks: Flanks = Field(description="Direction from which each joint arrived.")
     point_mm: Numbers3 = Field(description="The sphere in the tool frame of the record in use.")
     covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Covariance of that point.")

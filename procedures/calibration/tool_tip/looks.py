@@ -31,7 +31,7 @@ LOOKS_FILE = "tip-looks.json"
 class BallLook(Strict):
     """The stereo head over the ball, in one orientation."""
 
-    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )
@@ -42,7 +42,7 @@ class DivotReading(Strict):
     """The guide's tip in the divot, in the orientation of a view of the ball."""
 
     look: int = Field(ge=0, description="Number of that measurement.")
-    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )

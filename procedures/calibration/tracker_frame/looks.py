@@ -40,7 +40,7 @@ class FrameLook(Strict):
     """One stationary pose, and the mean of the tracker's measurements there."""
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
-    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
     robot_from_flange: PoseRecord = Field(
         description="Pose robot <- flange, from the arm's record or nominal."
     )
