@@ -15,6 +15,8 @@ if TYPE_CHECKING:
 
 STOP = "stop"
 READ_AHEAD = 1000  # lines; beyond them the writer waits
+LONGEST_LINE = 4096  # bytes; a command with its words has a tenth
+TOO_LONG = f"line-of-more-than-{LONGEST_LINE}-bytes"  # in place of a longer line: no command, and no answer
 
 
 class PipedLines:
@@ -45,7 +47,7 @@ class PipedLines:
         return line
 
     def _read(self, engine: Engine) -> None:
-        for line in chain(_lines(sys.stdin.fileno()), [""]):
+        for line in chain(lines_from(sys.stdin.fileno()), [""]):
             with self._changed:
                 self._changed.wait_for(lambda: len(self._lines) < READ_AHEAD)
                 overtakes = line.strip() == STOP and not (self._idle and not self._lines)
@@ -57,11 +59,19 @@ class PipedLines:
                 engine.setting.workcell.stop()
 
 
-def _lines(descriptor: int) -> Iterator[str]:
+def lines_from(descriptor: int) -> Iterator[str]:
     """Not by `sys.stdin`: a thread that waits in it holds a lock that the end of the program needs."""
-    rest = b""
-    while chunk := os.read(descriptor, 4096):
-        *whole, rest = (rest + chunk).split(b"\n")
-        yield from (f"{line.decode(errors='replace')}\n" for line in whole)
-    if rest:
-        yield rest.decode(errors="replace")
+    line = bytearray()
+    while chunk := os.read(descriptor, LONGEST_LINE):
+        *ends, rest = chunk.split(b"\n")
+        for end in ends:
+            yield f"{_text(line + end)}\n"
+            line.clear()
+        line += rest
+        del line[LONGEST_LINE + 1 :]
+    if line:
+        yield _text(line)
+
+
+def _text(line: bytearray) -> str:
+    return TOO_LONG if len(line) > LONGEST_LINE else line.decode(errors="replace")

@@ -9,11 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from bounded_cost import bounded_cost
 from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.case.piped_lines import PipedLines
+from procedures.cli.case.piped_lines import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
@@ -111,3 +112,29 @@ def test_the_last_line_needs_no_end_and_the_end_is_read_as_often_as_asked(tmp_pa
     pipe.file.close()
     eventually(lambda: lines.ready(0.0), LIMIT_S)
     assert [lines.readline(), lines.readline(), lines.readline()] == ["quit", "", ""]
+
+
+def test_a_line_of_ten_megabytes_is_no_command_and_the_next_line_is_read(pipe: Pipe) -> None:
+    script = b"x" * 10_000_000 + b"\nstop\n" + b"y" * LONGEST_LINE + b"\nquit"
+
+    def write() -> None:
+        with pipe.file:
+            left = memoryview(script)
+            while left:
+                left = left[pipe.file.write(left) :]
+
+    writer = threading.Thread(target=write, daemon=True)
+    writer.start()
+    with bounded_cost(limit_s=2.0):
+        lines = list(lines_from(sys.stdin.fileno()))
+    writer.join(LIMIT_S)
+    assert lines == [f"{TOO_LONG}\n", "stop\n", "y" * LONGEST_LINE + "\n", "quit"]
+
+
+def test_a_line_that_is_too_long_is_reported_and_does_nothing(tmp_path: Path, pipe: Pipe) -> None:
+    said: list[str] = []
+    operator, cell = Script(said), RecordingCell(tmp_path)
+    pipe.write(f"next{' ' * LONGEST_LINE}\nquit\n")
+    operator.at(cell.engine(plain_order()))
+    assert said[0].startswith(f"there is no command {TOO_LONG!r}")
+    assert cell.entries("intent") == []
