@@ -23,6 +23,7 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 
+MOST_CHANGES = 1000  # that a report lists
 MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file with nothing else is skipped
 
 R = TypeVar("R", bound=StepResult)
@@ -84,7 +85,10 @@ def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[
         notes.append("There is no journal: the run ended before its theatre was open.")
     if found.chain.torn:
         notes.append("The last line of the journal is truncated: the program ended while writing it.")
-    return RunReading(run_of(found), _log(folder), tuple(map(str, found.changes)), notes)
+    changes = tuple(map(str, found.changes[:MOST_CHANGES]))
+    if len(found.changes) > MOST_CHANGES:
+        notes.append(f"{len(found.changes) - MOST_CHANGES} more changes are not listed; verify lists them.")
+    return RunReading(run_of(found), _log(folder), changes, notes)
 
 
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:

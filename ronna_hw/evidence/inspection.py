@@ -9,9 +9,9 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import NamedTuple, cast
 
 from ronna_hw.bounded_input import InputRefused, read_json_lines
@@ -31,6 +31,7 @@ FINISH_IT = (
     "ronna-procedure report RUN its report."
 )
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
+MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
 SHOWN = 3  # problems named in an error; verify lists all
 
 
@@ -137,6 +138,9 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     """
     problems: list[Problem] = []
     chain = _chain(folder, problems)
+    if names_in(chain.lines) > MOST_NAMES:
+        problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
+        return Inspection(folder, chain, (), tuple(problems))
     records = tuple(_records(folder, chain.lines, problems))
     if every_file and chain.lines:
         problems += _files(folder, chain)
@@ -215,6 +219,9 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         if line["entry"] != Entry.RESULT:
             continue
         name = f"{RECORDS_FOLDER}/{line.get('record')}.json"
+        if wrong_name := _wrong(name) or ("named twice" if str(line.get("record")) in known else ""):
+            problems.append(Problem(name, wrong_name))
+            continue
         try:
             record = read_record(folder / name)
         except BadRecord as problem:
@@ -254,15 +261,18 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     request = lines[0].get("request_sha256")
     if isinstance(request, str):
         yield from _against(folder, {REQUEST_FILE: request})
+    pictures: dict[str, str] = {}
     for line in lines:
-        pictures = hashes_in(line, "pictures")
-        yield from _against(folder, {f"{PICTURES_FOLDER}/{name}": of for name, of in pictures.items()})
+        for picture, of in hashes_in(line, "pictures").items():
+            name = f"{PICTURES_FOLDER}/{picture}"
+            pictures[name] = of if pictures.get(name, of) == of else "two hashes"
+    yield from _against(folder, pictures)
     yield from (Problem(name, what) for name, what in unlike_truth(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:
         yield from _against(folder, named)
-        yield from _against(Path("/"), hashes_in(lines[-1], "inputs"))
+        yield from _against(folder, hashes_in(lines[-1], "inputs"), inputs=True)
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
         yield from _not_put_back(folder, lines, there)
@@ -289,7 +299,8 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
     """Files that a killed program had found changed or added, and that still are."""
     expected = not_vouched_for(lines)
-    yield from _against(folder, {name: sha256 for name, sha256 in expected.items() if sha256 is not None})
+    known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
+    yield from _against(folder, known, inputs=True)
     vouched = {
         *TRUTH_FILES,
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
@@ -325,8 +336,12 @@ def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, 
     return not after
 
 
-def _against(folder: Path, hashes: Mapping[str, str]) -> Iterator[Problem]:
+def _against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
+    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path."""
     for name, recorded in hashes.items():
+        if wrong := _wrong(name.removeprefix("/") if inputs else name):
+            yield Problem(name, wrong)
+            continue
         try:
             if sha256_of(folder / name) != recorded:
                 yield Problem(name, "changed")
@@ -334,6 +349,13 @@ def _against(folder: Path, hashes: Mapping[str, str]) -> Iterator[Problem]:
             yield Problem(name, "missing", unfinished=is_made_anew(name))
         except OSError as error:
             yield Problem(name, _why_unread(error))
+
+
+def _wrong(name: str) -> str:
+    """What is wrong with the name of a file in a folder: it leads elsewhere, or has two forms."""
+    path = PurePosixPath(name)
+    leads_elsewhere = path.is_absolute() or ".." in path.parts
+    return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
 
 
 def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
@@ -358,3 +380,9 @@ def hashes_in(line: Line, field: str) -> dict[str, str]:
     """File names and their hashes in a field of a line; empty if it has none."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
+
+
+def names_in(lines: Iterable[Line]) -> int:
+    """How many files the lines of a journal name."""
+    fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
+    return sum(len(hashes_in(line, field)) for line in lines for field in fields)

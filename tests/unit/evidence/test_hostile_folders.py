@@ -7,13 +7,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from bounded_cost import bounded_cost
 from finished_runs import changed_files, gone_home
 from recording_cell import RecordingCell
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal
+from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal, sha256_of
+from ronna_hw.records import Record, write_record
 
 FRAMES = 400  # of the interpreter, which usually has 1,000: so deep a chain takes seconds to make and remove
 
@@ -107,3 +109,51 @@ def test_impossible_file_names_in_a_journal_are_reported(tmp_path: Path, name: s
     cell.journal.write(Entry.CLOSED, 0.0, files={name: "0"})
     wrong = {problem.file for problem in inspected(cell.folder).changes}
     assert wrong >= {f"records/{name}.json", f"pictures/{name}", name}
+
+
+@pytest.mark.parametrize("name", ["../outside", "a/../../outside", "./outside", "{outside}"])
+def test_a_file_outside_the_run_that_a_journal_names_is_reported_and_not_opened(
+    tmp_path: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outside = write_record(Record("outside", "image", {}, {}), tmp_path)
+    name = name.format(outside=outside.with_suffix(""))
+    cell = RecordingCell(tmp_path / "run")
+    sha256 = sha256_of(outside)
+    cell.journal.write(Entry.RESULT, 0.0, step="image", record=f"../{name}", sha256="0")
+    cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: sha256})
+    cell.journal.write(Entry.CLOSED, 0.0, files={f"{name}.json": sha256})
+    opened: list[Path] = []
+    for where in ("read_record", "sha256_of"):
+        monkeypatch.setattr(f"ronna_hw.evidence.inspection.{where}", opened.append)
+    problems = {problem.file: problem.what for problem in inspected(cell.folder).changes}
+    named = (f"records/../{name}.json", f"records/{name}.json", f"pictures/{name}", f"{name}.json")
+    assert {problems[one] for one in named} == {"not the name of a file of the run"}
+    assert opened == []
+
+
+def test_a_record_that_a_journal_names_twice_is_reported_and_read_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    for _ in range(3):
+        cell.journal.write(Entry.RESULT, 0.0, step="image", record="a", sha256="0")
+    read: list[str] = []
+
+    def reads(path: Path) -> Record:
+        read.append(path.name)
+        return Record("a", "image", {}, {})
+
+    monkeypatch.setattr("ronna_hw.evidence.inspection.read_record", reads)
+    assert "records/a.json: named twice" in map(str, inspected(cell.folder).changes)
+    assert read == ["a.json"]
+
+
+@pytest.mark.parametrize(("count", "what"), [(90_000, "missing"), (500_000, "names more than")])
+def test_a_journal_that_names_very_many_files_is_checked_at_bounded_cost(
+    tmp_path: Path, count: int, what: str
+) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.CLOSED, 0.0, pictures={f"{number:x}": "" for number in range(count)})
+    with bounded_cost():
+        problems = inspected(cell.folder).changes
+    assert problems[0].what.startswith(what)
