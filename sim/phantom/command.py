@@ -14,6 +14,7 @@ from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
+from ronna_hw.text.printable import without_controls
 from sim.world.scene.carrier import Carrier
 
 SCANNER = "What the scanner does"
@@ -167,8 +168,10 @@ def phantom(
         )
         return
     typer.echo(
-        f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
-        f"{counted(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
+        without_controls(
+            f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
+            f"{counted(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
+        )
     )
 
 
@@ -196,4 +199,5 @@ def _scan_after(
             }
         )
         return
-    typer.echo(f"{case.series}: {case.slices} slices, {counted(len(left), instrument.value)}")
+    left_in = counted(len(left), instrument.value)
+    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {left_in}"))

@@ -21,6 +21,7 @@ from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.text.printable import without_controls
 
 if TYPE_CHECKING:
     from procedures.cli.console.attaching import ConsoleRequest
@@ -110,7 +111,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
             f"{outcome.sim_s:.0f} s of theatre time in {outcome.wall_s:.0f} s\n"
         )
     if outcome.report is not None:
-        sys.stdout.write(f"report {outcome.report}\n")
+        sys.stdout.write(f"report {without_controls(str(outcome.report))}\n")
 
 
 def follow_case(request: CaseRequest, *, as_json: bool, console: ConsoleRequest | None = None) -> None:

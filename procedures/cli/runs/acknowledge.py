@@ -23,7 +23,7 @@ from procedures.composition.procedure import Resumption
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun
 from procedures.engine.left_run import read_left_run
-from ronna_hw.command_line.terminal import on_terminal, print_json, tell
+from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
 
@@ -161,4 +161,4 @@ def _show(
         print_json({**about, "acknowledged": done, "unreached": unreached})
     else:
         rows = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
-        sys.stdout.write("".join(f"{line}\n" for line in rows))
+        say("\n".join(rows))

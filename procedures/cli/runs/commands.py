@@ -13,6 +13,7 @@ from procedures.cli.console.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.option_records import with_option_records
 from ronna_hw.command_line.terminal import JsonOption
+from ronna_hw.text.printable import without_controls
 
 
 def _run_folder(folder: Path) -> Path:
@@ -142,7 +143,7 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     if as_json:
         print_json({"report": str(path)})
     else:
-        sys.stdout.write(f"{path}\n")
+        sys.stdout.write(f"{without_controls(str(path))}\n")
 
 
 def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:

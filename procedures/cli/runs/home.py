@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Literal
 
@@ -22,7 +21,7 @@ from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
 from procedures.engine.theatre_lock import last_moved
 from procedures.journal.journal import Entry
-from ronna_hw.command_line.terminal import print_json
+from ronna_hw.command_line.terminal import print_json, say
 
 
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
@@ -70,4 +69,4 @@ def _say(left: LeftRun, words: str, *, moved: bool, as_json: bool, home: Literal
     if as_json:
         print_json({"run": left.run.path.name, "home": home, "moved": moved})
     else:
-        sys.stdout.write(f"{words}\n")
+        say(words)

@@ -18,6 +18,7 @@ from procedures.imaging.dicom.bounded_stream import (
 from procedures.imaging.errors import AttributeMissing, FileDamaged
 from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
 
+LONGEST_SHOWN = 80  # characters of a value that is not as it should be
 LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
 
 if TYPE_CHECKING:
@@ -90,7 +91,7 @@ def numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[
         raise AttributeMissing(
             f"{path.name}: {keyword} is unusable",
             expected=expected,
-            got=str(stated),
+            got=str(stated)[:LONGEST_SHOWN],
             action="Correct it where the series was made, and export it again.",
         )
     return found

@@ -150,6 +150,13 @@ def test_sizes_impossible_for_a_scanner_are_refused(dicom_series: Write, absurd:
         read_series(folder)
 
 
+def test_a_value_of_very_many_numbers_is_named_in_short(dicom_series: Write) -> None:
+    folder = dicom_series(edit=every(setting(PixelSpacing=["1"] * 16_000)))
+    with pytest.raises(errors.AttributeMissing, match="PixelSpacing is unusable") as refused:
+        read_series(folder)
+    assert len(str(refused.value)) < 400
+
+
 def test_more_pixel_data_than_the_header_declares_is_refused(dicom_series: Write) -> None:
     folder = dicom_series(edit=every(lambda data: setattr(data, "PixelData", data.PixelData + bytes(1000))))
     with pytest.raises(errors.FileDamaged, match=rf"{FIRST} has more pixels than its header says"):
