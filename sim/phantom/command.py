@@ -83,6 +83,15 @@ def phantom(
             min=0.0, max=20.0, help="Distance of a single patient movement.", rich_help_panel=SCANNER
         ),
     ] = 0.0,
+    slide_mm: Annotated[
+        float,
+        typer.Option(
+            min=-20.0,
+            max=20.0,
+            help="Distance along the table of a single patient movement.",
+            rich_help_panel=SCANNER,
+        ),
+    ] = 0.0,
     kernel: Annotated[
         str, typer.Option(help="standard, smooth or sharp.", rich_help_panel=SCANNER)
     ] = "standard",
@@ -131,7 +140,15 @@ def phantom(
         _scan_after(postoperative, instrument, out, seed, protocol, as_json)
         return
     faults = ScannerFaults(
-        tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range, tilt_hidden
+        tilt_deg,
+        table_scale,
+        thickness_mm,
+        beam_hardening,
+        motion_mm,
+        slide_mm,
+        kernel,
+        extended_range,
+        tilt_hidden,
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if family is not None or carrier is None:

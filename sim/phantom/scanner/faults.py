@@ -38,8 +38,9 @@ KERNELS = {
 @dataclass(frozen=True)
 class ScannerFaults:
     """Tilt of the gantry (degrees), true over stated table feed minus 1, slice thickness (None: the stated
-    spacing), beam hardening (1: typical), patient motion halfway up the markers, the kernel, whether metal is
-    stored beyond 3071 HU, and whether the headers show upright slices whatever the tilt.
+    spacing), beam hardening (1: typical), patient motion halfway up the markers, in any direction and along
+    the table, the kernel, whether metal is stored beyond 3071 HU, and whether the headers show upright slices
+    whatever the tilt.
     """
 
     tilt_deg: float = 0.0
@@ -47,6 +48,7 @@ class ScannerFaults:
     thickness_mm: float | None = None
     beam_hardening: float = 0.0
     motion_mm: float = 0.0
+    slide_mm: float = 0.0
     kernel: str = "standard"
     extended_range: bool = False
     tilt_hidden: bool = False

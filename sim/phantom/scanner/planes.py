@@ -43,7 +43,7 @@ class Planes:
         dx, dy, dz = self.moved_by_mm
         self._before = SlicePainter(scan.scene, fed, scan.anatomy, faults)
         self._after = self._before
-        if faults.motion_mm:
+        if self.moved_from:
             moved = replace(fed, origin_mm=(x - dx, y - dy, z - dz))
             self._after = SlicePainter(scan.scene, moved, scan.anatomy, faults)
         self._straight: OrderedDict[int, Values] = OrderedDict()
@@ -61,7 +61,7 @@ class Planes:
     def active(self) -> dict[str, Any]:
         """The faults for the truth file; empty if there are none."""
         faults = self._scan.faults.active()
-        if self._scan.faults.motion_mm:
+        if self.moved_from:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}
 
@@ -128,9 +128,10 @@ class Planes:
 
 def _motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
     """The first slice after the patient has moved, halfway up the markers, and the displacement."""
-    if not scan.faults.motion_mm:
+    faults = scan.faults
+    if not faults.motion_mm and not faults.slide_mm:
         return 0, (0.0, 0.0, 0.0)
     way = noise(scan.scene.seed, "patient moves", 0).standard_normal(3)
-    x, y, z = (scan.faults.motion_mm * way / np.linalg.norm(way)).tolist()
+    x, y, z = (faults.motion_mm * way / np.linalg.norm(way)).tolist()
     middle_mm = float(np.median([fiducial.centre_ct_mm[2] for fiducial in scan.scene.head.fiducials]))
-    return int(np.searchsorted(grid.z_mm, middle_mm)), (x, y, z)
+    return int(np.searchsorted(grid.z_mm, middle_mm)), (x, y, z + faults.slide_mm)

@@ -62,6 +62,12 @@ def test_a_patient_motion_changes_the_slices_from_one_slice_on(coarse_scene: Sce
     assert np.abs(moving.paint(first) - plain[first]).mean() > 1.0
 
 
+def test_a_patient_may_slide_along_the_table_only(coarse_scene: Scene) -> None:
+    sliding = planes_of(coarse_scene, slide_mm=-2.0)
+    assert sliding.moved_by_mm == (0.0, 0.0, -2.0)
+    assert sliding.active()["scanner"]["moved_from_slice"] == sliding.moved_from > 0
+
+
 def test_thick_slices_blur_along_the_table_and_a_soft_kernel_in_the_slice(coarse_scene: Scene) -> None:
     plain = slices(coarse_scene)
     thick = slices(coarse_scene, thickness_mm=3.0 * coarse_scene.ct.slice_mm)
