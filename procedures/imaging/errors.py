@@ -1,4 +1,4 @@
-"""Errors of CT series and sphere localization, CT-001 to CT-022."""
+"""Errors of CT series and sphere localization, CT-001 to CT-024."""
 
 from __future__ import annotations
 
@@ -174,3 +174,18 @@ class VolumeMalformed(DataError):
 
     code = "CT-022"
     action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."
+
+
+class PatientMoved(DataError):
+    """The patient moved between two slices."""
+
+    code = "CT-023"
+    action = "Fix the head and scan again; what lies on both sides of the move does not belong together."
+
+
+class SlicesMisplaced(DataError):
+    """By the shape of the markers, the slices are not where the scanner says."""
+
+    code = "CT-024"
+    action = "Have the scanner's table feed and gantry tilt checked, and scan again."
+    exit_code = EXIT_REFUSED

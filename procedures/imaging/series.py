@@ -22,8 +22,8 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     """Read the CT series whose files lie directly in `directory`.
 
     Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called
-    with the fraction done. Raises CT-001 to CT-015, CT-020, CT-021 for a series that cannot be
-    trusted; nothing is guessed.
+    with the fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot
+    be trusted; nothing is guessed.
     """
     directory = Path(directory)
     headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
