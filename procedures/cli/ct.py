@@ -170,6 +170,8 @@ def localize(
 
             _write_pictures(pictures, "candidate", candidate_pictures(volume, likely[:PICTURED_CANDIDATES]))
         raise refused
+    for sentence in result.warnings:
+        terminal.tell(f"warning: {sentence}")
     for one in result.doubtful:
         if not as_json:
             terminal.tell(f"doubtful, {'picked' if one.accepted else 'not taken'}: {one.describe()}")

@@ -112,7 +112,7 @@ def read_volume(series_dir: Path) -> Volume:
 def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
-    """The series, the centres of its markers and, where they cannot be had and need not be, why not."""
+    """The series, the centres of its markers, and what they say of the scan or why they could not be had."""
     from procedures.imaging import localize, read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -126,4 +126,4 @@ def read_ct(
                 raise
             why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
             return volume, None, (why,)
-    return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers], ()
+    return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers], found.warnings

@@ -183,6 +183,7 @@ def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: f
         agreement_mm=combined.agreement_mm,
         flags=_flags(sphere, others, radius_mm),
         odds=sphere.candidate.odds,
+        shape_mm=None if sphere.measured.stretch is None else sphere.measured.stretch.terms_mm,
     )
 
 

@@ -20,6 +20,7 @@ from procedures.imaging.doubts import Doubt
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
 from procedures.imaging.examination import OVERLAPS, Sphere, as_marker, examine, with_shape
 from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Localization, Marker
+from procedures.imaging.stack_distortion import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 Progress = Callable[[float], None]
@@ -43,7 +44,7 @@ def localize(
     Returns markers in LPS mm from superior to inferior, and every candidate with the reason for accepting or
     rejecting it. With `expected`, the clear ones are taken if exactly that many stand out; any other count
     raises CT-016, which carries the candidates; without it, only a count of zero does. `progress` is called
-    with the fraction done. Raises CT-017 for invalid arguments.
+    with the fraction done. Raises CT-017 for invalid arguments, CT-024 for markers that are all distorted.
     """
     check_request(volume, diameter_mm, expected)
     report = progress if progress is not None else _silent
@@ -78,6 +79,7 @@ def localize(
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
+        warnings=distortion_warnings(markers, radius_mm),
     )
 
 

@@ -69,7 +69,8 @@ class Marker:
     streaks and, where the two estimators are combined (not in a `streaked` sphere), their disagreement,
     excluding errors common to a whole scan such as table feed; `agreement_mm` the distance between the two
     estimates of the centre; `quality` [0..1] the share of the surface used, lowered by disagreement; `odds`
-    as in `Candidate`.
+    as in `Candidate`; `shape_mm` how far the surface is from a ball's, as `Stretch.terms_mm`, None if too
+    little of it shows.
 
     `radius_mm` is that of a uniform ball with the inner intensity and the same total attenuation. The model
     removes blur; a retro-reflective film remains: too thin to be resolved, a film of thickness t adds about t
@@ -83,6 +84,7 @@ class Marker:
     agreement_mm: float
     flags: tuple[str, ...] = ()
     odds: float = 1.0
+    shape_mm: Array | None = None
 
     def document(self) -> dict[str, Any]:
         """As plain data for JSON."""
@@ -98,13 +100,17 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The markers of one volume, from superior to inferior, and every candidate."""
+    """The markers of one volume, from superior to inferior, and every candidate.
+
+    `warnings` are sentences on what the markers together say of the scan.
+    """
 
     markers: tuple[Marker, ...]
     candidates: tuple[Candidate, ...]
     series_instance_uid: str
     frame_of_reference_uid: str
     diameter_mm: float
+    warnings: tuple[str, ...] = ()
 
     @property
     def doubtful(self) -> tuple[Candidate, ...]:

@@ -25,6 +25,7 @@ from procedures.imaging.localization import (
 )
 from procedures.imaging.markers import PICKED, Candidate, Localization
 from procedures.imaging.pick_files import LPS_FROM_RAS
+from procedures.imaging.stack_distortion import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
@@ -50,8 +51,8 @@ def localize_picks(
 ) -> Localization:
     """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; every marker is flagged `picked`.
 
-    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016 and
-    CT-017 as in `localize`.
+    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016,
+    CT-017 and CT-024 as in `localize`.
     """
     picks = np.asarray(picks_mm, dtype=float)
     check_request(volume, diameter_mm, expected)
@@ -74,6 +75,7 @@ def localize_picks(
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
+        warnings=distortion_warnings(markers, radius_mm),
     )
 
 

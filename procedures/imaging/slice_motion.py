@@ -1,13 +1,14 @@
 """Detects a patient who moves during the scan: everything jumps from one slice to the next.
 
 Outlines in a head change steadily from slice to slice. What one change has beyond those around it is compared
-with a shift of the outlines across the slice; its size, where those around it are alike, with that of a
-change over another distance along the table. Neither shows near the vertex, where there is little outline,
-nor a move along the table where the outlines hardly change; one by which slices are missing, rather than
-repeated, only where they are steep.
+with a shift of the outlines across the slice. If a change runs against those around it, slices repeat: the
+patient moved back along the table. Neither shows near the vertex, where there is little outline; a move along
+the table by less than a slice, or by which slices are missing, shows nowhere.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -26,44 +27,38 @@ SMOOTH_PIXELS = 1.0  # sigma, then: slopes over two pixels are right to a tenth
 OUTLINE_HU_PER_MM = 40.0  # slope from which a pixel belongs to an outline
 LEAST_OUTLINE = 0.25  # of the most that a slice of the series shows: those with less are not judged
 LIKE_A_SHIFT = 0.1  # share of a sudden change's square that a shift explains
-STEADY = 0.6  # correlation of the change before with the change after
+STEADY = 0.3  # correlation of the change before with the one after
+BACKWARDS = -0.7  # correlation of a change with those around it: slices that repeat have -0.74 to -1
 THICKEST_MM = 3.0  # between thicker slices a head changes too much
 AROUND = 6  # slices: three changes in a row, with one between them and those compared
 
 # What shows without motion is on the reference page of scanner faults. A move of 1 mm costs 0.8 mm rms at the
 # markers, and 0.3 mm after a rigid fit.
 WARNED_MM, REFUSED_MM = 0.4, 1.0
-# Along the table only slices that repeat are sure: that outlines go back has no other cause.
-WARNED_ALONG_MM, REFUSED_ALONG_MM = 2.0, 2.5
 
 
 def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """A sentence for a jump; raises CT-023 beyond 1 mm sideways, or 2.5 mm back along the table."""
+    """A sentence for a jump; raises CT-023 beyond 1 mm, sideways or back along the table."""
     if len(voxels) < AROUND or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
-    across_mm, shares, along_mm = jumps(voxels, geometry)
-    across_mm = np.where(shares > LIKE_A_SHIFT, across_mm, 0.0)
-    return (
-        *_warned("sideways", across_mm, WARNED_MM, REFUSED_MM, geometry),
-        *_warned("back along the table", -along_mm, WARNED_ALONG_MM, REFUSED_ALONG_MM, geometry),
-        *_warned("on along the table", along_mm, WARNED_ALONG_MM, np.inf, geometry),
-    )
+    found = jumps(voxels, geometry)
+    across_mm = np.where(found.shares > LIKE_A_SHIFT, found.across_mm, 0.0)
+    back_mm = np.where(found.runs < BACKWARDS, found.back_mm, 0.0)
+    return (*_warned("sideways", across_mm, geometry), *_warned("back along the table", back_mm, geometry))
 
 
-def _warned(
-    way: str, jumps_mm: Array, warned_mm: float, refused_mm: float, geometry: VoxelGeometry
-) -> tuple[str, ...]:
+def _warned(way: str, jumps_mm: Array, geometry: VoxelGeometry) -> tuple[str, ...]:
     worst = int(jumps_mm.argmax())
     jump_mm, before = float(jumps_mm[worst]), worst + AROUND // 2  # slices are counted from one
-    if jump_mm <= warned_mm:
+    if jump_mm <= WARNED_MM:
         return ()
     height_mm = float(geometry.to_patient_mm((before - 0.5, 0.0, 0.0))[2])
     where = f"{way} at S {height_mm:.0f} mm, between slices {before} and {before + 1}"
-    if jump_mm > refused_mm:
+    if jump_mm > REFUSED_MM:
         raise PatientMoved(
             f"the head jumps {where}",
-            limit=f"{refused_mm:.1f} mm",
-            got=f"{beyond(jump_mm, refused_mm, 1)} mm",
+            limit=f"{REFUSED_MM:.1f} mm",
+            got=f"{beyond(jump_mm, REFUSED_MM, 1)} mm",
         )
     return (
         f"the patient seems to have moved by {jump_mm:.1f} mm {where}: "
@@ -71,23 +66,33 @@ def _warned(
     )
 
 
-def jumps(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[Array, Array, Array]:
-    """Of the inner slices, each against the one before, (slices - 5,): mm across, share, mm along the table.
+@dataclass(frozen=True, eq=False)
+class Jumps:
+    """Of the inner slices, each against the one before, (slices - 5,); 0 is what cannot be judged.
 
-    The share of the sudden change is what a shift across the slice explains; 0 is what cannot be judged.
+    Across the slice, and the share of the sudden change that such a shift explains; back along the table, and
+    the correlation of the change with those around it.
     """
+
+    across_mm: Array
+    shares: Array
+    back_mm: Array
+    runs: Array
+
+
+def jumps(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> Jumps:
+    """By how much each slice seems to jump, whether or not it does."""
     _, rows, columns = geometry.shape
     down_mm, across_mm = geometry.spacing_mm[1:].tolist()
     size = (max(round(columns * across_mm / PIXEL_MM), 3), max(round(rows * down_mm / PIXEL_MM), 3))
     steps_mm = (rows * down_mm / size[1], columns * across_mm / size[0])
     planes = [_reduced(plane, size) for plane in voxels[: AROUND - 1]]
-    found = np.zeros((len(voxels) - AROUND + 1, 4))
+    found = np.zeros((len(voxels) - AROUND + 1, 5))
     for number, plane in enumerate(voxels[AROUND - 1 :]):
         planes = [*planes[1 - AROUND :], _reduced(plane, size)]
         found[number] = _jump(planes, steps_mm, float(geometry.spacing_mm[0]))
-    judged = found[:, 3] > LEAST_OUTLINE * found[:, 3].max()
-    across, shares, along = np.where(judged, found[:, :3].T, 0.0)
-    return across, shares, along
+    judged = found[:, 4] > LEAST_OUTLINE * found[:, 4].max()
+    return Jumps(*np.where(judged, found[:, :4].T, 0.0))
 
 
 def _reduced(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
@@ -96,10 +101,8 @@ def _reduced(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
     return np.asarray(cv2.GaussianBlur(small, (0, 0), SMOOTH_PIXELS), dtype=np.float32)
 
 
-def _jump(
-    planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float
-) -> tuple[float, float, float, float]:
-    """Between the middle two of six slices: mm across, share, mm along the table, how much outline shows."""
+def _jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
+    """Between the middle two of six slices: what `Jumps` has, and how much outline shows."""
     middle = 0.5 * (planes[2] + planes[3])
     slopes = np.gradient(middle, *steps_mm)
     outline = np.hypot(*slopes) > OUTLINE_HU_PER_MM
@@ -108,22 +111,25 @@ def _jump(
     least = float(np.linalg.eigvalsh(power)[0])
     changes = np.diff([plane[outline] for plane in planes], axis=0).astype(np.float64)
     if least <= 0.0 or not changes.any(axis=1).all():
-        return 0.0, 0.0, 0.0, max(least, 0.0)
+        return 0.0, 0.0, 0.0, 0.0, max(least, 0.0)
     sudden = changes[2] - 0.5 * (changes[1] + changes[3])
     common = ways.T @ -sudden
     shift_mm = np.linalg.solve(power, common)
     share = float(shift_mm @ common) / max(float(sudden @ sudden), np.finfo(float).tiny)
-    return float(np.linalg.norm(shift_mm)), share, _along_mm(changes, slice_mm), least
+    return float(np.linalg.norm(shift_mm)), share, *_back(changes, slice_mm), least
 
 
-def _along_mm(changes: Array, slice_mm: float) -> float:
-    """By how much more than a slice the table seems to go; 0 where the outlines do not change steadily.
+def _back(changes: Array, slice_mm: float) -> tuple[float, float]:
+    """How far the table seems to go back, mm, and the correlation with the changes around.
 
-    The changes compared have no slice in common with the middle one, whose noise would otherwise count.
+    Those have no slice in common with the middle one, whose noise would otherwise count.
     """
-    before, after = changes[0], changes[4]
-    alike = float(before @ after) / float(np.linalg.norm(before) * np.linalg.norm(after))
-    if alike < STEADY:
-        return 0.0
+    before, middle, after = changes[0], changes[2], changes[4]
+    if _correlation(before, after) < STEADY:
+        return 0.0, 0.0
     usual = 0.5 * (before + after)
-    return (float(changes[2] @ usual / (usual @ usual)) - 1.0) * slice_mm
+    return (1.0 - float(middle @ usual / (usual @ usual))) * slice_mm, _correlation(middle, usual)
+
+
+def _correlation(one: Array, other: Array) -> float:
+    return float(one @ other) / float(np.linalg.norm(one) * np.linalg.norm(other))

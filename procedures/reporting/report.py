@@ -140,12 +140,14 @@ def write_report(
 
 def _findings(reading: RunReading) -> list[str]:
     """What CT, plan and drivers reported to the operator without stopping anything."""
-    series, plan, set_up = reading.find(ImportedCt), reading.find(CheckedPlan), reading.find(CheckedSetUp)
+    series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
+    plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
     return [
         *(observed.remarks if observed else ()),
         *([look.reason] if look and look.reason else ()),
         *(f"CT: {one}" for one in (series.warnings if series else ())),
+        *(f"CT: {one}" for one in (spheres.warnings if spheres else ())),
         *(f"Plan: {one}" for one in (plan.warnings if plan else ())),
         *(set_up.notices if set_up else ()),
     ]

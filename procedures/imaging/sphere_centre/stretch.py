@@ -20,11 +20,14 @@ Array = NDArray[np.float64]
 TERMS = 5
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Stretch:
-    """Longest minus shortest semi-axis of a body, and the standard deviation of a term of it, in mm."""
+    """How far a body's surface is from a ball's along each direction n: n' terms n, in mm.
 
-    difference_mm: float
+    `terms_mm` (3, 3) along slice, row and column; `deviation_mm` is the standard deviation of a term.
+    """
+
+    terms_mm: Array
     deviation_mm: float
 
     @classmethod
@@ -33,7 +36,12 @@ class Stretch:
         a, b, c, d, e = found[-TERMS:].tolist()
         matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
-        return cls(float(np.ptp(np.linalg.eigvalsh(matrix))), float(np.sqrt(variance)))
+        return cls(matrix, float(np.sqrt(variance)))
+
+    @property
+    def difference_mm(self) -> float:
+        """Longest minus shortest semi-axis."""
+        return float(np.ptp(np.linalg.eigvalsh(self.terms_mm)))
 
 
 def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:

@@ -64,6 +64,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     diameter_mm: float = Field(description="Nominal diameter searched for.")
     markers: tuple[LocalizedMarker, ...] = Field(description="The spheres.")
     doubtful: tuple[DoubtfulSphere, ...] = Field(description="What may be a sphere, likeliest first.")
+    warnings: tuple[str, ...] = Field((), description="What the spheres together say of the scan.")
 
     @property
     def centres_mm(self) -> NDArray[np.float64]:
@@ -88,9 +89,11 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
             diameter_mm=found.diameter_mm,
             markers=tuple(LocalizedMarker.of(marker) for marker in found.markers),
             doubtful=tuple(DoubtfulSphere.of(candidate) for candidate in found.doubtful),
+            warnings=found.warnings,
         ),
         summary=f"{len(found.markers)} spheres"
-        + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else ""),
+        + (f"; doubtful, not taken: {len(found.doubtful)}" if found.doubtful else "")
+        + "".join(f"; {warning}" for warning in found.warnings),
     )
 
 

@@ -67,7 +67,7 @@ def test_a_movement_by_more_than_a_millimetre_is_refused_with_its_size_and_locat
     assert refused.value.limit == "1.0 mm"
 
 
-def test_a_movement_along_the_table_that_repeats_slices_is_refused() -> None:
+def test_a_movement_back_along_the_table_that_repeats_slices_is_refused() -> None:
     with pytest.raises(
         PatientMoved, match=r"back along the table at S .*, between slices 12 and 13"
     ) as refused:

@@ -189,7 +189,8 @@ def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> N
 
 
 def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
-    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0, Stretch(0.0, 0.0))
+    round_ = Stretch(np.zeros((3, 3)), 0.0)
+    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0, round_)
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere

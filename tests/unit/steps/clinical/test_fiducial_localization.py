@@ -56,3 +56,12 @@ def test_a_doubtful_sphere_is_stored_with_its_reason_and_odds(cell: ClinicalCell
     assert doubtful.centre_mm == pytest.approx((25.0, -10.0, 60.0), abs=0.2)
     assert "of its core is a different material" in doubtful.reason
     assert 0.0 < doubtful.odds < 0.5
+
+
+def test_what_the_spheres_together_say_of_the_scan_is_stored(cell: ClinicalCell) -> None:
+    scan = Scan(shape=(40, 100, 100), spacing_mm=(1.012, 0.5, 0.5))
+    for row_mm, column_mm in ((14.0, 14.0), (14.0, 36.0), (36.0, 14.0), (36.0, 36.0)):
+        scan.ball(np.array([20.0, row_mm, column_mm]))
+    write_series(cell.series, scan.voxels(), (1.0, 0.5, 0.5))
+    (warning,) = cell.run(ImportedCt.of(read_series(cell.series)), STEP).result.warnings
+    assert "the table seems to feed 1." in warning
