@@ -3,38 +3,59 @@
 import itertools
 import tempfile
 from contextlib import nullcontext
+from dataclasses import replace
+from enum import Enum, auto
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
-from plain_steps import plain_order, plain_steps
-from recording_cell import HOME, RecordingCell
+from plain_steps import plain_steps
+from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.engine.case import Case
 from procedures.engine.context import StepContext
+from procedures.engine.order import order_of
 from procedures.engine.run_folder import read_run
 from procedures.engine.step import Outcome, Scope, StepKey, StepSpec
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import Record
 
-NAMES = [str(key) for key in plain_order().sequence]
+
+class Failure(Enum):
+    """Where a step may come to its end early."""
+
+    PRECONDITION = auto()
+    BEFORE_READING = auto()
+    AFTER_READING = auto()
+    CONFIRMATION = auto()
+    MOTION = auto()
+
+
+failures = st.sampled_from([None] * 20 + list(Failure))
+# How many of its results a step does not read, though it declares them.
+unread_counts = st.sampled_from([0, 0, 0, 1, 2])
 
 
 class AnyOrder(RuleBasedStateMachine):
     """An engine that is told to run any step at any time. The model beside it is as simple as can be."""
 
+    localizes_per_trajectory = True
+
     def __init__(self) -> None:
         super().__init__()
         self._folder = tempfile.TemporaryDirectory(prefix="any-order-")
-        self.cell = RecordingCell(Path(self._folder.name))
+        self.cell = RecordingCell(Path(self._folder.name), operator=RecordingOperator(Topic.TOOL_CHECK))
         self.cell.arm.state = Lifecycle.ACTIVE
         self.cell.arm.blocked = self.meet_motion
-        self.fail_next = False
+        self.failure: Failure | None = None  # of the step that runs
+        self.unread = 0
         self.numbers = itertools.count(1)  # one for each result: its `number`
         self.made_from: dict[int, tuple[StepKey, tuple[int, ...]]] = {}
         self.latest: dict[StepKey, int] = {}
@@ -43,24 +64,31 @@ class AnyOrder(RuleBasedStateMachine):
         self.read: dict[str, str] = {}  # identifiers and hashes that the step that runs has read
         self.inside: str | None = None  # the trajectory in which the instrument is
         works = {spec.name: self.work(spec) for spec in plain_steps()}
-        self.engine = self.cell.engine(plain_order(**works))
+        steps = [replace(spec, preconditions=self.unmet) for spec in plain_steps(**works)]
+        order = order_of(steps, ("T1", "T2"), localizes_per_trajectory=self.localizes_per_trajectory)
+        self.engine = self.cell.engine(order)
         self.files: dict[str, bytes] = {}
 
     def work(self, spec: StepSpec[StepResult]):
         def run(context: StepContext) -> Outcome[StepResult]:
-            if self.fail_next:
+            if self.failure is Failure.BEFORE_READING:
                 raise LinkTimeout("drawn")
             self.read, self.used = {}, ()
-            for model in spec.reads:
+            # What continues another step reads it: otherwise it would outlast the repetition of that step.
+            unread = min(self.unread, len(spec.reads) - spec.continues)
+            for model in spec.reads[unread:]:
                 self.used += (context.result(model).number,)
                 stored = self.cell.case.find(model, context.key.trajectory)
                 assert stored is not None
                 self.read[stored.record.identifier] = stored.record.sha256
+            if self.failure is Failure.AFTER_READING:
+                raise LinkTimeout("drawn")
+            if self.failure is Failure.CONFIRMATION:
+                context.confirm(Topic.TOOL_CHECK, "the tool", "drawn")
+            number = next(self.numbers)
             if spec.scope is Scope.TRAJECTORY:
                 A1, *others = HOME
-                context.workcell.go((A1 + 1e-4 * self.used[0], *others))
-            self.follow_instrument(context.key)
-            number = next(self.numbers)
+                context.workcell.go((A1 + 1e-4 * number, *others))
             self.made_from[number] = (context.key, self.used)
             return Outcome(spec.result(number=number))
 
@@ -78,38 +106,52 @@ class AnyOrder(RuleBasedStateMachine):
         key, used = self.made_from[number]
         return self.latest.get(key) == number and all(map(self.valid, used))
 
+    def unmet(self, _context: StepContext) -> tuple[str, ...]:
+        return ("drawn",) if self.failure is Failure.PRECONDITION else ()
+
     def follow_instrument(self, key: StepKey) -> None:
         if self.inside is not None:
             assert key.trajectory == self.inside, f"{key} with the instrument in {self.inside}"
             assert key.name in ("held", "back")
         self.inside = {"approach": key.trajectory, "held": self.inside}.get(key.name)
 
-    @rule(name=st.sampled_from(NAMES), fails=st.integers(0, 40).map(lambda drawn: drawn == 0))
-    def run_any(self, name: str, fails: bool) -> None:
-        self.attempt(self.engine.order.find(name), fails)
+    @rule(data=st.data(), failure=failures, unread=unread_counts)
+    def run_any(self, data: st.DataObject, failure: Failure | None, unread: int) -> None:
+        key = data.draw(st.sampled_from(self.engine.order.sequence))
+        try:
+            self.attempt(key, failure, unread)
+        except StepRefused:
+            assert self.engine.why_refused(key)
 
-    @rule()
-    def run_next(self) -> None:
-        if self.engine.upcoming is not None:
-            self.attempt(self.engine.upcoming, False)
+    @rule(failure=failures, unread=unread_counts)
+    def run_next(self, failure: Failure | None, unread: int) -> None:
+        if self.engine.upcoming is not None and not self.engine.machine.ended:
+            refused = pytest.raises(StepRefused, match="drawn")
+            with refused if failure is Failure.PRECONDITION else nullcontext():
+                self.attempt(self.engine.upcoming, failure, unread)
 
-    @rule(name=st.sampled_from(NAMES))
-    def void_any(self, name: str) -> None:
-        key = self.engine.order.find(name)
+    @rule(data=st.data())
+    def void_any(self, data: st.DataObject) -> None:
+        key = data.draw(st.sampled_from(self.engine.order.sequence))
         if self.inside is None and self.cell.case.stands(key):
             self.engine.void(key, LinkTimeout("something moved"))
             del self.latest[key]
 
-    def attempt(self, key: StepKey, fails: bool) -> None:
-        self.fail_next = fails
+    def attempt(self, key: StepKey, failure: Failure | None = None, unread: int = 0) -> None:
+        self.failure, self.unread = failure, unread
+        self.cell.arm.failing = LinkTimeout("drawn") if failure is Failure.MOTION else None
+        standing = self.cell.case.standing
+        ended = NotConfirmed if failure is Failure.CONFIRMATION else LinkTimeout
         try:
             record = self.engine.run_step(key)
-        except StepRefused:
-            return
-        except LinkTimeout:
+        except ended:
             assert self.engine.machine.state == "held"
+            assert self.cell.case.standing == standing
             return
+        moves = self.engine.order.spec(key).scope is Scope.TRAJECTORY
+        assert failure is None or (failure is Failure.MOTION and not moves)
         assert record.parents == self.read
+        self.follow_instrument(key)
         self.latest[key] = max(self.made_from)
 
     @invariant()
@@ -147,6 +189,7 @@ def test_a_case_that_forgets_to_supersede_what_descends_is_caught_by_a_motion(
         monkeypatch.setattr(Case, "superseded_by", only_itself)
         monkeypatch.setattr(Case, "past", frozenset())  # which would refuse the step
     drawn = AnyOrder()
+    find = drawn.engine.order.find
     for name in (
         "image",
         "localization:T1",
@@ -156,21 +199,34 @@ def test_a_case_that_forgets_to_supersede_what_descends_is_caught_by_a_motion(
         "tool_on",
         "localization:T1",
     ):
-        drawn.run_any(name, False)
+        drawn.attempt(find(name))
     caught = pytest.raises(AssertionError, match=r"moves on superseded results: \[3\]")
-    with caught if forgets else nullcontext():
-        drawn.run_any("approach:T1", False)
+    with caught if forgets else pytest.raises(StepRefused, match="fit:T1 comes first"):
+        drawn.attempt(find("approach:T1"))
     assert drawn.moved == forgets
-    drawn.run_any("fit:T1", False)
-    drawn.run_any("approach:T1", False)
+    drawn.attempt(find("fit:T1"))
+    drawn.attempt(find("approach:T1"))
     assert drawn.moved == forgets + 1
     drawn.teardown()
 
 
+class AnyOrderLocalizedOnce(AnyOrder):
+    """A strategy that localizes once, for both trajectories."""
+
+    localizes_per_trajectory = False
+
+
 TestAnyOrder = AnyOrder.TestCase
-TestAnyOrder.settings = settings(max_examples=10, stateful_step_count=40, deadline=None)
+TestAnyOrderLocalizedOnce = AnyOrderLocalizedOnce.TestCase
+few = settings(max_examples=5, stateful_step_count=40, deadline=None)
+TestAnyOrder.settings = TestAnyOrderLocalizedOnce.settings = few
 
 
 @pytest.mark.slow
 class TestManyOrders(AnyOrder.TestCase):
-    settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+    settings = settings(few, max_examples=60)
+
+
+@pytest.mark.slow
+class TestManyOrdersLocalizedOnce(AnyOrderLocalizedOnce.TestCase):
+    settings = settings(few, max_examples=20)
