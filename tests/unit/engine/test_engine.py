@@ -1,6 +1,7 @@
 import json
 import os
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 from plain_steps import Fit, Image, Localization, ends_away, leaves, plain_order
@@ -297,13 +298,19 @@ def test_repeating_steps_keeps_every_record_named_in_the_journal(cell: Recording
     assert engine.machine.state == "operation.fit"
 
 
-@pytest.mark.hazard(1)
-def test_a_record_edited_during_the_run_is_refused(cell: RecordingCell) -> None:
-    engine = run(cell.engine(plain_order()), "image")
-    path = cell.folder / "records" / "01-image.json"
+def edit_number(path: Path) -> None:
     content = json.loads(path.read_text())
     content["payload"]["number"] = 7
     path.write_text(json.dumps(content))
+
+
+@pytest.mark.hazard(1)
+@pytest.mark.parametrize("spoil", [edit_number, Path.unlink])
+def test_a_record_edited_or_removed_during_the_run_is_refused(
+    cell: RecordingCell, spoil: Callable[[Path], None]
+) -> None:
+    engine = run(cell.engine(plain_order()), "image")
+    spoil(cell.folder / "records" / "01-image.json")
     with pytest.raises(BadRecord, match="REC-001"):
         run(engine, "localization:T1")
 
