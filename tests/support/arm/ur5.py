@@ -198,12 +198,12 @@ def _solve(pose: Pose, branch: Branch) -> JointVector:
     """Joint angles within half a turn; raises ARM-001 or ARM-002."""
     x, y, _ = pose.apply((0.0, 0.0, -D6))
     radius = hypot(x, y)
+    if abs(radius - D4) < 1e-6:
+        raise Singular("the wrist is over the first axis")
     if radius < D4:
         raise Unreachable(
             "the wrist is too close to the first axis", limit=f"{D4} mm", got=f"{radius:.1f} mm"
         )
-    if radius - D4 < 1e-6:
-        raise Singular("the wrist is over the first axis")
     beside = acos(D4 / radius)
     q1 = _within(atan2(y, x) + (beside if branch & BEHIND else -beside) + pi / 2)
     c1, s1 = cos(q1), sin(q1)

@@ -28,14 +28,27 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame
 
 ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())
-SINGULAR = {
-    "kr6_r900_sixx": {
+
+
+def _kr6_singular(elbow_offset_mm: float) -> dict[str, JointVector]:
+    """By the data sheet: shoulder 25 mm ahead, upper arm 455 mm, forearm 420 mm."""
+    stretched, A2 = math.atan2(elbow_offset_mm, 420.0), -1.8
+    ahead_mm = 25.0 + 455.0 * math.cos(A2)
+    under_A1 = stretched - A2 - math.acos(-ahead_mm / math.hypot(420.0, elbow_offset_mm))
+    return {
         "wrist": radians6(10, -80, 100, 30, 0, 50),
-        "elbow": (0.2, -1.0, math.atan2(35.0, 420.0), 0.3, 0.5, 0.1),
-    },
+        "elbow": (0.2, -1.0, stretched, 0.3, 0.5, 0.1),
+        "shoulder": (0.2, A2, under_A1, 0.3, 0.5, 0.1),
+    }
+
+
+SINGULAR = {
+    "kr6_r900_sixx": _kr6_singular(35.0),
+    "kr6_r900_2": _kr6_singular(25.0),
     "ur5": {
         "wrist": radians6(10, -80, -100, 30, 180, 50),
         "elbow": radians6(10, -80, 0, 30, 70, 50),
+        "shoulder": radians6(10, -90, 0, 90, 70, 50),
     },
 }
 CYCLE_S = 0.004
@@ -112,7 +125,7 @@ def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematic
 @pytest.mark.hazard(22)
 @each_arm
 def test_singular_postures_measure_zero_and_have_no_solution(arm: Kinematics) -> None:
-    for kind, joints in SINGULAR.get(arm.name, {}).items():
+    for kind, joints in SINGULAR[arm.name].items():
         measure = arm.singular_measure(joints)
         assert getattr(measure, kind) == pytest.approx(0.0, abs=1e-9)
         assert measure.least < 1e-9
