@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -109,14 +110,15 @@ def test_an_error_in_the_block_while_the_arm_moves_leaves_the_arm_at_rest(theatr
         with open_theatre(theatre_file) as theatre:
             arm = theatre.arms["master"]
             arm.activate()
-            motions.append(start_to_move(arm))
+            motions.append((*start_to_move(arm), time.monotonic()))
             raise ZeroDivisionError
 
-    motions: list[tuple[threading.Thread, list[RonnaError]]] = []
+    motions: list[tuple[threading.Thread, list[RonnaError], float]] = []
     with pytest.raises(ZeroDivisionError):
         break_off()
-    thread, ended = motions[0]
-    thread.join()
+    thread, ended, raised_s = motions[0]
+    thread.join(CLOSED_WITHIN_S)
+    assert time.monotonic() - raised_s < CLOSED_WITHIN_S
     assert [type(error).__name__ for error in ended] == ["MotionStopped"]
     assert_at_rest(theatre_file)
 
