@@ -18,6 +18,7 @@ from ronna_hw.host.child_process import ChildProcess
 
 DOCUMENT = Path(__file__).parents[3] / "docs" / "how-to" / "extending" / "write-a-driver.md"
 BLOCK = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+TABLE = re.compile(r"^```toml\n(.*?)^```$", re.MULTILINE | re.DOTALL)  # of the theatre file
 # What an installed package has, without the time that installing it takes.
 METADATA = "Metadata-Version: 2.1\nName: lumen-tracker\nVersion: 0.1\n"
 
@@ -122,7 +123,10 @@ def test_the_driver_of_the_page_reports_a_missing_device(package: Path) -> None:
 def doctor(package: Path, endpoint: str) -> tuple[int, list[dict[str, Any]]]:
     """Exit code and the findings about the device at an endpoint."""
     theatre = package / "theatre.toml"
-    theatre.write_text(f'schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "lumen"\nendpoint = "{endpoint}"\n')
+    (table,) = TABLE.findall(DOCUMENT.read_text(encoding="utf-8"))
+    there, count = re.subn(r'(?<=endpoint = )".*"', f'"{endpoint}"', table)
+    assert count == 1
+    theatre.write_text(f'schema = 1\ntheatre = "lab"\n{there}')
     done = subprocess.run(
         [Path(sys.executable).parent / "ronna-procedure", "doctor", "--config", theatre, "--json"],
         env={**os.environ, "PYTHONPATH": str(package)},
