@@ -83,7 +83,13 @@ def _largest_steps(tap: RsiTap) -> tuple[float, float]:
 
 
 @pytest.mark.hazard(18)
-@pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
+@pytest.mark.parametrize(
+    "late",
+    [
+        pytest.param(False, id="told at once", marks=pytest.mark.slow),
+        pytest.param(True, id="told a telegram late"),
+    ],
+)
 @pytest.mark.parametrize(
     "lost_percent", [*(pytest.param(share, marks=pytest.mark.slow) for share in (1, 5, 10)), 20]
 )
@@ -120,7 +126,13 @@ def _lose_at_speed(cell: Any, tap: RsiTap, neighbours: int, speed_fraction: floa
 
 
 @pytest.mark.hazard(18)
-@pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
+@pytest.mark.parametrize(
+    "late",
+    [
+        pytest.param(False, id="told at once"),
+        pytest.param(True, id="told a telegram late", marks=pytest.mark.slow),
+    ],
+)
 def test_the_arm_continues_without_a_jump_after_a_burst_of_lost_replies_at_full_working_speed(
     tapped_cell: Any, late: bool
 ) -> None:

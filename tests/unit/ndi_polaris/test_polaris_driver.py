@@ -109,6 +109,7 @@ def test_closing_after_the_port_vanished_raises_nothing(tracker: PolarisTracker,
     assert tracker.state is Lifecycle.CLOSED
 
 
+@pytest.mark.slow
 def test_reading_frames_leaks_no_memory(tracker: PolarisTracker, unit: Any, clock: Any) -> None:
     """The million frames are read by `make soak`."""
 

@@ -68,20 +68,6 @@ def test_a_changed_setting_shows_in_the_same_frame(counted: tuple[Bench, list[in
     assert bench.send("TX 0001").endswith("0100")
 
 
-def test_a_restarting_unit_ignores_commands_and_then_sends_reset(bench: Bench, pointer: TrackerTool) -> None:
-    bench.enable(pointer)
-    bench.send("COMM 50000")
-    bench.interpreter.restart(3600.0)
-    assert bench.raw("INIT ") == b""
-    assert bench.interpreter.unasked() == b""
-    bench.interpreter.restart(0.0)
-    assert bench.interpreter.unasked() == b"RESETBE6F\r"
-    assert bench.interpreter.unasked() == b""
-    assert bench.interpreter.reply_line.baud == 9600
-    assert bench.send("INIT ") == "OKAY"
-    assert bench.send("PHSR 00") == "00"
-
-
 def test_the_whole_virtual_memory_can_be_written_in_blocks(bench: Bench) -> None:
     bench.send("PHRQ *********1****")
     for address in range(0, PVWR_SPACE_BYTES, PVWR_BLOCK_BYTES):

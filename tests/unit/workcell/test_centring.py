@@ -73,13 +73,6 @@ def test_without_arm_errors_the_recorded_point_is_true_up_to_repeatability() -> 
     assert np.sqrt(np.mean(np.square(found.errors_mm))) < 2 * 3**0.5 * 0.015  # repeatability per axis
 
 
-@pytest.mark.slow
-def test_sixty_starts_converge_within_eight_steps() -> None:
-    found = servo_campaign(60, first_seed=50)
-    assert found.failures == []
-    assert found.within == 60
-
-
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 def test_of_a_thousand_starts_none_loses_the_sphere_and_999_converge_within_eight_steps() -> None:
