@@ -9,7 +9,8 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Mapping, MutableMapping, Sequence, Sized
+from itertools import islice
 from pathlib import PurePath
 from typing import Any
 
@@ -28,6 +29,7 @@ from ronna_hw.text.printable import without_controls
 
 REDACTED = "[redacted]"
 TEXT_LIMIT = 1000  # characters of one value: a line stays a line
+ELEMENTS_LIMIT = 50  # of one sequence or mapping
 
 # Their text is about devices, limits and configuration. A DataError quotes the patient's files.
 _SAID_IN_FULL = (
@@ -78,12 +80,18 @@ def redacted(key: str, value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        return {str(inner): redacted(str(inner), one) for inner, one in value.items()}
+        kept = {str(inner): redacted(str(inner), one) for inner, one in islice(value.items(), ELEMENTS_LIMIT)}
+        return kept | {"...": _more(value)} if len(value) > ELEMENTS_LIMIT else kept
     if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str | bytes):
-        return [redacted(key, one) for one in value]
+        first = [redacted(key, one) for one in islice(value, ELEMENTS_LIMIT)]
+        return [*first, _more(value)] if len(value) > ELEMENTS_LIMIT else first
     if isinstance(value, bytes):
         return value[:TEXT_LIMIT].hex(" ")
     return scrubbed(str(value))
+
+
+def _more(value: Sized) -> str:
+    return f"{len(value) - ELEMENTS_LIMIT} more"
 
 
 def scrubbed(text: str) -> str:

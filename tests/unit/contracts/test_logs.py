@@ -100,6 +100,14 @@ def test_the_log_of_a_run_is_bounded_in_size(tmp_path: Path, monkeypatch: pytest
     assert lines_of(tmp_path)[-1]["number"] == 199
 
 
+def test_a_line_of_many_values_is_cut(tmp_path: Path) -> None:
+    with keep_log(tmp_path):
+        logger(device="tracker").info(
+            "frames lost", numbers=list(range(10**6)), by=dict.fromkeys(range(10**6))
+        )
+    assert (tmp_path / LOG_FILE).stat().st_size < 10_000
+
+
 def test_a_full_disk_drops_log_lines_and_stops_nothing(tmp_path: Path) -> None:
     done = run_script(
         "import resource; from pathlib import Path\n"

@@ -12,7 +12,7 @@ from procedures.results.errors import StepRefused
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
-from ronna_hw.redaction import REDACTED, error_text, redacted, redacted_arguments, scrubbed
+from ronna_hw.redaction import ELEMENTS_LIMIT, REDACTED, error_text, redacted, redacted_arguments, scrubbed
 
 
 class Unreadable(DataError):
@@ -62,6 +62,14 @@ def test_the_token_in_a_control_endpoint_is_redacted() -> None:
 def test_values_are_redacted_at_any_depth() -> None:
     value: dict[str, Any] = {"series": [{"patient_id": "7", "slices": 12}], "wire": b"\x01\xff"}
     assert redacted("facts", value) == {"series": [{"patient_id": REDACTED, "slices": 12}], "wire": "01 ff"}
+
+
+def test_of_many_elements_the_first_are_kept_and_the_others_counted() -> None:
+    many = range(ELEMENTS_LIMIT + 7)
+    assert redacted("numbers", many) == [*range(ELEMENTS_LIMIT), "7 more"]
+    by_name = redacted("named", {f"n{number}": number for number in many})
+    assert by_name == {f"n{number}": number for number in range(ELEMENTS_LIMIT)} | {"...": "7 more"}
+    assert redacted("numbers", range(ELEMENTS_LIMIT)) == [*range(ELEMENTS_LIMIT)]
 
 
 def test_a_record_is_logged_field_by_field() -> None:
