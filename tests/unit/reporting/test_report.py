@@ -168,6 +168,20 @@ def test_a_registration_voided_and_made_again_does_not_make_the_two_readings_dif
     assert "these figures differ" not in write_report(engine.case.folder, truth=TRUTH).read_text()
 
 
+def test_results_that_a_repetition_superseded_are_named_and_struck_through(engine: Engine) -> None:
+    engine.run_to(StepKey("registration", FIRST))
+    repeated = StepKey("relocalization")
+    standing = [engine.case.record_of(key) for key in (repeated, StepKey("registration", FIRST))]
+    engine.run_step(repeated)
+    engine.run_to()
+    engine.close("left")
+    text = write_report(engine.case.folder).read_text()
+    assert f"Repeated; these results are no longer valid: {'; '.join(map(str, standing))}" in text
+    struck = re.findall(r'<tr class="superseded"><td>(\S+) \(superseded\)</td>', text)
+    assert struck == standing
+    assert "no later step has used them" in text
+
+
 @pytest.mark.hazard(6)
 def test_a_formatter_that_drops_a_digit_is_detected(
     registered: Path, monkeypatch: pytest.MonkeyPatch
