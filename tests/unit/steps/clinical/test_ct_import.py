@@ -10,6 +10,7 @@ from painted_ct import write_series
 from procedures.imaging.errors import SeriesNotFound
 from procedures.steps.clinical.ct_import import STEP
 from ronna_hw.evidence.seal import ROOM_FILE
+from ronna_hw.log_output import LOG_FILE, keep_log
 
 PLAIN = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000
 
@@ -35,9 +36,11 @@ def test_different_voxels_give_a_different_hash(tmp_path: Path) -> None:
 @pytest.mark.hazard(35)
 def test_the_patients_identity_does_not_enter_the_run_folder(cell: ClinicalCell) -> None:
     write_series(cell.series, PLAIN)
-    cell.run(STEP)
+    with keep_log(cell.folder):
+        cell.run(STEP)
     written = [path for path in cell.folder.rglob("*") if path.is_file() and path.suffix != ".dcm"]
-    assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json", ROOM_FILE}
+    assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json", ROOM_FILE, LOG_FILE}
+    assert "step done" in (cell.folder / LOG_FILE).read_text()
     assert not any(b"SECRET" in path.read_bytes().upper() for path in written)
 
 
