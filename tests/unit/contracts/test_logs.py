@@ -103,7 +103,7 @@ def test_the_log_of_a_run_is_bounded_in_size(tmp_path: Path, monkeypatch: pytest
 def test_a_line_of_many_values_is_cut(tmp_path: Path) -> None:
     with keep_log(tmp_path):
         logger(device="tracker").info(
-            "frames lost", numbers=list(range(10**6)), by=dict.fromkeys(range(10**6))
+            "frames lost", numbers=list(range(10**4)), by=dict.fromkeys(range(10**4))
         )
     assert (tmp_path / LOG_FILE).stat().st_size < 10_000
 

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from types import ModuleType
 
 import pytest
 from add_a_step import PAGE
 from clinical_case import ClinicalCell, given
+from declaration_checks import reading_too_early, undescribed, without_unit
 from force_sensor import UNSCALED_N, ScaledForceSensor
 from prepared_results import mounted_guide
 
 from procedures.engine.machine import mermaid
 from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.run_folder import typed
+from procedures.engine.step import StepKey
 from procedures.results.errors import GateFailed
-from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps import catalogue as steps_catalogue
+from procedures.steps import clinical
 from ronna_hw.config import DeviceConfig
+from ronna_hw.records import read_record
 
 
 def order(force_check: ModuleType) -> CaseOrder:
@@ -48,14 +54,38 @@ def test_the_new_step_refuses_to_continue_while_something_presses_on_the_guide(
         cell.engine(order(force_check)).run_to()
 
 
-def test_one_line_in_the_catalogue_adds_the_step_to_the_case_and_the_chart(
-    force_check: ModuleType,
-) -> None:
+@pytest.fixture
+def catalogue(force_check: ModuleType, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The catalogue with the two lines of the page, imported."""
     lines = re.findall(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]
-    before = re.search(r"(\w+)\.STEP,\n\s+force_check\.STEP", lines)
-    assert before, lines
-    place = 1 + [step.name for step in CLINICAL_STEPS].index(before[1])
-    steps = (*CLINICAL_STEPS[:place], force_check.STEP, *CLINICAL_STEPS[place:])
-    names = [str(key) for key in order_of(steps, ("T1",)).sequence]
-    assert names.index("tool_change") < names.index("force_check") < names.index("positioning:T1")
-    assert "tool_check --> force_check" in mermaid(steps)
+    monkeypatch.setattr(clinical, "force_check", force_check, raising=False)
+    source = Path(steps_catalogue.__file__).read_text(encoding="utf-8")
+    before = lines.replace("    force_check.STEP,\n", "")
+    assert before != lines
+    assert source.count(before) == source.count("    fiducial_localization,\n") == 1
+    source = source.replace(before, lines)
+    source = source.replace("    fiducial_localization,\n", "    fiducial_localization,\n    force_check,\n")
+    module = ModuleType("catalogue")
+    exec(compile(source, "catalogue.py", "exec"), module.__dict__)
+    return module
+
+
+def test_one_line_in_the_catalogue_adds_the_step_to_the_case_and_the_chart(catalogue: ModuleType) -> None:
+    names = [str(key) for key in order_of(catalogue.CLINICAL_STEPS, ("T1",)).sequence]
+    assert names.index("tool_check") < names.index("force_check") < names.index("positioning:T1")
+    assert "tool_check --> force_check" in mermaid(catalogue.CLINICAL_STEPS)
+
+
+def test_the_new_step_declares_what_every_step_must(
+    cell: ClinicalCell, catalogue: ModuleType, force_check: ModuleType
+) -> None:
+    for measures in (False, True):
+        assert reading_too_early(catalogue.clinical_steps(measure_targets=measures)) == []
+    kinds = [step.name for step in catalogue.clinical_steps(measure_targets=True)]
+    assert len(set(kinds)) == len(kinds)
+    model = force_check.UnloadedGuide
+    assert (undescribed(model), without_unit(model), model.version) == ([], [], 1)
+    result = model(force_N=0.1 + 0.2)
+    stored = cell.case.store(StepKey(model.kind), result, ())
+    record = read_record(cell.folder / "records" / f"{stored.record.identifier}.json")
+    assert typed(record, model) == result

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from clinical_case import HOME_RAD, OUTLINE, ClinicalCell
+from declaration_checks import reading_too_early, undescribed, without_unit
 from generate import step_results
 from prepared_results import (
     LINK,
@@ -19,7 +19,7 @@ from prepared_results import (
     relocalization,
     up_to_correspondence,
 )
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
 from procedures.calibration.arm.looks import ArmLooks, SphereLook
@@ -71,21 +71,11 @@ PROCEDURES: dict[str, Steps] = {
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
 RESULTS = step_results()
-UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg", "_N")
-WITHOUT_UNIT = {
-    *("axes", "at", "largest_joint_speed_share"),  # directions, shares
-    *("quality", "odds", "confidence", "rim_fraction", "distortion"),
-    "remaining",  # of an arm's record: a covariance of mm and rad
-    "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
-}
 
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
 def test_a_step_reads_only_results_of_earlier_steps(procedure: str) -> None:
-    left: set[type[StepResult]] = set()
-    for step in PROCEDURES[procedure]:
-        assert set(step.reads) <= left, step.name
-        left.add(step.result)
+    assert reading_too_early(PROCEDURES[procedure]) == []
 
 
 def test_every_kind_of_result_has_its_step() -> None:
@@ -108,33 +98,12 @@ def test_a_moving_step_does_not_begin_with_an_unknown_tool(
     assert step.preconditions(cell.begin(step).context(key))
 
 
-def parts(model: type[BaseModel]) -> Iterator[tuple[str, Any]]:
-    """Every field of a model and of the models in it, as `Model.field`, with its definition."""
-    for name, field in model.model_fields.items():
-        yield f"{model.__name__}.{name}", field
-        for kind in leaves(field.annotation):
-            if issubclass(kind, BaseModel):
-                yield from parts(kind)
-
-
-def leaves(annotation: Any) -> Iterator[type]:
-    """The plain types that an annotation is made of."""
-    inner = get_args(annotation)
-    if not inner and isinstance(annotation, type):
-        yield annotation
-    for one in inner:
-        yield from leaves(one)
-
-
 @pytest.mark.parametrize("model", RESULTS, ids=lambda model: model.kind)
 def test_every_field_is_described_and_every_quantity_has_its_unit_in_its_name(
     model: type[StepResult],
 ) -> None:
-    fields = dict(parts(model))
-    assert [name for name, field in fields.items() if not field.description] == []
-    numbers = [name for name, field in fields.items() if float in leaves(field.annotation)]
-    named = [name for name in numbers if name.partition(".")[2] not in WITHOUT_UNIT]
-    assert [name for name in named if not name.endswith(UNITS)] == []
+    assert undescribed(model) == []
+    assert without_unit(model) == []
 
 
 def examples(cell: ClinicalCell) -> list[StepResult]:
