@@ -8,6 +8,7 @@ from signal import SIGHUP, SIGINT, SIGTERM
 from typing import Any
 
 import numpy as np
+import pydicom
 import pytest
 from pseudo_terminal import Terminal
 from run_folders import assert_nothing_half_written, await_motion_in, moved_in, records_of, run_folder
@@ -117,6 +118,17 @@ def test_the_journal_is_complete_and_has_an_intent_before_every_result(finished:
     steps = [(line["entry"], line["step"]) for line in lines if line["entry"] in ("intent", "result")]
     assert steps[0::2] == [("intent", step) for _, step in steps[1::2]]
     assert (lines[0]["entry"], lines[-1]["entry"]) == ("opened", "closed")
+
+
+@pytest.mark.hazard(35)
+def test_the_log_has_neither_the_name_nor_the_number_of_the_patient(finished: MiniRun) -> None:
+    header = pydicom.dcmread(next(finished.folder.rglob("*.dcm")), stop_before_pixels=True)
+    text = "".join(path.read_text() for path in finished.folder.glob("log.jsonl*"))
+    assert "step done" in text
+    for secret in (header.PatientName.family_name, header.PatientID):
+        assert secret
+        # As a word of its own: simulated calibrations are named after the scene, as the patient is.
+        assert not re.search(rf"(?<![\w-]){re.escape(secret)}\b", text)
 
 
 @pytest.mark.hazard(36)
