@@ -33,9 +33,11 @@ from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.plan.seal import sealed
 from procedures.planning.theatre.arm import TheatreArm
 from procedures.strategies.trajectory import Point
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
+REFUSED = "refused"
 KEEPING_S = 0.3  # host time between writes of unsaved changes
 AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
@@ -343,11 +345,13 @@ class PlanDesk(Bell):
 
 
 def _digest(path: Path) -> str:
-    """Of a file; empty if there is none. Raises OSError."""
+    """Of a file; empty if there is none, `REFUSED` if it cannot be a plan. Raises OSError."""
     try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
+        return hashlib.sha256(read_bounded(path, LARGEST_TOML_BYTES)).hexdigest()
     except FileNotFoundError:
         return ""
+    except InputRefused:  # reading the plan says why
+        return REFUSED
 
 
 def _kept_by_a_run(plan: Path) -> PlanInUse | None:

@@ -11,7 +11,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.bounded_input import read_json_bytes, read_json_lines
+from ronna_hw.bounded_input import check_json, read_json_bytes, read_json_lines
 from ronna_hw.text.printable import printable
 
 HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
@@ -26,7 +26,7 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
-    journal = [json.loads(line) for line in read_json_lines(run / "journal.jsonl").splitlines()]
+    journal = [json.loads(check_json(line)) for line in read_json_lines(run / "journal.jsonl").splitlines()]
     results = [line for line in journal if line["entry"] == "result"]
     gone = {name for line in journal for name in line.get("supersedes", ())}
     names = [line["record"] for line in results]

@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from ronna_hw.bounded_input import InputRefused, read_toml
+from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_whole
+from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
 from sim.theatre.tool_records import refer_to_tip, tool_records
@@ -102,7 +103,10 @@ def theatre_content(
 def _tool(name: str, rom: Path) -> dict[str, str]:
     """A tool with its definition; an existing one is pinned by its hash, so that no other replaces it."""
     option = {"name": name, "rom": str(rom)}
-    return {**option, "sha256": hashlib.sha256(rom.read_bytes()).hexdigest()} if rom.is_file() else option
+    if not rom.is_file():
+        return option
+    content = read_bounded(rom, ROM_FILE_LIMIT_BYTES)
+    return {**option, "sha256": hashlib.sha256(content).hexdigest()}
 
 
 def write_theatre_file(content: dict[str, Any], path: Path) -> None:

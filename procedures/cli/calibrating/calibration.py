@@ -30,6 +30,7 @@ from procedures.engine.run_lock import held_run
 from procedures.reporting.calibration.figures import RecordFigures
 from procedures.reporting.calibration.result_file import write_figures
 from procedures.steps.calibration.recipe import Recipe
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.command_line import terminal
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.errors import RonnaError
@@ -72,7 +73,7 @@ class CalibrationKind(Generic[Looks, Result]):
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():
             run = inspected(file.parent, every_file=False).require_account()
-            run.require_content(file.name, file.read_bytes())
+            run.require_content(file.name, read_json_bytes(file))
         return looks
 
     def write_looks(self, looks: Looks, folder: Path) -> None:

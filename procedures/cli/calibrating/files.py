@@ -16,7 +16,7 @@ from procedures.calibration.errors import BadObservations
 from procedures.cli.calibrating.replaced_tables import with_tables
 from procedures.reporting.calibration.figures import RecordFigures
 from procedures.reporting.calibration.result_file import RESULT_FILE, read_figures
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded, read_toml, toml_of
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
 from ronna_hw.records import write_whole
@@ -92,9 +92,10 @@ def _dated_as(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
     """The same with new entries in whichever tables."""
     require_same_folder(source, target)
-    read_toml(source, BadTheatreFile)  # within bounds
-    text = with_tables(source.read_text(encoding="utf-8-sig"), tables)
-    write_whole(target, text.encode())
+    content = read_bounded(source, LARGEST_TOML_BYTES)
+    toml_of(content, source.name, BadTheatreFile)
+    text = content.decode("utf-8-sig").replace("\r\n", "\n")
+    write_whole(target, with_tables(text, tables).encode())
 
 
 def require_same_folder(source: Path, target: Path) -> None:

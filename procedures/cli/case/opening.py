@@ -25,6 +25,7 @@ from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
 from procedures.cli.case.who_answers import operator_of
 from procedures.composition.procedure import Procedure, Resumption
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.interruption import ENDING_SIGNALS, interruption_deferred
@@ -184,7 +185,8 @@ def opened_case(
             require_valid(theatre.calibrations, now, _theatre_options(request))
             ToolRecords.of(theatre.file).check(theatre.calibrations, now)
         if request.plan is not None and (resumption is None or resumption.left.untouched):
-            write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
+            plan_bytes = read_bounded(request.plan, LARGEST_TOML_BYTES)
+            write_whole(case / "plan.toml", plan_bytes)  # instead of the phantom's own
         plan = held.enter_context(held_plan(case / "plan.toml"))
         order = order_of_case(request, folder, plan)
         if request.answers is not None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from pydantic import BaseModel, ValidationError
 
 from procedures.cli.new_theatre.searching import Found
 from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, describe_mistakes, parse_theatre
 from ronna_hw.text.counting import counted
@@ -141,6 +140,6 @@ def _changed(found: Found, values: Mapping[str, Any]) -> Found:
 def _value(text: str) -> Any:
     """A value of TOML, or else the text itself."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+        return parse_toml(f"value = {text}")["value"]
+    except ValueError:
         return text.strip()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -164,6 +165,13 @@ def test_damaged_unsaved_changes_are_set_aside(file: Path, content: bytes) -> No
     assert desk.notice is not None
     assert desk.notice.code == "PLAN-029"
     assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
+
+
+def test_a_pipe_in_place_of_a_plan_is_named_without_blocking_and_left_alone(file: Path) -> None:
+    os.mkfifo(file)
+    desk = PlanDesk(scan(), file, None)
+    assert "not a regular file" in str(desk.problem)
+    assert file.is_fifo()
 
 
 def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(

@@ -153,3 +153,42 @@ def test_no_process_imports_packages_that_it_does_not_need_and_every_command_sho
     program = Path(imported.__file__)
     done = subprocess.run([sys.executable, "-P", program, *LIGHT], capture_output=True, text=True, check=True)
     assert (done.stdout, done.stderr) == ("", "")
+
+
+# Readers without bounds. What these read is ours, the kernel's, or already within bounds.
+READS_WHOLE = {
+    "console/feed/engine_socket.py": "another process of ours",
+    "console/web/library.py": "our pages",
+    "drivers/basler_stereo/stream/receiver_orders.py": "another process of ours",
+    "drivers/kuka_rsi/realtime/settings.py": "another process of ours",
+    "procedures/cli/calibrating/replaced_tables.py": "text within bounds",
+    "procedures/cli/doctor/computer.py": "the kernel",
+    "procedures/cli/new_theatre/command.py": "what it has written",
+    "procedures/engine/events/stream.py": "a line that it has written",
+    "procedures/engine/replay/sections.py": "a line that it has written",
+    "procedures/imaging/dicom/decoder_process.py": "the kernel, and another process of ours",
+    "procedures/imaging/dicom/frame_decoder.py": "another process of ours",
+    "procedures/reporting/files.py": "a file of known length",
+    "procedures/reporting/second_reading.py": "text within bounds, by another parser than the report",
+    "procedures/studies/campaign/code.py": "our modules",
+    "procedures/studies/campaign/ledger.py": "what it has written",
+    "procedures/studies/localization/phantom_scans.py": "another process of ours, and its files",
+    "procedures/studies/own/beside.py": "modules that are run",
+    "ronna_hw/arm/clearance/surroundings.py": "another process of ours",
+    "ronna_hw/bounded_input/json_text.py": "text within bounds",
+    "ronna_hw/bounded_input/toml_text.py": "text within bounds",
+    "ronna_hw/host/child_process.py": "another process of ours",
+    "ronna_hw/host/port_users.py": "the kernel",
+    "ronna_hw/software.py": "our packages",
+    "ronna_hw/wire/kuka_context.py": "our context",
+}
+READING_WHOLE = re.compile(r"\.read_(?:bytes|text)\(|\bjson\.loads?\(|\btomllib\.loads?\(")
+
+
+def test_only_these_modules_read_without_bounds() -> None:
+    found = {
+        path.relative_to(ROOT).as_posix()
+        for path in MODULES
+        if READING_WHOLE.search(path.read_text(encoding="utf-8"))
+    }
+    assert found == set(READS_WHOLE)
