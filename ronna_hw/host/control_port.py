@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import time
 from dataclasses import dataclass, field
 from typing import Any, Self
 
@@ -79,7 +80,6 @@ class ControlPortClient:
             )
         except OSError as error:
             raise self._silent(error) from error
-        self._answers = self._socket.makefile("rb")
         try:
             self._exchange("the token", {TOKEN_KEY: found.token})
         except BaseException:  # whatever happened: no one else knows of this connection
@@ -93,7 +93,6 @@ class ControlPortClient:
     def close(self) -> None:
         """Hang up; never raises."""
         with contextlib.suppress(OSError):
-            self._answers.close()
             self._socket.close()
 
     def __enter__(self) -> Self:
@@ -109,7 +108,7 @@ class ControlPortClient:
             raise ControlRequestRefused(f"{what} is refused: a number is not finite") from error
         try:
             self._socket.sendall(line)
-            answer = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
+            answer = parse_json(self._answer() or b"{}")
         except (OSError, ValueError) as error:
             raise self._silent(error) from error
         if not isinstance(answer, dict):
@@ -120,6 +119,22 @@ class ControlPortClient:
             reason = answer.get("reason", "no reason given")
             raise ControlRequestRefused(f"{what} is refused: {reason}", action=str(answer.get("advice", "")))
         return answer
+
+    def _answer(self) -> bytes:
+        """One line, in time as a whole; less where the port hangs up."""
+        deadline_s = time.monotonic() + ANSWER_LIMIT_S
+        line = bytearray()
+        while b"\n" not in line and len(line) < LONGEST_LINE:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise TimeoutError("timed out")
+            self._socket.settimeout(left_s)
+            part = self._socket.recv(LONGEST_LINE - len(line))
+            if not part:
+                break
+            line += part
+        self._socket.settimeout(ANSWER_LIMIT_S)
+        return bytes(line)
 
     def _silent(self, reason: object) -> ControlPortSilent:
         words = reason.strerror if isinstance(reason, OSError) and reason.strerror else reason

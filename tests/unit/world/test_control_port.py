@@ -1,3 +1,4 @@
+import contextlib
 import json
 import socket
 import struct
@@ -248,3 +249,28 @@ def test_an_impossible_live_fault_is_refused_with_its_code(room: Room, line: str
     assert not answer["ok"]
     assert "SIM-003" in answer["reason"]
     assert room.answer({"do": "fault", "line": "at 0 s: tracker occlude marker 1 for 1 s"})["ok"]
+
+
+def test_an_answer_sent_in_drips_is_given_up_after_the_time_of_one_answer(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("ronna_hw.host.control_port.ANSWER_LIMIT_S", 3 * SOON_S)
+    with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor() as another:
+
+        def drip() -> int:
+            drips = 0
+            connection, _ = server.accept()
+            with connection, contextlib.suppress(OSError):
+                connection.settimeout(SOON_S)
+                while drips < 100:
+                    with contextlib.suppress(TimeoutError):  # as long as between two drips
+                        if not connection.recv(1000):
+                            break
+                    connection.sendall(b" ")
+                    drips += 1
+            return drips
+
+        dripping = another.submit(drip)
+        with pytest.raises(ControlPortSilent, match="timed out"):
+            ControlPortClient(f"tcp://127.0.0.1:{server.getsockname()[1]}?token=a")
+        assert dripping.result() < 20
