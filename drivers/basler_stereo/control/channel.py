@@ -58,6 +58,11 @@ class ControlChannel:
         return self._address
 
     @property
+    def peer_address(self) -> str:
+        """The camera's address in numbers."""
+        return str(self._socket.getpeername()[0])
+
+    @property
     def local_address(self) -> str:
         """The host's own address on the route to the camera."""
         return str(self._socket.getsockname()[0])

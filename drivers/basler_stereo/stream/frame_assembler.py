@@ -51,6 +51,7 @@ class StreamCounters:
     frames: int = 0
     incomplete_frames: int = 0
     refusals: int = 0  # resend requests for packets that the camera no longer has
+    foreign: int = 0  # datagrams from other addresses than the camera's, which were dropped
 
 
 @dataclass

@@ -56,7 +56,7 @@ def _carries(control: ControlChannel, stream: socket.socket, size: int, deadline
     fire = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
     for _ in range(PROBES):
         control.write_register(Bootstrap.SCPS, fire, deadline_s)
-        if probe_arrives(stream, size, PROBE_LIMIT_S):
+        if probe_arrives(stream, control.peer_address, size, PROBE_LIMIT_S):
             return True
     return False
 

@@ -41,6 +41,7 @@ class _Stream:
         self.socket = socket.socket(fileno=stream)
         self.socket.setblocking(False)
         self._control = socket.socket(fileno=control)
+        self._camera_address = self._control.getpeername()[0]
         self._notes = socket.socket(fileno=notes)
         self._notes.setblocking(False)
         self._slots = FrameSlots(memory, order.payload_bytes)
@@ -64,11 +65,15 @@ class _Stream:
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
         """Read the packets that have arrived, up to a limit; True if there may be more."""
-        accept, receive = self._assembler.accept, self.socket.recv_into
+        accept, receive = self._assembler.accept, self.socket.recvfrom_into
         now_s = time.monotonic()
         with contextlib.suppress(OSError):  # nothing more has arrived
             for _ in range(PACKETS_AT_ONCE):
-                frame = accept(view[: receive(buffer)], now_s)
+                size, (sender, _) = receive(buffer)
+                if sender != self._camera_address:
+                    self._assembler.counters.foreign += 1
+                    continue
+                frame = accept(view[:size], now_s)
                 if frame is not None:
                     self._announce(frame)
             return True

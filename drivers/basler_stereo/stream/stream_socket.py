@@ -25,11 +25,12 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
     return stream
 
 
-def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
-    """Whether a datagram of this packet size arrives within the limit; others are discarded."""
+def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
+    """Whether a datagram of this packet size arrives from the sender within the limit; others are dropped."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even if the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
-        if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
+        datagram, (host, _) = stream.recvfrom(DATAGRAM_LIMIT_BYTES)
+        if host == sender and len(datagram) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
             return True
     return False
