@@ -19,6 +19,7 @@ LARGEST_FILE_BYTES = 1_000_000  # a 3D Slicer point list takes a kilobyte per po
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
 OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
 LONGEST_QUOTE = 60  # characters quoted from a rejected line
+EXPECTED = "a list of points, or the point lists of 3D Slicer"
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
 
@@ -45,7 +46,9 @@ def parse_points(content: bytes, name: str) -> Array:
         raise PicksUnreadable(f"{name} is refused: {error.summary}") from error
     except LookupError as error:
         raise PicksUnreadable(f"{name} has no points: it has no {error}") from error
-    except (ValueError, TypeError, AttributeError, csv.Error) as error:
+    except (TypeError, AttributeError) as error:  # values of other kinds, in other places
+        raise PicksUnreadable(f"{name} has no points where they belong", expected=EXPECTED) from error
+    except (ValueError, csv.Error) as error:
         raise PicksUnreadable(f"{name} has no points: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or not (np.abs(points) <= FARTHEST_MM).all():
         expected = f"three finite numbers for each, of at most {FARTHEST_MM:g} mm"

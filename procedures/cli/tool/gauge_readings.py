@@ -56,7 +56,7 @@ def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
 def _numbers(where: str, line: str) -> tuple[str, list[float]]:
     """One line, with its place for messages. A number that is not finite is outside every dial's travel."""
     try:
-        numbers = [float(word) for word in line.split()]
+        numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
     except ValueError:
         numbers = []
     if len(numbers) != len(DIALS):

@@ -217,6 +217,14 @@ def test_renewing_says_how_far_the_mandrel_is_from_the_former_record(theatre: Pa
     assert "the mandrel reads 5.000 mm from where the former record of guide has it" in text
 
 
+@pytest.mark.parametrize("word", ["1_0", "\N{FULLWIDTH DIGIT ONE}"])
+def test_a_gauge_reading_that_nobody_writes_so_is_refused(theatre: Path, tmp_path: Path, word: str) -> None:
+    odd = written(tmp_path / "odd.txt", *[f"{word} 0 0 0 0"] * 12)
+    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--by", "A. Nurse")
+    done = in_this_process(app, "renew", "guide", *options, "--gauge-mm", odd)
+    assert (done.returncode, "odd.txt:1" in done.stderr, "five numbers" in done.stderr) == (2, True, True)
+
+
 def shifted(pose: dict[str, list[float]]) -> None:
     pose["translation_mm"][2] += 30.0
 

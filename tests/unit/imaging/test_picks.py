@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, VoxelGeometry, errors, localize, localize_picks, read_picks
+from procedures.imaging.pick_files import parse_points
 
 Array = NDArray[np.float64]
 CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])
@@ -158,3 +160,10 @@ def test_a_file_without_picks_is_refused(tmp_path: Path, name: str, text: str) -
         read_picks(tmp_path / name)
     with pytest.raises(errors.PicksUnreadable, match="No such file"):
         read_picks(tmp_path / "missing.csv")
+
+
+@pytest.mark.parametrize("content", ['{"markups": {"a": 1}}', '{"markups": [1]}', "7"])
+def test_a_point_list_of_another_shape_is_refused_without_words_of_the_program(content: str) -> None:
+    with pytest.raises(errors.PicksUnreadable, match="points") as refused:
+        parse_points(content.encode(), "a.mrk.json")
+    assert not re.search("object|attribute|subscript|iterable|sequence|argument", str(refused.value))
