@@ -191,17 +191,18 @@ ROWS = (
     Row("tracker repeat frames", "set_up retreat", DONE),
     Row("tracker repeat frames", "global_localization", "PRO-007", theatre_s=15, branch="SIGHT_LOST"),
     Row("tracker repeat frames", OTHERS, "PRO-007", theatre_s=15),
-    # Readings that fail or come late lengthen the time for which the guide covers the head at this target.
+    # Readings that fail or come late lengthen the time for which the guide covers the head at this target:
+    # two frames of three to about as long as it may be unseen, so that the pace of the computer decides.
+    Row("tracker skip 2 frames", "at_target", "done PRO-017", theatre_s=15),
+    Row("tracker skip 2 frames", OTHERS, DONE),
     Row(
-        "tracker skip 2 frames",
-        "at_target",
+        "tracker slow TSTART 1 s",
+        "positioning at_target",
         "PRO-017",
-        theatre_s=15,
+        theatre_s=20,
         branch="HEAD_UNSEEN",
         asks=Topic.HEAD_UNSEEN,
     ),
-    Row("tracker skip 2 frames", OTHERS, DONE),
-    Row("tracker slow TSTART 1 s", "positioning at_target", "PRO-017", theatre_s=20),
     Row("tracker slow TSTART 1 s", OTHERS, DONE),
     Row("tracker delay replies 0.5 s", "set_up", "NDI-002 NDI-007 NDI-008", host_s=20),
     Row("tracker delay replies 0.5 s", "global_localization positioning at_target", "PRO-017", theatre_s=30),
