@@ -214,7 +214,8 @@ def test_markers_are_proposed_only_on_the_head_of_the_plan(case, tmp_path):
 def test_a_plan_with_a_different_number_of_fiducials_than_the_ct_is_refused(case, monkeypatch):
     three = [SimpleNamespace(centre_mm=np.array(one)) for one in ([0.0, 0, 0], [40, 0, 0], [0, 30, 10])]
     monkeypatch.setattr(
-        "procedures.imaging.localize", lambda volume, progress: SimpleNamespace(markers=three)
+        "procedures.imaging.localize",
+        lambda volume, progress: SimpleNamespace(markers=three, warnings=()),
     )
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-008")

@@ -109,7 +109,7 @@ def test_a_plan_that_has_become_unreadable_is_not_overwritten(desk: PlanDesk, fi
     save(desk)
     file.unlink()
     file.mkdir()
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read .*Is a directory"):
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read .*is a directory"):
         save(desk)
 
 
