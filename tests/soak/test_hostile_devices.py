@@ -50,6 +50,7 @@ OF_ONE_DEVICE = 3  # sessions; then there is a new one
 TRACKER_CLOSES_IN_S = STEREO_CLOSES_IN_S = 3.0  # as their `close` states
 # The arm comes to rest, its motion and its program end; then the channel and the process.
 ARM_CLOSES_IN_S = 3 * CLOSING_STOP_S + CLOSE_TIMEOUT_S + END_TIMEOUT_S
+LOST_SHARE = 0.25  # of sessions in which cameras are lost once they are active
 WARM_SHARE = 0.3  # of the time; then what is kept is full
 GROWTH_LIMIT_BYTES = 24 << 20
 BEHIND_THE_TAP = 1
@@ -303,6 +304,12 @@ def test_the_stereo_driver_withstands_hostile_cameras(duration_s: float) -> None
                 camera.share = share
             return f"{share:.1%} of the datagrams"
 
+        def worsen() -> None:
+            """From here on nothing usable comes in some sessions: those end in a fault."""
+            if draw.random() < LOST_SHARE:
+                for camera in cameras:
+                    camera.share = 1.0
+
         def relent() -> None:
             for camera in cameras:
                 camera.share = 0.0
@@ -319,6 +326,7 @@ def test_the_stereo_driver_withstands_hostile_cameras(duration_s: float) -> None
                 lambda: pair.configure(LIMIT_S),
                 lambda: pair.set_areas(AREA, AREA, LIMIT_S),
                 lambda: pair.activate(LIMIT_S),
+                worsen,
                 *[lambda: pair.grab_pair(LIMIT_S)] * 5,
                 lambda: pair.deactivate(LIMIT_S),
             ]

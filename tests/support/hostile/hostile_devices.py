@@ -233,7 +233,8 @@ class HostileCamera:
         self._front = _bound(address, GVCP_PORT)
         self._back = _bound("127.0.0.1", 0)
         self._back.connect((camera, GVCP_PORT))
-        self._stream = _bound("127.0.0.1", 0)
+        self._address = address
+        self._stream = _bound(address, 0)  # images from elsewhere than the camera are none
         self._stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM_BUFFER_BYTES)
         self._driver: tuple[str, int] | None = None
         self._wants_stream = ["127.0.0.1", 0]
@@ -263,7 +264,7 @@ class HostileCamera:
             address, value = struct.unpack(">II", data[GVCP_HEADER_BYTES:])
             if address == Bootstrap.SCDA:
                 self._wants_stream[0] = socket.inet_ntoa(value.to_bytes(4, "big"))
-                value = int.from_bytes(socket.inet_aton("127.0.0.1"), "big")
+                value = int.from_bytes(socket.inet_aton(self._address), "big")
             elif address == Bootstrap.SCP and value:
                 self._wants_stream[1] = value & 0xFFFF
                 value = self._stream.getsockname()[1]
