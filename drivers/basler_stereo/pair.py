@@ -88,10 +88,11 @@ class BaslerStereoPair(PairDevice[Camera]):
         for side, camera, counters in zip(("left", "right"), self._pair, self.counters, strict=True):
             if counters is None:
                 continue
+            dropped = f", {counters.foreign} from elsewhere dropped" if counters.foreign else ""
             facts.append(
                 Fact(
                     f"packets of the {side} camera",
-                    f"{counters.packets} received, {counters.resend_requests} resend requests",
+                    f"{counters.packets} received, {counters.resend_requests} resend requests{dropped}",
                     counters.incomplete_frames == 0,
                     "Use jumbo frames, another cable or port, a larger receive buffer.",
                 )

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import psutil
@@ -22,6 +23,7 @@ from hostile_devices import (
     HostileSerialLine,
     HostileTelegrams,
     free_camera_addresses,
+    with_right_crcs,
 )
 from waiting import eventually
 
@@ -50,6 +52,7 @@ OF_ONE_DEVICE = 3  # sessions; then there is a new one
 TRACKER_CLOSES_IN_S = STEREO_CLOSES_IN_S = 3.0  # as their `close` states
 # The arm comes to rest, its motion and its program end; then the channel and the process.
 ARM_CLOSES_IN_S = 3 * CLOSING_STOP_S + CLOSE_TIMEOUT_S + END_TIMEOUT_S
+WIDEST_GAPS = 3.0  # of multiples of the golden section, in shares of equal ones: less
 LOST_SHARE = 0.25  # of sessions in which cameras are lost once they are active
 WARM_SHARE = 0.3  # of the time; then what is kept is full
 GROWTH_LIMIT_BYTES = 24 << 20
@@ -170,13 +173,20 @@ def at_most(limit_s: float, what: str) -> Iterator[None]:
         assert took_s < limit_s, f"{what} took {took_s:.1f} s"
 
 
+def assert_spread(resets: list[float]) -> None:
+    """Connections were reset in all parts of a conversation: the widest gap is of the order of its share."""
+    ends = sorted((0.0, *resets, 1.0))
+    widest = max(later - sooner for sooner, later in pairwise(ends))
+    assert widest <= WIDEST_GAPS / max(len(resets), 1), resets
+
+
 @lengths
 @pytest.mark.parametrize("kind", [HostileLine, HostileSerialLine])
 def test_the_tracker_driver_withstands_a_hostile_unit(kind: type[HostileLine], duration_s: float) -> None:
     with ExitStack() as stack:
         words = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0")
         unit = stack.enter_context(ChildProcess("ronna-sim polaris", words))
-        line = stack.enter_context(kind(parse_endpoint(unit.ready["endpoint"]), seed=1))
+        line = stack.enter_context(kind(parse_endpoint(unit.ready["endpoint"]), 1, with_right_crcs))
 
         def turn() -> str:
             line.silence(False)
@@ -197,6 +207,7 @@ def test_the_tracker_driver_withstands_a_hostile_unit(kind: type[HostileLine], d
             ]
 
         Stand(make, calls, turn, line.relent, TRACKER_CLOSES_IN_S).last(duration_s)
+        assert_spread(line.resets)
 
 
 @pytest.fixture
@@ -260,6 +271,7 @@ def test_the_arm_driver_withstands_a_hostile_command_channel(
 
         make = lambda: _arm(world, endpoints["rsi"], line.endpoint)  # noqa: E731
         Stand(make, _arm_calls, turn, line.relent, ARM_CLOSES_IN_S, STOP_S, rests).last(duration_s)
+        assert_spread(line.resets)
 
 
 @lengths

@@ -26,6 +26,7 @@ from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.conformance.kuka.tap import RsiTap
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_HEADER_BYTES, GVCP_PORT, Bootstrap, GvcpCommand
+from ronna_hw.wire.polaris import BX_CRC_BYTES, BX_HEADER_BYTES, BX_START, crc16
 
 RESET_ON_CLOSE = struct.pack("ii", 1, 0)  # linger for 0 s
 TAKES_S = 3.0  # a driver that takes nothing for so long is let alone
@@ -40,6 +41,17 @@ PIECE_BYTES = 512  # of a terminal that has room for some
 NUMBERS = (b"9" * 400, b"-1", b"4294967296", b"1e400", b"NaN", b"Infinity", b"\xd9\xa3", b"")
 ENDLESS = (b"A", b"<", b"\0", b"\xff", b"<a>", b'<State Id="', b"=\n", b"0 ", b"\xc4\xa5\xff\xff")
 DIGITS = re.compile(rb"\d+(?:\.\d+)?")
+GOLDEN_SECTION = (5**0.5 - 1) / 2  # its multiples leave no part of a whole out
+Mended = Callable[[bytes, bytes], bytes]
+
+
+def with_right_crcs(true: bytes, lie: bytes) -> bytes:
+    """A tracker's reply that lies, with the CRC of what it says: who means ill sends the right one."""
+    start = struct.pack("<H", BX_START)
+    if not true.startswith(start):
+        return re.sub(rb"([^\r]*)[^\r]{4}\r", lambda found: b"%b%04X\r" % (found[1], crc16(found[1])), lie)
+    head, body = start + lie[2:4], lie[BX_HEADER_BYTES:-BX_CRC_BYTES]
+    return b"".join(part + crc16(part).to_bytes(BX_CRC_BYTES, "little") for part in (head, body))
 
 
 class Malice(StrEnum):
@@ -57,18 +69,28 @@ class Malice(StrEnum):
 class HostileLine(DisturbedLine):
     """A stream. `malice` is chosen anew with `choose`; the same for a seed."""
 
-    def __init__(self, device: Endpoint, seed: int) -> None:
+    def __init__(self, device: Endpoint, seed: int, mended: Mended = lambda _true, lie: lie) -> None:
+        """`mended` makes of what the device sent, and the lie in its place, what a parser takes up."""
         super().__init__(device)
         self._chosen = random.Random(seed)
-        self._resets_at = count()
+        self._mended = mended
+        self._longest = 1  # bytes of a conversation without malice, as far as there was one
+        self.resets: list[float] = []  # at which share of it
         self._idle = threading.Event()  # set while there is no connection
         self._idle.set()
-        self.choose()
+        self._begins_at = sys.maxsize  # the first connection shows how long one is
+        self._passed = 0
+        self.malice = Malice.RESET
 
     def choose(self) -> str:
-        """Another malice for the next connection, every other time a reset one byte later; tells which."""
+        """Another malice for the next connection, every other time a reset; tells which."""
+        if self._begins_at == sys.maxsize:
+            self._longest = max(self._longest, self._passed)
+        if self._longest == 1:
+            return "none"
         if self._chosen.random() < 0.5:
-            self.malice, self._begins_at = Malice.RESET, next(self._resets_at)
+            self.resets.append(len(self.resets) * GOLDEN_SECTION % 1.0)
+            self.malice, self._begins_at = Malice.RESET, int(self.resets[-1] * self._longest)
         else:
             self.malice = self._chosen.choice(list(Malice))
             self._begins_at = self._chosen.randrange(self._chosen.choice(BEGINS_BEFORE))
@@ -111,11 +133,11 @@ class HostileLine(DisturbedLine):
                 what = self._chosen.choice(ENDLESS)
                 return [(0.0, true + what * (FLOOD_BYTES // len(what)))]
             case Malice.LYING_LENGTHS:
-                return [(0.0, true + self._lie(rest, rb"\xc4\xa5..|\d{2,}"))]
+                return [(0.0, self._mended(data, true + self._lie(rest, rb"\xc4\xa5..|\d{2,}")))]
             case Malice.LYING_NUMBERS:
-                return [(0.0, true + DIGITS.sub(self._number, rest))]
+                return [(0.0, self._mended(data, true + DIGITS.sub(self._number, rest)))]
             case Malice.ANOTHER_IDENTITY:
-                return [(0.0, true + self._lie(rest, rb"[A-Z0-9]{4,}"))]
+                return [(0.0, self._mended(data, true + self._lie(rest, rb"[A-Z0-9]{4,}")))]
 
     def _number(self, found: re.Match[bytes]) -> bytes:
         return self._chosen.choice(NUMBERS) if self._chosen.random() < 0.2 else found[0]
@@ -132,8 +154,8 @@ class HostileLine(DisturbedLine):
 class HostileSerialLine(HostileLine):
     """The same on a pseudo-terminal. After a reset there is another one, under the same name, as by udev."""
 
-    def __init__(self, device: Endpoint, seed: int) -> None:
-        super().__init__(device, seed)
+    def __init__(self, device: Endpoint, seed: int, mended: Mended) -> None:
+        super().__init__(device, seed, mended)
         self._folder = tempfile.TemporaryDirectory()
         self._name = Path(self._folder.name) / "tracker"
         self._plugged = threading.Event()
