@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import json
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -13,6 +15,7 @@ from memory_folder import memory_folder
 
 from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import FIRST
 from sim.kuka.eki.server import READ_BYTES
 from sim.polaris.line.channel import RECEIVE_BYTES
 
@@ -84,3 +87,61 @@ def test_ten_megabytes_have_a_bounded_cost(all_parsers: dict[str, Parser], name:
                 parser.take(data)
         except (AssertionError, MemoryError) as error:
             raise AssertionError(f"{name}, {worst}: {error!r}") from error
+
+
+DENSE = {
+    "deep objects": '{"":' * 50 + "0" + "}" * 50,
+    "deep lists": "[" * 50 + "]" * 50,
+    "objects": '{"":0}',
+    "lists": "[0]",
+}
+OF_A_LINE_BYTES = 20_000
+LINES = {  # the number of a good line, and the way to the value that something dense takes the place of
+    "events": (-1, ("what", "line", "values")),
+    "journal": (0, ("values",)),
+    "run": (0, ("truth",)),
+    "log": (0, ("a",)),
+    "tape": (1, ("answer",)),
+}
+
+
+def dense_lines(good: bytes, name: str, unit: str, size_bytes: int) -> bytes:
+    """The good line again and again, with many of the unit in it; after the first line, if that is another."""
+    number, way = LINES[name]
+    first, *_ = lines = good.splitlines(keepends=True)
+    inner = whole = json.loads(lines[number])
+    for key in way[:-1]:
+        inner = inner[key]
+    inner[way[-1]] = "@"
+    text = json.dumps(whole).replace('"@"', f"[{','.join([unit] * (OF_A_LINE_BYTES // len(unit)))}]")
+    content, previous = first if number > 0 else b"", FIRST
+    parts = [content]
+    for sequence in range(size_bytes // len(text)):
+        chained = text.replace(f'"previous": "{FIRST}"', f'"previous": "{previous}"')
+        line = chained.replace('"sequence": 0,', f'"sequence": {sequence},').encode() + b"\n"
+        previous = hashlib.sha256(line).hexdigest()
+        parts.append(line)
+    return b"".join(parts)
+
+
+@pytest.mark.parametrize("size_bytes", [SIZE_BYTES, SIZE_BYTES // 2], ids=["beyond bounds", "nearly within"])
+@pytest.mark.parametrize("unit", DENSE.values(), ids=DENSE)
+@pytest.mark.parametrize("name", LINES)
+def test_lines_of_nested_values_have_a_bounded_cost(
+    all_parsers: dict[str, Parser], name: str, unit: str, size_bytes: int
+) -> None:
+    data = dense_lines(all_parsers[name].good[0], name, unit, size_bytes)
+    with bounded_cost(), contextlib.suppress(RonnaError):
+        all_parsers[name].take(data)
+
+
+@pytest.mark.parametrize("size_bytes", [SIZE_BYTES, SIZE_BYTES // 4, SIZE_BYTES // 5])
+@pytest.mark.parametrize("unit", DENSE.values(), ids=DENSE)
+def test_a_record_of_nested_values_has_a_bounded_cost(
+    all_parsers: dict[str, Parser], unit: str, size_bytes: int
+) -> None:
+    good = json.loads(all_parsers["record"].good[0])
+    text = json.dumps({**good, "payload": "@"}).replace('"@"', '{"a": [@]}')
+    data = text.replace("@", ",".join([unit] * (size_bytes // (len(unit) + 1)))).encode()
+    with bounded_cost(), contextlib.suppress(RonnaError):
+        all_parsers["record"].take(data)
