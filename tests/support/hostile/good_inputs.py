@@ -85,6 +85,13 @@ PARSER_NAMES = (
     "conformance EKI",
     "conformance RSI",
     "conformance Polaris",
+    "standard input",
+    "gauge readings",
+    "control port",
+    "control port answer",
+    "Polaris handles",
+    "Polaris identity",
+    "EKI acknowledgement",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">

@@ -43,6 +43,7 @@ from good_inputs import (
     zipped,
 )
 from hostile_mutants import mutants
+from line_inputs import line_parsers
 from more_hostile_inputs import further_parsers
 from painted_ct import write_series
 from plan_toml import PLAN, SECOND
@@ -352,6 +353,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         command_parsers(folder / "commands"),
         run_parsers(folder / "runs"),
         conformance_parsers(),
+        line_parsers(folder / "lines"),
     ):
         found |= {name: Parser(*one) for name, one in more.items()}
     assert tuple(found) == PARSER_NAMES

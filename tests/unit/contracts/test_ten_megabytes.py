@@ -16,6 +16,7 @@ from memory_folder import memory_folder
 from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
+from ronna_hw.host.control_port import LONGEST_LINE
 from sim.kuka.eki.server import READ_BYTES
 from sim.polaris.line.channel import RECEIVE_BYTES
 
@@ -30,8 +31,13 @@ AT_MOST = {  # what the link itself hands over at a time
     "variables": LONGEST_VARIABLE_BYTES,
     **dict.fromkeys(("EKI request", "EKI SDK request"), READ_BYTES),
     "simulated tracker": RECEIVE_BYTES,
+    **dict.fromkeys(("control port", "control port answer"), LONGEST_LINE),
     **dict.fromkeys(
-        ("Polaris text", "Polaris BX", "conformance BX", "conformance Polaris"), LONGEST_REPLY_BYTES
+        (
+            *("Polaris text", "Polaris BX", "Polaris handles", "Polaris identity"),
+            *("conformance BX", "conformance Polaris"),
+        ),
+        LONGEST_REPLY_BYTES,
     ),
 }
 
@@ -106,7 +112,7 @@ LINES = {  # the number of a good line, and the way to the value that something 
 
 
 def dense_lines(good: bytes, name: str, unit: str, size_bytes: int) -> bytes:
-    """The good line again and again, with many of the unit in it; after the first line, if that is another."""
+    """The good line again and again, with many of the unit in it; after the first, if that is another."""
     number, way = LINES[name]
     first, *_ = lines = good.splitlines(keepends=True)
     inner = whole = json.loads(lines[number])
