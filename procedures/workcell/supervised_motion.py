@@ -35,6 +35,7 @@ IN_WORDS = {
     MotionName.INSERT: "along the axis to where the guide is held",
     MotionName.WITHDRAW: "out along the axis",
 }
+REPLANNED = "re-plans it from the arm's present position"
 COVERS = (
     "; a yes also covers every later motion without a question of its own, until the arm is stopped or its "
     "stream ends{}"
@@ -62,6 +63,7 @@ class SupervisedMotion:
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
+        self._held = False  # the arm, when a motion was last asked about: a later stop is somebody else's
         self._course = ""
 
     @contextlib.contextmanager
@@ -102,6 +104,7 @@ class SupervisedMotion:
             trajectory=trajectory,
             read_back=read_back,
         )
+        self._held = self._arm().state is Lifecycle.HOLD
         self._confirmed = self._require_yes(question) or self._confirmed
 
     def confirm_start(self, words: str) -> bool:
@@ -162,7 +165,12 @@ class SupervisedMotion:
                     self._confirmed = False
                 continue  # the question may have stood for minutes: the guards are asked again
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
+                if not self._held:
+                    self._confirmed = False
+                    checkpoint.stopped(f"the arm, before {named},", REPLANNED)
+                    continue
                 self._arm().resume()  # moves nothing
+                self._held = False
             if checkpoint.wanted:  # since the checkpoint
                 self._confirmed = False
                 continue
@@ -177,7 +185,7 @@ class SupervisedMotion:
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
                     raise
                 self._confirmed = False
-                checkpoint.stopped(named, "re-plans it from the arm's present position")
+                checkpoint.stopped(named, REPLANNED)
 
     def _recorded(self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]) -> ArmReading:
         """The last reading of a motion that is written down before and after."""

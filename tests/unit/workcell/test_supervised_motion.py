@@ -117,6 +117,30 @@ def test_a_stop_right_before_a_motion_pauses_the_step(cell: RecordingCell) -> No
     assert cell.arm.motions == [("joints", turned(0.2))]
 
 
+@pytest.mark.hazard(5)
+def test_a_stop_while_the_arm_rests_between_two_motions_pauses_the_step(cell: RecordingCell) -> None:
+    supervised(cell)
+    cell.workcell.go(turned(0.1))
+    cell.arm.state = Lifecycle.HOLD  # by a thread that knows nothing of the case
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
+    assert cell.arm.motions == [("joints", turned(0.1)), ("joints", turned(0.2))]
+
+
+@pytest.mark.hazard(5)
+def test_a_stop_during_a_question_is_not_undone_by_its_answer(cell: RecordingCell) -> None:
+    supervised(cell)
+
+    def stop_once(_question: Question) -> None:
+        cell.operator.meanwhile = lambda _later: None
+        cell.arm.state = Lifecycle.HOLD
+
+    cell.operator.meanwhile = stop_once
+    cell.workcell.go(turned(0.1))
+    assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
+    assert cell.arm.calls == ["resume"]
+
+
 def test_a_stopped_motion_does_not_resume_if_the_operator_aborts(cell: RecordingCell) -> None:
     supervised(cell, Topic.PAUSE)
     cell.arm.interruptions = 1
