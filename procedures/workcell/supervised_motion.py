@@ -63,7 +63,7 @@ class SupervisedMotion:
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
-        self._held = False  # the arm, when a motion was last asked about: a later stop is somebody else's
+        self._held = False  # the arm, by ourselves or when a motion was last asked about
         self._course = ""
 
     @contextlib.contextmanager
@@ -82,6 +82,10 @@ class SupervisedMotion:
     def begin_anew(self) -> None:
         """The arm was stopped or its stream ended: the next motion is a first one again."""
         self._confirmed = False
+
+    def is_held(self) -> None:
+        """The arm was stopped between two motions of a step: the next one leads on."""
+        self._held = True
 
     def confirm(
         self,
@@ -165,7 +169,7 @@ class SupervisedMotion:
                     self._confirmed = False
                 continue  # the question may have stood for minutes: the guards are asked again
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
-                if not self._held:
+                if not self._held:  # somebody else has stopped it
                     self._confirmed = False
                     checkpoint.stopped(f"the arm, before {named},", REPLANNED)
                     continue

@@ -318,6 +318,7 @@ class Workcell:
         """Stand still, with the standstill watched by the link: out of it leads only the next motion."""
         if self._arm.state is Lifecycle.ACTIVE:
             self._arm.stop()
+            self.supervised.is_held()
 
     def withdraw(self, trajectory: str) -> ArmReading:
         """Back along the axis to where the approach began.

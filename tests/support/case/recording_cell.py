@@ -213,6 +213,8 @@ class RecordingArm(RecordingDevice):
 
     def stop(self, *_kind: object) -> None:
         self.stops += 1
+        if self.state is Lifecycle.ACTIVE:
+            self.state = Lifecycle.HOLD
 
 
 class RecordingOperator:

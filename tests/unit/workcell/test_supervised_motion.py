@@ -127,6 +127,17 @@ def test_a_stop_while_the_arm_rests_between_two_motions_pauses_the_step(cell: Re
     assert cell.arm.motions == [("joints", turned(0.1)), ("joints", turned(0.2))]
 
 
+def test_an_arm_that_a_step_holds_between_two_motions_is_led_on_without_a_question(
+    cell: RecordingCell,
+) -> None:
+    supervised(cell)
+    cell.workcell.go(turned(0.1))
+    cell.workcell.hold()
+    cell.workcell.go(turned(0.2))
+    assert topics(cell) == [Topic.FIRST_MOTION]
+    assert cell.arm.motions == [("joints", turned(0.1)), ("joints", turned(0.2))]
+
+
 @pytest.mark.hazard(5)
 def test_a_stop_during_a_question_is_not_undone_by_its_answer(cell: RecordingCell) -> None:
     supervised(cell)
