@@ -87,8 +87,11 @@ def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> N
         return  # it was begun anew: there was nothing to accept
     began = datetime.fromisoformat(str(restarts[-1]["host_time"]))
     ended = datetime.fromisoformat(str(accepted[-1]["host_time"])) if accepted else None
-    for passed in read_link(folder / BYTES_FOLDER, MOTION_LINK):
-        assert not (passed.host_time > began and (ended is None or passed.host_time < ended)), passed
+    since = [one for one in read_link(folder / BYTES_FOLDER, MOTION_LINK) if one.host_time > began]
+    for passed in since:
+        assert ended is not None and passed.host_time >= ended, passed
+    moved = any(line["entry"] == Entry.MOTION for line in lines[number:])
+    assert since or not moved, "nothing of the arm's link was recorded, and the arm has moved"
 
 
 def assert_no_motion_before_acceptance(lines: tuple[Line, ...]) -> None:
