@@ -89,7 +89,8 @@ def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> N
     ended = datetime.fromisoformat(str(accepted[-1]["host_time"])) if accepted else None
     since = [one for one in read_link(folder / BYTES_FOLDER, MOTION_LINK) if one.host_time > began]
     for passed in since:
-        assert ended is not None and passed.host_time >= ended, passed
+        assert ended is not None, passed
+        assert passed.host_time >= ended, passed
     moved = any(line["entry"] == Entry.MOTION for line in lines[number:])
     assert since or not moved, "nothing of the arm's link was recorded, and the arm has moved"
 
