@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, gaussian_filter1d
 
 Array = NDArray[np.float64]
 
@@ -81,12 +82,11 @@ class Scan:
             depth_mm = shape.inside(z[:, None, None], y[None, :, None], x[None, None, :])
             cover = np.clip(depth_mm / fine_mm.mean() + 0.5, 0.0, 1.0).astype(np.float32)
             image[patch] += (np.float32(shape.hu) - image[patch]) * cover
-        sigma = np.array([SLICE_BLUR_MM, PLANE_BLUR_MM, PLANE_BLUR_MM]) / fine_mm
-        image = gaussian_filter(image, sigma, mode="nearest", truncate=4.0)
-        blocks = [n for size, f in zip(image.shape, finer, strict=True) for n in (size // f, f)]
-        averaged = image.reshape(blocks).mean(axis=(1, 3, 5), dtype=float)
-        inner = tuple(slice(m, n - m) for m, n in zip(margin, averaged.shape, strict=True))
-        return np.asarray(averaged[inner])
+        blurs = np.array([SLICE_BLUR_MM, PLANE_BLUR_MM, PLANE_BLUR_MM]) / fine_mm
+        for size, factor, left_out, sigma in zip(image.shape, finer, margin.tolist(), blurs, strict=True):
+            seen = _blurred_and_averaged(size, factor, left_out, float(sigma))
+            image = np.tensordot(image, seen, axes=(0, 1))  # its result becomes the last axis
+        return image.astype(float)
 
     def clean(self) -> Array:
         """Noise-free HU of the whole scan."""
@@ -163,6 +163,14 @@ class Scan:
         noise = gaussian_filter(white, (0, 0.35 / self.spacing_mm[1], 0.35 / self.spacing_mm[2]), mode="wrap")
         image += noise * (self.noise_hu / noise.std())
         return np.clip(np.rint(image), -1024, 3071).astype(np.int16)
+
+
+@cache
+def _blurred_and_averaged(size: int, factor: int, left_out: int, sigma: float) -> NDArray[np.float32]:
+    """Matrix (voxels, samples) along one axis; both ends without `left_out` voxels."""
+    blurred = gaussian_filter1d(np.eye(size), sigma, axis=0, mode="nearest", truncate=4.0)
+    averaged = blurred.reshape(size // factor, factor, size).mean(axis=1)
+    return averaged[left_out : len(averaged) - left_out].astype(np.float32)
 
 
 SeriesEdit = Callable[[Dataset, int], None]

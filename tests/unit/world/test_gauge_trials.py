@@ -18,7 +18,7 @@ from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import ArmState, World
 
-TRIALS = 1000
+TRIALS = 200  # with bounds sharper than the promise, see there
 MOUNTINGS = 2  # the second one only of a guide that was refused
 GAUGE_AT = Gauge(joints_deg=(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
 A1, A2, A3, A4, A5, A6 = (radians(angle) for angle in GAUGE_AT.joints_deg)
@@ -55,21 +55,17 @@ def refused(seed: int, **of_the_guide: object) -> bool:
     return True
 
 
-def share_refused(**of_the_guide: object) -> float:
-    return float(np.mean([refused(seed, **of_the_guide) for seed in range(TRIALS)]))
-
-
 @pytest.mark.hazard(47)
 def test_a_tip_off_by_a_tenth_of_a_millimetre_is_caught_in_95_of_100_trials() -> None:
     directions = np.random.default_rng(7).normal(size=(TRIALS, 3))
     bent_mm = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     caught = np.mean([refused(seed, bent_mm=tuple(way)) for seed, way in enumerate(bent_mm.tolist())])
-    assert caught >= 0.95
+    assert caught >= 0.99  # were 95 of 100 caught, one campaign in 400 would pass
 
 
 @pytest.mark.hazard(47)
 def test_a_right_tip_is_rejected_at_most_once_in_a_hundred_trials() -> None:
-    assert share_refused() <= 0.01
+    assert not any(refused(seed) for seed in range(TRIALS))  # were 2 of 100, one campaign in 57 would pass
 
 
 @pytest.mark.hazard(47)
