@@ -75,11 +75,18 @@ class ArmDeviations:
 
 
 def flange_poses(
-    chain: Chain, deviations: ArmDeviations, joints_rad: ArrayLike, flanks: ArrayLike = 0.0
+    chain: Chain,
+    deviations: ArmDeviations,
+    joints_rad: ArrayLike,
+    flanks: ArrayLike = 0.0,
+    levers: Array | None = None,
 ) -> Array:
-    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) for joints resting on `flanks` (m, n)."""
+    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) for joints resting on `flanks` (m, n).
+
+    `levers` are the `gravity_levers` at these angles, where they are known.
+    """
     encoders = np.atleast_2d(np.asarray(joints_rad, dtype=float))
-    acting = encoders + joint_errors(chain, deviations, encoders, flanks)
+    acting = encoders + joint_errors(chain, deviations, encoders, flanks, levers)
     place = np.tile(chain.base_mm, (len(encoders), 1))
     turned = np.tile(np.eye(3), (len(encoders), 1, 1))  # robot <- link
     link_turns = rotations(deviations.link_rotation_rad)
@@ -99,10 +106,18 @@ def flange_rotations(chain: Chain, joints_rad: Array) -> Array:
     return np.asarray(flange_poses(chain, nominal, joints_rad)[:, :3, :3])
 
 
-def joint_errors(chain: Chain, deviations: ArmDeviations, encoders_rad: Array, flanks: ArrayLike) -> Array:
+def joint_errors(
+    chain: Chain,
+    deviations: ArmDeviations,
+    encoders_rad: Array,
+    flanks: ArrayLike,
+    levers: Array | None = None,
+) -> Array:
     """Difference between the effective angles and the encoders', (m, n) rad."""
     errors = deviations.joint_offset_rad + FLANK_SHARE * deviations.backlash_rad * np.asarray(flanks)
-    errors = errors + deviations.sag_rad * gravity_levers(chain, encoders_rad)
+    if levers is None:
+        levers = gravity_levers(chain, encoders_rad)
+    errors = errors + deviations.sag_rad * levers
     for column, order in enumerate(HARMONICS):
         errors = errors + deviations.sine_rad[:, column] * np.sin(order * encoders_rad)
         errors = errors + deviations.cosine_rad[:, column] * np.cos(order * encoders_rad)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from procedures.calibration.arm_geometry import (
     LINK_ROTATION_RAD,
     LINK_TRANSLATION_MM,
 )
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.frames import Frame, Transform
 
@@ -49,7 +50,7 @@ class ArmModel:
         """Number of joints."""
         return len(self.kinematics.axis_names)
 
-    @property
+    @cached_property
     def prior(self) -> Array:
         """Prior standard deviation of each deviation, in order; 0 for those not estimated."""
         count = self.joints
@@ -66,7 +67,7 @@ class ArmModel:
             np.full(count, BACKLASH_RAD),
         ).flat()
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Length of the vector without spheres."""
         return int(np.count_nonzero(self.prior)) + TOOL
@@ -113,20 +114,44 @@ class ArmModel:
 
     def misses(self, values: Array, looks: LookArrays) -> Array:
         """Deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
-        flange = flange_poses(self.kinematics.chain, self.deviations(values), looks.joints_rad, looks.flanks)
-        in_flange = self.tool(values).apply(looks.points_mm)
-        seen = np.einsum("mij,mj->mi", flange[:, :3, :3], in_flange) + flange[:, :3, 3]
-        return np.asarray(seen - values[self.size :].reshape(-1, 3)[looks.sphere])
+        flange = self._flange(values, looks, self._levers(looks))
+        return self._missed(values, looks, flange, self._in_flange(values, looks))
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
         """Derivative (m, 3, n) of the misses by finite differences; they are nearly linear."""
-        here = self.misses(values, looks)
+        levers = self._levers(looks)
+        flange, in_flange = self._flange(values, looks, levers), self._in_flange(values, looks)
+        here = self._missed(values, looks, flange, in_flange)
         slopes = np.empty((*here.shape, len(values)))
         for column in range(len(values)):
             moved = values.copy()
             moved[column] += STEP
-            slopes[:, :, column] = (self.misses(moved, looks) - here) / STEP
+            of_arm = column < self.size - TOOL
+            of_tool = not of_arm and column < self.size
+            misses = self._missed(
+                moved,
+                looks,
+                self._flange(moved, looks, levers) if of_arm else flange,
+                self._in_flange(moved, looks) if of_tool else in_flange,
+            )
+            slopes[:, :, column] = (misses - here) / STEP
         return slopes
+
+    def _levers(self, looks: LookArrays) -> Array:
+        return gravity_levers(self.kinematics.chain, looks.joints_rad)
+
+    def _flange(self, values: Array, looks: LookArrays, levers: Array) -> Array:
+        """Poses (m, 4, 4) ROBOT <- FLANGE."""
+        deviations = self.deviations(values)
+        return flange_poses(self.kinematics.chain, deviations, looks.joints_rad, looks.flanks, levers)
+
+    def _in_flange(self, values: Array, looks: LookArrays) -> Array:
+        """Measured points (m, 3) mm in the flange frame."""
+        return self.tool(values).apply(looks.points_mm)
+
+    def _missed(self, values: Array, looks: LookArrays, flange: Array, in_flange: Array) -> Array:
+        seen = np.einsum("mij,mj->mi", flange[:, :3, :3], in_flange) + flange[:, :3, 3]
+        return np.asarray(seen - values[self.size :].reshape(-1, 3)[looks.sphere])
 
     def rotations(self, looks: LookArrays) -> Array:
         """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""

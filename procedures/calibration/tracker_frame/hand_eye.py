@@ -98,10 +98,12 @@ def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
     """Derivative (m, 6, 12) of the misses by the parameters."""
     slopes = np.empty((pairs.count, 6, UNKNOWNS))
-    for column, step in enumerate(STEP * np.eye(UNKNOWNS)):
-        ahead = misses_of(pairs, _changed(x, step[:6]), _changed(z, step[6:]))
-        behind = misses_of(pairs, _changed(x, -step[:6]), _changed(z, -step[6:]))
+    still_x, still_z = (_changed(pose, np.zeros(6)) for pose in (x, z))  # rounded as the others are
+    for column, step in enumerate(STEP * np.eye(6)):
+        ahead, behind = (misses_of(pairs, _changed(x, way), still_z) for way in (step, -step))
         slopes[:, :, column] = (ahead - behind) / (2.0 * STEP)
+        ahead, behind = (misses_of(pairs, still_x, _changed(z, way)) for way in (step, -step))
+        slopes[:, :, 6 + column] = (ahead - behind) / (2.0 * STEP)
     return slopes
 
 

@@ -16,7 +16,7 @@ from procedures.calibration.identified_arm import IdentifiedArm, by_deviation
 from procedures.cli.arm.files import records_of
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.bounded_input import parse_toml
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
@@ -28,6 +28,7 @@ TURNS = np.array([[0.0, 0, 0], [0.1, -0.1, 0.2], [-0.2, 0.1, 0.1], [0.1, 0.2, -0
 TURNED = np.array([[0.3, -0.5, 0.4], [-0.2, 0.6, 0.2], [0.4, 0.3, -0.7], [-0.6, 0.2, 0.5], [0.2, 0.4, 0.6]])
 JOINTS = np.array(KINEMATICS.home_rad) + np.hstack([TURNS, TURNED])  # four spheres, then the target
 SIDES = np.where(np.arange(30).reshape(5, 6) % 3 == 0, -1.0, 1.0)
+LEVERS = gravity_levers(CHAIN, JOINTS)
 TOOL_MM = np.array([220.0, 0.0, 60.0])
 NOMINAL = flange_poses(CHAIN, ArmDeviations.none(6), JOINTS)
 POINTS_MM = NOMINAL[:, :3, :3] @ TOOL_MM + NOMINAL[:, :3, 3]
@@ -111,7 +112,7 @@ def _drawn_errors_mm(known: IdentifiedArm, sides: Array | None) -> Array:
 
 def by_deviation_of(flat: Array, sides: Array, tool_mm: Array) -> Array:
     """Places (5, 3) mm of a tool on the flange of an arm with these deviations."""
-    poses = flange_poses(CHAIN, ArmDeviations.of_flat(flat, 6), JOINTS, sides)
+    poses = flange_poses(CHAIN, ArmDeviations.of_flat(flat, 6), JOINTS, sides, LEVERS)
     return np.asarray(poses[:, :3, :3] @ tool_mm + poses[:, :3, 3])
 
 
