@@ -16,6 +16,7 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:
+    from procedures.cli.case.answers import Answers
     from procedures.cli.case.request import CalibrationRun, CaseRequest, TheatreRequest
 
 REQUEST_FILE = "request.json"
@@ -57,6 +58,7 @@ class RequestFile(BaseModel):
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
+    answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
     calibration: CalibrationFile | None = Field(
         default=None, description="What to calibrate, if it is not a case."
     )
@@ -89,6 +91,7 @@ def _theatre(request: TheatreRequest) -> dict[str, Any]:
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
         config=request.config and request.config.resolve(),
+        answers=None if request.answers is None else request.answers.model_dump(mode="json"),
     )
 
 
@@ -121,6 +124,7 @@ def read_request(folder: Path) -> CaseRequest | CalibrationRun:
         raise OtherProgram(
             f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
         )
+    answers = None if content.answers is None else _answers(path, content.answers)
     choice = SceneChoice(
         content.scene,
         content.seed,
@@ -136,6 +140,7 @@ def read_request(folder: Path) -> CaseRequest | CalibrationRun:
             config=content.config,
             choice=choice,
             speed=content.speed,
+            answers=answers,
             recipe=asked.recipe,
             days=asked.days,
             write=asked.write,
@@ -153,4 +158,14 @@ def read_request(folder: Path) -> CaseRequest | CalibrationRun:
         config=content.config,
         case=content.case,
         plan=content.plan,
+        answers=answers,
     )
+
+
+def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
+    from procedures.cli.case.answers import Answers
+
+    try:
+        return Answers.model_validate(content)
+    except ValidationError as error:
+        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error

@@ -73,4 +73,7 @@ def operator_of(
         return operator
     from procedures.cli.case.answers import AnsweringOperator
 
-    return AnsweringOperator(answers, operator, person=None if simulated else operator)
+    by_file = AnsweringOperator(answers, operator, person=None if simulated else operator)
+    if resumption is None or not resumption.accepted:
+        return by_file
+    return ByTopic({Topic.RESUME: ScriptedOperator()}, by_file)  # `--accept` is the later word

@@ -31,10 +31,18 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
 def request_of(
-    folder: Path, *, accept: bool = False, answers: Path | None = None
+    folder: Path, *, accept: bool = False, answers: Path | None = None, as_before: bool = False
 ) -> CaseRequest | CalibrationRun:
-    """What the run was asked for, answered by that file. Raises CLI-001, CFG-001, PRO-026, 031 and 034."""
+    """What the run was asked for, answered by that file; without one by the run's own, if `as_before`.
+
+    Raises CLI-001, CFG-001, PRO-026, 031 and 034.
+    """
     request = read_request(folder.resolve())
+    if answers is None and request.answers is not None:
+        if as_before:
+            tell("answering from the file given at the start; --answers FILE replaces it")
+        else:
+            request = replace(request, answers=None)
     if answers is not None:
         from procedures.cli.case.answers import read_answers
 

@@ -48,7 +48,7 @@ def resume(
     Raises PRO-030 to PRO-034, PRO-043, PRO-003 where nothing can be written, and what devices and steps
     raise.
     """
-    request = request_of(folder, accept=accept, answers=answers)
+    request = request_of(folder, accept=accept, answers=answers, as_before=True)
     with held_left_run(folder) as left:
         if isinstance(request, CalibrationRun):
             _resume_calibration(request, left, console, accepted=accept, as_json=as_json)

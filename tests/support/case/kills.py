@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -13,12 +14,14 @@ from user_commands import Commands
 from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
+from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 from sim.world.scene.arm_truth import REPEATABILITY_MM
 
-MOTION_LINK = "robot.master.rsi"
+MOTION_LINK, COMMAND_LINK = "robot.master.rsi", "robot.master.eki"
+MOVING_COMMAND = re.compile(rb'Name="(RSI_START|DRIVES|PTP_AXIS|PTP_POS|LIN|SELECT)"')
 REACHED_S = 100.0
 # A localization and a positioning that are repeated differ by two such errors in three axes: four sigma.
 LARGEST_CHANGE_MM = 4 * REPEATABILITY_MM * 6**0.5
@@ -77,7 +80,10 @@ def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
 
 
 def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> None:
-    """On the link over which the arm is moved nothing passed between a restart and its acceptance."""
+    """Between a restart and its acceptance nothing passed on the link over which the arm is moved.
+
+    The controller got no command that moves it, or lets it be moved.
+    """
     restarts = [line for line in lines if line["entry"] == Entry.RESTARTED]
     accepted = [line for line in lines if line["entry"] == Entry.ACCEPTED]
     if not restarts:
@@ -91,6 +97,10 @@ def assert_no_byte_before_acceptance(folder: Path, lines: tuple[Line, ...]) -> N
     for passed in since:
         assert ended is not None, passed
         assert passed.host_time >= ended, passed
+    for passed in read_link(folder / BYTES_FOLDER, COMMAND_LINK):
+        before = began < passed.host_time and (ended is None or passed.host_time < ended)
+        if before and passed.direction is Direction.SENT:
+            assert not (named := MOVING_COMMAND.search(passed.data)), named
     moved = any(line["entry"] == Entry.MOTION for line in lines[number:])
     assert since or not moved, "nothing of the arm's link was recorded, and the arm has moved"
 

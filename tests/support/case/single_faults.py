@@ -253,7 +253,13 @@ ROWS = (
     Row("robot foreign sender", "set_up", DONE),
     Row("robot foreign sender", OTHERS, "done EKI-010", host_s=15),
     Row("robot program restart", "set_up", DONE),
-    Row("robot program restart", "relocalization tool_check", f"done {STOPPED} RSI-008", host_s=15),
+    # These begin with the link at rest: what restarts then is found anew where the link begins again.
+    Row(
+        "robot program restart",
+        "relocalization tool_check positioning",
+        f"done {STOPPED} RSI-008",
+        host_s=15,
+    ),
     Row("robot program restart", OTHERS, f"{STOPPED} RSI-008", host_s=10),
     # The robot: the controller. What happens while it is at rest is met where its stream begins.
     *(

@@ -123,14 +123,15 @@ def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool
     assert operator_of(request, Watcher(), Answers(default="first")).ask(moves) == answer
 
 
+@pytest.mark.parametrize("by_file", [None, Answers(default="silence"), Answers(answers={"resume": "no"})])
 @pytest.mark.parametrize(("accepted", "answers"), [(True, ["yes", "no"]), (False, ["no", "no"])])
-def test_the_accept_option_answers_for_the_findings_only(
-    tmp_path: Path, accepted: bool, answers: list[str]
+def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file(
+    tmp_path: Path, accepted: bool, answers: list[str], by_file: Answers | None
 ) -> None:
     path = mini_theatre_file(tmp_path, simulated=True)
     left = cast(LeftRun, None)  # not looked at
     request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
-    operator = operator_of(request, Watcher(), None, Resumption(left, accepted))
+    operator = operator_of(request, Watcher(), by_file, Resumption(left, accepted))
     findings = Question(Topic.RESUME, "resume the case", "no differences")
     assert [operator.ask(question) for question in (findings, APPROACH)] == answers
 

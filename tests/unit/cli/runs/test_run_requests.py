@@ -13,6 +13,7 @@ from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.running import new_folder
 from procedures.cli.case import display, stepping
+from procedures.cli.case.answers import Answers
 from procedures.cli.case.display import follow_case
 from procedures.cli.case.request import CalibrationRun, CaseRequest, new_run_folder
 from procedures.cli.case.request_file import REQUEST_FILE, read_request
@@ -40,6 +41,29 @@ def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: 
     folder = new_run_folder(asked)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
     assert read_request(folder) == asked
+
+
+def test_a_resumed_run_is_answered_by_the_file_of_its_start_unless_given_another(tmp_path: Path) -> None:
+    asked = CaseRequest(out=tmp_path, answers=Answers(default="first", answers={"approach:T1": "no"}))
+    folder = new_run_folder(asked)
+    assert read_request(folder) == asked
+    assert request_of(folder, as_before=True).answers == asked.answers
+    other = tmp_path / "other.toml"
+    other.write_text('default = "silence"')
+    assert request_of(folder, answers=other, as_before=True).answers == Answers(default="silence")
+
+
+def test_the_answers_of_a_case_do_not_answer_for_the_way_home(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path, answers=Answers(default="first")))
+    assert request_of(folder).answers is None
+
+
+def test_answers_in_a_request_that_are_none_are_refused(tmp_path: Path) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    path = folder / REQUEST_FILE
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"answers": {"default": "yes"}}))
+    with pytest.raises(BadRequestFile, match="default"):
+        read_request(folder)
 
 
 def test_the_request_of_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
