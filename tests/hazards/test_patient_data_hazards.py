@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -16,12 +17,11 @@ SECRETS = ("Seeded^Patient", "SEEDED-ID", "19610203", "Seeded Hospital", "Seeded
 SLICES = 12
 
 
-@pytest.fixture
-def series(tmp_path: Path) -> Path:
+def _written(folder: Path) -> Path:
     """An empty scan whose headers are full of patient data."""
     words = ("PatientName", "PatientID", "PatientBirthDate", "InstitutionName", "ReferringPhysicianName")
     named = every(setting(**dict(zip(words, SECRETS, strict=True))))
-    return write_series(tmp_path / "series", np.full((SLICES, 32, 32), -1000, dtype=np.int16), edit=named)
+    return write_series(folder, np.full((SLICES, 32, 32), -1000, dtype=np.int16), edit=named)
 
 
 def _sound(_series: Path) -> None:
@@ -42,27 +42,44 @@ def _with_an_unreadable_name(series: Path) -> None:
     path.write_bytes(path.read_bytes().replace(b"Seeded^Patient", b"Seeded^Patien\xff"))
 
 
+SPOILERS = (_sound, _without_a_slice, _truncated, _with_an_unreadable_name)
+LOCALIZE_EACH = """
+import sys
+from pathlib import Path
+
+from procedures.cli.ct import app
+from ronna_hw.command_line.terminal import exit_code_of
+from ronna_hw.log_output import keep_log
+
+for folder in sys.argv[1:]:
+    with keep_log(Path(folder)):
+        code = exit_code_of(app, ["localize", f"{folder}/series", "--verbose"])
+    for stream in (sys.stdout, sys.stderr):
+        print(f"ended {code}", file=stream, flush=True)
+"""
+
+
 @pytest.mark.hazard(35)
-@pytest.mark.parametrize("spoil", [_sound, _without_a_slice, _truncated, _with_an_unreadable_name])
-def test_no_message_traceback_or_log_contains_patient_data(series: Path, spoil: object) -> None:
-    assert callable(spoil)
-    spoil(series)
-    command = (
-        "import sys; from pathlib import Path; from procedures.cli.ct import main; "
-        "from ronna_hw.log_output import keep_log\n"
-        "with keep_log(Path(sys.argv.pop())): main()"
-    )
+def test_no_message_traceback_or_log_contains_patient_data(tmp_path: Path) -> None:
+    folders = [tmp_path / str(number) for number in range(len(SPOILERS))]
+    for folder, spoil in zip(folders, SPOILERS, strict=True):
+        spoil(_written(folder / "series"))
     done = subprocess.run(
-        [sys.executable, "-P", "-c", command, "localize", str(series), "--verbose", str(series.parent)],
+        [sys.executable, "-P", "-c", LOCALIZE_EACH, *map(str, folders)],
         capture_output=True,
         text=True,
         timeout=150,
         env={**os.environ, "RONNA_LOG": "debug"},
     )
-    assert done.returncode != 0
-    assert "CT-0" in done.stderr
-    log = (series.parent / "log.jsonl").read_text()
-    assert "failed" in log
-    for secret in (*SECRETS, "Seeded^Patien"):
-        assert secret not in done.stdout + done.stderr + log
-    assert str(series) not in log
+    assert done.returncode == 0, done.stderr
+    *said, _ = re.split(r"ended \d+\n", done.stderr)
+    assert len(said) == len(folders)
+    assert "ended 0" not in done.stderr
+    for folder, errors in zip(folders, said, strict=True):
+        assert "CT-0" in errors
+        assert "Traceback" in errors
+        log = (folder / "log.jsonl").read_text()
+        assert "failed" in log
+        for secret in (*SECRETS, "Seeded^Patien"):
+            assert secret not in done.stdout + errors + log
+        assert str(folder / "series") not in log

@@ -21,14 +21,16 @@ from procedures.guards.guide_still import (
 SCENES, TRIALS_PER_TARGET = 30, 20
 READINGS = 9000  # ten minutes of work through the guide, of every fourth frame
 LOOKS = 4  # one after each stage
-PLACES, ENDS = [0, 1, 2, 6, 7, 8], [3, 4, 5]
+PLACES, ENDS = (slice(0, 3), slice(6, 9)), slice(3, 6)
 pytestmark = pytest.mark.hazard(46)
 Array = NDArray[np.float64]
 
 
 def running_mean(values: Array, count: int) -> Array:
-    sums = np.cumsum(np.vstack([np.zeros(values.shape[1]), values]), axis=0)
-    return np.asarray((sums[count:] - sums[:-count]) / count)
+    """Of each row."""
+    sums = np.zeros((len(values), values.shape[1] + 1))
+    np.cumsum(values, axis=1, out=sums[:, 1:])
+    return np.asarray((sums[:, count:] - sums[:, :-count]) / count)
 
 
 def insertions(pushed_mm: float, turned_mm: float, readings: int) -> Iterator[tuple[bool, bool]]:
@@ -45,32 +47,34 @@ def insertions(pushed_mm: float, turned_mm: float, readings: int) -> Iterator[tu
             def means_mm(
                 frames: int, count: int, noise_mm: Array = noise_mm, case: TrackedCase = case
             ) -> Array:
-                drawn = case.generator.standard_normal((count, 9))
-                return drawn @ noise_mm.T / np.sqrt(frames)
+                drawn = case.generator.standard_normal((9, count))
+                return np.asarray(noise_mm / np.sqrt(frames) @ drawn)
 
             for _ in range(TRIALS_PER_TARGET):
                 shift_mm = pushed_mm * case.direction()
                 end_mm = shift_mm + turned_mm * case.direction()
-                away_mm = np.concatenate([shift_mm, end_mm, shift_mm])
-                away_mm -= means_mm(FRAMES, 1)[0]
+                away_mm = np.concatenate([shift_mm, end_mm, shift_mm])[:, None]
+                away_mm = away_mm - means_mm(FRAMES, 1)
                 running_mm = means_mm(1, readings) + away_mm
-                places_mm = running_mean(running_mm[:, PLACES], PLACE_READINGS)
-                ends_mm = running_mean(running_mm[:, ENDS], END_READINGS)
-                looks = zip(means_mm(FRAMES_AT_FIRST, LOOKS), means_mm(FRAMES, LOOKS), strict=True)
+                places_mm = [running_mean(running_mm[three], PLACE_READINGS) for three in PLACES]
+                ends_mm = running_mean(running_mm[ENDS], END_READINGS)
+                looks = [means_mm(frames, LOOKS) + away_mm for frames in (FRAMES_AT_FIRST, FRAMES)]
                 yield (
-                    warns(places_mm, ends_mm),
-                    any(all(warns_once(mean_mm + away_mm) for mean_mm in look) for look in looks),
+                    bool(any(beyond(one, PUSHED_MM).any() for one in places_mm))
+                    or bool(beyond(ends_mm, END_SEEN_MM).any()),
+                    bool(np.logical_and(*(warns_once(look) for look in looks)).any()),
                 )
 
 
-def warns(places_mm: Array, ends_mm: Array) -> bool:
-    by_place = np.linalg.norm(places_mm.reshape(-1, 3), axis=1) > PUSHED_MM
-    by_end = np.linalg.norm(ends_mm, axis=1) > END_SEEN_MM
-    return bool(by_place.any() or by_end.any())
+def beyond(vectors_mm: Array, limit_mm: float) -> NDArray[np.bool_]:
+    """Which columns are longer."""
+    return np.asarray(np.einsum("ij,ij->j", vectors_mm, vectors_mm) > limit_mm**2)
 
 
-def warns_once(mean_mm: Array) -> bool:
-    return warns(mean_mm[None, PLACES], mean_mm[None, ENDS])
+def warns_once(means_mm: Array) -> NDArray[np.bool_]:
+    """By column."""
+    by_place = [beyond(means_mm[three], PUSHED_MM) for three in PLACES]
+    return np.asarray(by_place[0] | by_place[1] | beyond(means_mm[ENDS], END_SEEN_MM))
 
 
 def test_at_most_one_undisturbed_insertion_of_ten_minutes_in_a_thousand_warns_of_a_push() -> None:
