@@ -17,9 +17,9 @@ def shared_commands() -> Commands:
     return Commands()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def running_cameras() -> Iterator[Cameras]:
-    """The simulated cameras, in a process for all tests of a module."""
+    """The simulated cameras, in a process for all tests of a worker."""
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as child:
         yield Cameras(child)
 

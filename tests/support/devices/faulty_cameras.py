@@ -18,14 +18,14 @@ class Cameras:
     """The simulated cameras, and pairs that are connected to them."""
 
     def __init__(self, child: ChildProcess) -> None:
-        self._endpoints = dict(child.ready["endpoints"])
+        self.endpoints = dict(child.ready["endpoints"])
         self._control = child.ready["control"]
         self._pairs: list[BaslerStereoPair] = []
 
     @property
     def addresses(self) -> tuple[str, str]:
         """IP addresses, left and right."""
-        left, right = (parse_endpoint(self._endpoints[side]).host for side in ("left", "right"))
+        left, right = (parse_endpoint(self.endpoints[side]).host for side in ("left", "right"))
         return left, right
 
     def fault(self, phrase: str) -> None:
@@ -35,7 +35,7 @@ class Cameras:
         ask_control_port(self._control, "clear_faults")
 
     def new_pair(self, **options: object) -> BaslerStereoPair:
-        config = DeviceConfig(driver="basler_stereo", endpoints=self._endpoints, options=options)
+        config = DeviceConfig(driver="basler_stereo", endpoints=self.endpoints, options=options)
         self._pairs.append(BaslerStereoPair("stereo", config, HostClock()))
         return self._pairs[-1]
 

@@ -7,13 +7,11 @@ import subprocess
 import sys
 
 import pytest
+from faulty_cameras import LIMIT_S, Cameras
 
 from drivers.basler_stereo import BaslerStereoPair
 from procedures.relocalization import SphereStatus, measure_sphere
-from ronna_hw.clock import HostClock
-from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import AreaOfInterest, Validity
-from ronna_hw.host.child_process import ChildProcess, command
 
 AREA = AreaOfInterest(640, 160, 768, 768)
 
@@ -32,14 +30,11 @@ sys.stdin.read()
 
 
 @pytest.fixture
-def pair():
-    with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
-        config = DeviceConfig(driver="basler_stereo", endpoints=dict(cameras.ready["endpoints"]))
-        device = BaslerStereoPair("stereo", config, HostClock())
-        device.connect(5.0)
-        device.configure(5.0)
-        yield device
-        device.close()
+def pair(cameras: Cameras) -> BaslerStereoPair:
+    device = cameras.new_pair()
+    device.connect(LIMIT_S)
+    device.configure(LIMIT_S)
+    return device
 
 
 def test_a_sphere_measures_the_same_in_the_full_frame_and_in_an_area(pair):
@@ -79,26 +74,21 @@ def test_the_exposure_share_refers_to_the_set_exposure_and_a_share_of_one_restor
     assert again == pytest.approx(dim, rel=0.1)
 
 
-def test_the_next_client_waits_for_the_cameras_of_a_killed_client():
-    with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
-        endpoints = dict(cameras.ready["endpoints"])
-        with subprocess.Popen(
-            [sys.executable, "-P", "-c", CLIENT, json.dumps(endpoints)],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        ) as client:
-            assert client.stdout is not None
-            assert client.stdout.readline() == "in control\n"
-            client.kill()
-        device = BaslerStereoPair(
-            "stereo", DeviceConfig(driver="basler_stereo", endpoints=endpoints), HostClock()
-        )
-        device.connect(5.0)
-        device.configure(10.0)
-        device.activate(5.0)
-        assert device.grab_pair(5.0).validity is Validity.OK
-        device.close()
+def test_the_next_client_waits_for_the_cameras_of_a_killed_client(cameras: Cameras) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-P", "-c", CLIENT, json.dumps(cameras.endpoints)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as client:
+        assert client.stdout is not None
+        assert client.stdout.readline() == "in control\n"
+        client.kill()
+    device = cameras.new_pair()
+    device.connect(5.0)
+    device.configure(10.0)
+    device.activate(5.0)
+    assert device.grab_pair(5.0).validity is Validity.OK
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import pytest
 from bad_inputs import BadInput, app_of, write_bench
 from user_commands import in_this_process, one_error
 
+from procedures.studies.own import trial
 from sim.world.control import Room
 from sim.world.control_port import ControlPort
 from sim.world.scene.named_scenes import named_scene
@@ -51,6 +52,7 @@ def test_a_bad_input_gets_a_message_with_the_value_the_expectation_and_the_actio
 ) -> None:
     monkeypatch.chdir(bench)
     monkeypatch.delenv("RONNA_CONTROL", raising=False)
+    monkeypatch.setattr(trial, "tried_apart", lambda kind, text, _tell: trial.tried(kind, text))
     before = sorted(bench.rglob("*"))
     name, *arguments = bad.arguments(names)
     done = in_this_process(app_of(name), *arguments)

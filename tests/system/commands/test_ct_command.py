@@ -45,8 +45,7 @@ def ronna_ct(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
-    line = [*COMMAND, "localize", str(series), "--json", "--expected", "2"]
-    done = subprocess.run(line, capture_output=True, text=True, timeout=150)
+    done = ronna_ct("localize", series, "--json", "--expected", 2)
     assert (done.returncode, done.stderr) == (0, "")
     document = json.loads(done.stdout)
     assert set(document) == {"markers", "series_instance_uid", "elapsed_s"}

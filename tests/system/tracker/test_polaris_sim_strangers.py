@@ -50,7 +50,7 @@ TOOLS = (
         for side in (66.0, 78.0, 114.0)
     ),
 )
-FRAMES = 500
+FRAMES = 100
 BUMP_ALERT = 21
 BIAS_LIMIT_MM = 1.0  # four times the root mean square of the unit's bias field
 REPEATABILITY_LIMIT_MM = 0.5  # of a fitted tool: single markers repeat to 0.04 mm across and 0.14 mm in depth
