@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -64,16 +65,13 @@ class TargetError:
 class Registration:
     """A rigid registration physical <- image with residuals and predicted error.
 
-    `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `leave_one_out_mm` is, per pair,
-    the distance between the measured position and the one that the other pairs predict; None if the others do
-    not determine a transform. `chi_square` is the residual sum weighted by the covariances (None without).
-    `fre_mm` is a residual, never an accuracy.
+    `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `chi_square` is the residual sum
+    weighted by the covariances (None without). `fre_mm` is a residual, never an accuracy.
     """
 
     transform: RigidTransform
     fre_mm: float
     residuals_mm: Array
-    leave_one_out_mm: tuple[float | None, ...]
     image_mm: Array
     physical_mm: Array
     covariance_mm2: Array | None
@@ -84,6 +82,15 @@ class Registration:
     def pairs(self) -> int:
         """Number of pairs that were used."""
         return len(self.image_mm)
+
+    @cached_property
+    def leave_one_out_mm(self) -> tuple[float | None, ...]:
+        """Per pair, the distance between the measured position and the one that the other pairs predict.
+
+        None if the others do not determine a transform. Raises REG-006 if their fit does not converge. It
+        costs as many fits as there are pairs, when it is first read.
+        """
+        return _leave_one_out(self.image_mm, self.physical_mm, self.covariance_mm2)
 
     @property
     def fle_mm(self) -> float:
@@ -173,7 +180,6 @@ def register(
         transform=transform,
         fre_mm=math.sqrt(float(np.square(left_over).sum(axis=1).mean())),
         residuals_mm=left_over,
-        leave_one_out_mm=_leave_one_out(image, physical, covariance),
         image_mm=image,
         physical_mm=physical,
         covariance_mm2=covariance,
