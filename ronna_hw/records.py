@@ -76,10 +76,28 @@ def write_record(record: Record, folder: Path) -> Path:
     """Write `<identifier>.json` atomically; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
     try:
-        write_whole(path, "".join(_as_written(record)).encode(), exclusive=True)
+        write_whole(path, _file_of(record), exclusive=True)
     except FileExistsError as error:
         raise RecordExists(f"{path.name} already exists") from error
     return path
+
+
+def file_sha256(record: Record) -> str:
+    """Hash of the file that `write_record` writes."""
+    return hashlib.sha256(_file_of(record)).hexdigest()
+
+
+def has_file(path: Path, sha256: str) -> bool:
+    """Whether there is a record's file with exactly these bytes: cheaper than to read it back."""
+    try:
+        found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
+    except (OSError, ValueError):
+        return False
+    return hashlib.sha256(found).hexdigest() == sha256
+
+
+def _file_of(record: Record) -> bytes:
+    return "".join(_as_written(record)).encode()
 
 
 def _as_written(record: Record) -> Iterator[str]:

@@ -13,9 +13,9 @@ from procedures.workcell.mounted_tool import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, TrackerFrame, Validity
+from ronna_hw.devices.readings import JointVector, Quaternion, TrackerFrame, Validity, Vector3
 from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 FRAMES = 60  # one second of a 60 Hz tracker
 FRAME_S = 1 / 60
@@ -80,15 +80,15 @@ def fresh_frames(
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it. Raises PRO-007."""
-    poses = poses_of(frames, tool)
-    if len(poses) < LEAST_FRAMES_WITH_TOOL:
+    shown = _shown(frames, tool)
+    if len(shown) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
         raise GateFailed(
-            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames{why}",
+            f"the reference frame {tool} is in {len(shown)} of {len(frames)} frames{why}",
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
             action=f"{action}, then repeat the step.",
         )
-    return mean_of(poses)
+    return _mean_of(shown)
 
 
 def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
@@ -108,24 +108,27 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
     """Mean pose TRACKER <- MARKER of the reference frame; None when fewer than `least` frames show it."""
-    poses = poses_of(frames, tool)
-    return mean_of(poses) if len(poses) >= least else None
+    shown = _shown(frames, tool)
+    return _mean_of(shown) if len(shown) >= least else None
 
 
-def poses_of(frames: list[TrackerFrame], tool: str) -> list[Transform]:
-    """Poses TRACKER <- MARKER of the reference frame in the frames that show it."""
-    readings = [frame.tool(tool) for frame in frames]
+def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
+    """Rotations and places of the reference frame in the frames that show it."""
+    readings = (frame.tool(tool) for frame in frames)
     return [
-        reading.transform(Frame.TRACKER, Frame.MARKER)
-        for reading in readings
-        if reading.validity is Validity.OK
+        (one.rotation, one.position_mm)
+        for one in readings
+        if one.validity is Validity.OK and one.rotation is not None and one.position_mm is not None
     ]
 
 
-def mean_of(poses: list[Transform]) -> Transform:
-    """Their mean; at least one."""
+def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
+    """Mean of their poses TRACKER <- MARKER; at least one."""
     from scipy.spatial.transform import RigidTransform, Rotation
 
-    rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
-    translation = np.mean([pose.translation_mm for pose in poses], axis=0)
-    return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))
+    quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*shown, strict=True))
+    rotations = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
+    if not (np.isfinite(rotations).all() and np.isfinite(places_mm).all()):
+        raise FrameMismatch("expected finite poses from the tracker")
+    mean = RigidTransform.from_components(np.mean(places_mm, axis=0), Rotation.from_matrix(rotations).mean())
+    return Transform(Frame.TRACKER, Frame.MARKER, mean)
