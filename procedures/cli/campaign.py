@@ -96,6 +96,16 @@ def correspondence(
             help="Value of e of the thesis methods in mm; repeatable [1.5 and 2.5].",
         ),
     ] = None,
+    refused_share: Annotated[
+        float | None,
+        typer.Option(
+            "--refuse",
+            min=1e-6,
+            max=0.5,
+            metavar="SHARE",
+            help="Share of correct pairings that the validation of the thesis method refuses [0.001].",
+        ),
+    ] = None,
     xframe: Annotated[
         bool,
         typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
@@ -107,6 +117,7 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
+    from procedures.registration.pairing_validation import REFUSED_SHARE
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from procedures.studies.correspondence import tables as correspondence_tables
     from procedures.studies.correspondence.methods import chosen_methods
@@ -118,9 +129,10 @@ def correspondence(
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
-    if (xframe or sweep or template) and (methods or tolerances_mm):
+    if (xframe or sweep or template) and (methods or tolerances_mm or refused_share):
         raise UsageMistake(
-            "--method and --e cannot be combined with --sweep, --xframe or --template, which have their own"
+            "--method, --e and --refuse cannot be combined with --sweep, --xframe or --template, which have "
+            "their own"
         )
     if xframe:
         _clinical(runs, asked)
@@ -134,7 +146,9 @@ def correspondence(
         return
     chosen, own = chosen_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
-    study = CorrespondenceStudy(runs, asked.seed, chosen, values_mm, own=own)
+    study = CorrespondenceStudy(
+        runs, asked.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
+    )
     if sweep:
         study = CorrespondenceStudy(
             runs, asked.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"

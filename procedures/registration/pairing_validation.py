@@ -19,16 +19,21 @@ from procedures.registration.similarity_matrix import SimilarityPairs
 
 Array = NDArray[np.float64]
 
-FALSE_ALARM = 1e-3  # share of correct pairings that the validation refuses; our choice, the thesis gives none
+REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
 
 
 def validate_many(
-    image_mm: Array, physical_mm: Array, found: Sequence[SimilarityPairs], variance_mm2: float
+    image_mm: Array,
+    physical_mm: Array,
+    found: Sequence[SimilarityPairs],
+    variance_mm2: float,
+    refused_share: float = REFUSED_SHARE,
 ) -> tuple[SimilarityPairs, ...]:
     """Check pairings of image points (b, n, 3) with physical points (b, m, 3), mm, against the stated errors.
 
     `variance_mm2` is the stated variance per axis of both sets together. A UNIQUE pairing whose residuals
-    exceed it becomes INCONSISTENT; the others are returned unchanged.
+    are larger than those of all but `refused_share` of the correct ones becomes INCONSISTENT; the others are
+    returned unchanged.
     """
     by_size: dict[int, list[int]] = {}
     for number, one in enumerate(found):
@@ -40,7 +45,7 @@ def validate_many(
         image = np.take_along_axis(image_mm[numbers], pairs[:, :, :1], axis=1)
         physical = np.take_along_axis(physical_mm[numbers], pairs[:, :, 1:], axis=1)
         left = residuals(fit_rigid(image, physical), image, physical)
-        too_large = np.square(left).sum(axis=(1, 2)) > gate(size, FALSE_ALARM) * variance_mm2
+        too_large = np.square(left).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
         for number in np.array(numbers)[too_large].tolist():
             judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, np.empty((0, 2), dtype=np.intp))
     return tuple(judged)

@@ -26,7 +26,7 @@ from procedures.registration.correspondence import (
     turn_rad,
 )
 from procedures.registration.matching import match
-from procedures.registration.pairing_validation import validate_many
+from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
 from procedures.registration.similarity_matrix import match_many_by_similarity
 from procedures.studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
 from procedures.studies.correspondence.readings import Readings, draw_readings
@@ -71,7 +71,10 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` per patient and condition; the thesis' methods with each e in `tolerances_mm`; user methods."""
+    """`runs` per patient and condition; the thesis' methods with each e in `tolerances_mm`; user methods.
+
+    The thesis' validation refuses `refused_share` of the correct pairings.
+    """
 
     runs: int
     seed: int = 0
@@ -81,6 +84,7 @@ class CorrespondenceStudy:
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "correspondence"
     own: tuple[OwnMethod, ...] = ()
+    refused_share: float = REFUSED_SHARE
 
     def settings(self) -> dict[str, object]:
         """Everything the results depend on."""
@@ -135,7 +139,11 @@ class CorrespondenceStudy:
             answers = {Method.THESIS: found}
             if Method.VALIDATED in self.methods:
                 answers[Method.VALIDATED] = validate_many(
-                    seen.image_mm, seen.physical_mm, found, stated_variance_mm2(noise)
+                    seen.image_mm,
+                    seen.physical_mm,
+                    found,
+                    stated_variance_mm2(noise),
+                    self.refused_share,
                 )
             for method in answers.keys() & set(self.methods):
                 for right, one in zip(rights, answers[method], strict=True):

@@ -61,7 +61,7 @@ def test_the_pairing_of_the_thesis_can_be_chosen_with_its_e_alongside_ours(tmp_p
 def test_methods_cannot_be_chosen_for_a_sweep(tmp_path: Path) -> None:
     refused = in_this_process(app, "correspondence", "--sweep", "--method", "count", "--out", tmp_path)
     assert refused.returncode == 2
-    assert refused.stderr.startswith("CLI-001: --method and --e cannot be combined with --sweep")
+    assert refused.stderr.startswith("CLI-001: --method, --e and --refuse cannot be combined with --sweep")
 
 
 def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:

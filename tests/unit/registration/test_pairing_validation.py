@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from procedures.registration.correspondence import MatchStatus
-from procedures.registration.pairing_validation import FALSE_ALARM, validate_many
+from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
 from procedures.registration.similarity_matrix import SimilarityPairs, match_many_by_similarity
 
 SIGMA_MM = 0.3
@@ -32,7 +32,7 @@ def test_true_pairings_are_refused_no_more_often_than_stated(random, fiducials, 
     true = SimilarityPairs(MatchStatus.UNIQUE, np.column_stack([np.arange(count)] * 2))
     judged = validate_many(points, seen, [true] * runs, SIGMA_MM**2)
     refused = sum(one.status is MatchStatus.INCONSISTENT for one in judged)
-    assert refused <= FALSE_ALARM * runs + 5
+    assert refused <= REFUSED_SHARE * runs + 5
 
 
 def test_a_pairing_that_was_not_found_stays_unchanged(random):
