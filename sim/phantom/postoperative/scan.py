@@ -53,8 +53,9 @@ class PostoperativeScan:
         x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         image = np.full((grid.rows, grid.columns), AIR_HU, dtype=np.float32)
         self._paint_head(image, x, y, z_mm)
+        axes, edge_mm = (x, y, np.array([z_mm], dtype=np.float32)), self._edge_mm
         for shape in self.bodies:
-            paint(image[None], (x, y, np.array([z_mm], dtype=np.float32)), shape, self._edge_mm)
+            paint(image[None], axes, shape, edge_mm)
         for rod in self.rods:
             paint_rod(image, rod, grid, number)
         for filling in self.fillings:

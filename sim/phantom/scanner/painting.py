@@ -15,14 +15,15 @@ def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge
     low, high = shape.bounds()
     margin = np.float32(0.5 * edge_mm)
     parts = []
-    for axis, lowest, highest in zip(axes, low, high, strict=True):
+    # z first: of most slices a body is above or below
+    for axis, lowest, highest in zip(reversed(axes), reversed(low), reversed(high), strict=True):
         first = int(np.searchsorted(axis, lowest - margin))
         last = int(np.searchsorted(axis, highest + margin))
         if first >= last:
             return
         parts.append(slice(first, last))
-    x, y, z = (axis[part] for axis, part in zip(axes, parts, strict=True))
+    z, y, x = (axis[part] for axis, part in zip(reversed(axes), parts, strict=True))
     depth = shape.depth(x[None, None, :], y[None, :, None], z[:, None, None])
     cover = np.clip(depth * np.float32(1.0 / edge_mm) + np.float32(0.5), np.float32(0.0), np.float32(1.0))
-    region = image[parts[2], parts[1], parts[0]]
+    region = image[tuple(parts)]
     region += (np.float32(shape.hu) - region) * cover

@@ -10,7 +10,7 @@ from sim.world.scene.named_scenes import named_scene
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def coarse_scene() -> Scene:
     """The mini scene with a coarse protocol."""
     return named_scene("mini", seed=3).model_copy(update={"ct": COARSE})
