@@ -108,9 +108,13 @@ def test_the_stop_is_ordered_again_while_the_arm_may_still_move(tmp_path: Path) 
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
+    def unheard(*_kind: object) -> None:  # it does not bring the arm into HOLD
+        cell.arm.stops += 1
+
     def move() -> None:
+        cell.arm.stop = unheard  # type: ignore[method-assign]
         cell.tracker.spheres_mm = MOVED_MM
-        eventually(lambda: cell.arm.stops > 1)  # the first did not bring it into HOLD
+        eventually(lambda: cell.arm.stops > 1)
         cell.arm.interruptions = 1
 
     on_the_way(cell, move)

@@ -159,8 +159,7 @@ class RecordingArm(RecordingDevice):
         self.calls.append("surround")
 
     def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
-        if self.failing is not None:
-            raise self.failing
+        self._begin()
         if self.blocked(self.joints_rad, target_rad):
             raise NotClear("the way is not clear")
         self._be_stopped(target_rad)
@@ -171,8 +170,7 @@ class RecordingArm(RecordingDevice):
     def move_linear(
         self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
     ) -> ArmReading:
-        if self.failing is not None:
-            raise self.failing
+        self._begin()
         flange = target if flange_from_tool is None else target @ flange_from_tool.inverse()
         branch = self.kinematics.branch_of(self.joints_rad)
         goal = self.kinematics.solve_branch(Pose.from_transform(flange), branch, self.joints_rad)
@@ -181,11 +179,15 @@ class RecordingArm(RecordingDevice):
         self.motions.append(("line", self.joints_rad))
         return self.read_state()
 
-    def _be_stopped(self, goal: JointVector) -> None:
+    def _begin(self) -> None:
+        if self.failing is not None:
+            raise self.failing
         if self.state is Lifecycle.HOLD:
             raise WrongState("a motion is not allowed in hold")
-        if self.interruptions:
-            self.interruptions -= 1
+
+    def _be_stopped(self, goal: JointVector) -> None:
+        if self.interruptions or self.state is Lifecycle.HOLD:
+            self.interruptions = max(self.interruptions - 1, 0)
             self.state = Lifecycle.HOLD
             A1, A2, A3, A4, A5, A6 = ((now + to) / 2 for now, to in zip(self.joints_rad, goal, strict=True))
             self.joints_rad = (A1, A2, A3, A4, A5, A6)
