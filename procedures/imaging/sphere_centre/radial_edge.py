@@ -27,6 +27,9 @@ OUTSIDE_FROM = 1.40  # of the nominal radius: definitely outside
 POLYMER_HU = (-300.0, 500.0)
 STREAKED_POLYMER_HU = (-600.0, 900.0)  # several strong streaks across a whole sphere shift its level this far
 MIN_CONTRAST_HU = 100.0
+OPEN_AT_LEAST = 0.1  # share of the rays ending in something darker that end in the open
+OPEN_SHARE = 0.6  # of them; with fewer the sphere counts as covered
+COVERED_REACH = 0.2  # of the nominal radius
 SAME_LEVEL = 0.25  # of the contrast: a ray whose end levels differ more from the usual ones is not used
 INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this close to the sphere is on it
 STEP_INSIDE, STEP_OUTSIDE = (0.70, 0.88), (1.15, 1.35)  # of the fitted radius, clear of the blur
@@ -104,7 +107,7 @@ def _fit_profiles(
     low_hu, high_hu = STREAKED_POLYMER_HU
     if not low_hu < inside_hu < high_hu or darker.sum() < MIN_RAYS:
         return None
-    outside_hu = float(np.median(outer[darker]))
+    outside_hu, is_covered = _open_level(outer[darker], inside_hu)
     margin_hu = SAME_LEVEL * (inside_hu - outside_hu)
     usable = (np.abs(inner - inside_hu) < margin_hu) & (np.abs(outer - outside_hu) < margin_hu)
     if usable.sum() < MIN_RAYS:
@@ -112,6 +115,8 @@ def _fit_profiles(
     level_hu = _level_by_direction(0.5 * (inner + outer), ways, usable)
     edge_mm, crossed = _crossings(rays, radii_mm, level_hu)
     usable &= crossed
+    if is_covered:  # rays that cross the cover before they end in the open
+        usable &= np.abs(edge_mm - nominal_radius_mm) < COVERED_REACH * nominal_radius_mm
     if usable.sum() < MIN_RAYS:
         return None
     points_mm = centre_mm + edge_mm[usable, None] * ways[usable]
@@ -133,6 +138,14 @@ def _fit_profiles(
         covered_step_hu=_covered_step(rays[~opens & (outer < inside_hu + margin_hu)], radii_mm, radius_mm),
         seen=seen,
     )
+
+
+def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
+    """The level of what is open around a sphere, and whether something else covers most of it."""
+    least_hu = float(np.quantile(darker_hu, OPEN_AT_LEAST))
+    is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
+    is_covered = bool(is_open.mean() < OPEN_SHARE)
+    return float(np.median(darker_hu[is_open] if is_covered else darker_hu)), is_covered
 
 
 def _cut_share(profiles: Array, radii_mm: Array, radius_mm: float) -> float:

@@ -17,13 +17,15 @@ Make = Callable[..., Any]  # builds a Scan
 RADIUS_MM = 5.75
 
 
-@pytest.mark.parametrize("covering_hu", [40.0, -50.0])
+@pytest.mark.parametrize(
+    ("covering_hu", "open_mm"), [(40.0, 0.5), (-50.0, 0.5), (-50.0, -0.3), (-50.0, -1.0)]
+)
 def test_a_ball_half_covered_by_skin_or_bandage_is_found_and_flagged(
-    make_scan: Make, covering_hu: float
+    make_scan: Make, covering_hu: float, open_mm: float
 ) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.1])
-    scan.half_space(centre + np.array([0.0, 0.5, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
+    scan.half_space(centre + np.array([0.0, open_mm, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
     scan.ball(centre)
     marker = localize(as_volume(scan), expected=1).markers[0]
     assert np.linalg.norm(marker.centre_mm - centre) < 0.03
