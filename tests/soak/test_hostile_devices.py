@@ -42,6 +42,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError, StateError
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
+from sim.polaris.unit.model import SPECTRA
 from sim.world.process import load_scene
 from sim.world.world import World
 
@@ -194,7 +195,9 @@ def test_the_tracker_driver_withstands_a_hostile_unit(kind: type[HostileLine], d
 
         def make() -> PolarisTracker:
             tools = [{"name": "robot_frame", "rom": "robot_frame.rom"}]
-            config = DeviceConfig(driver="ndi_polaris", endpoint=line.endpoint, options={"tools": tools})
+            # Without a serial number, one that lies at first would be what the true unit is compared with.
+            options = {"tools": tools, "expected_serial": SPECTRA.serial_number}
+            config = DeviceConfig(driver="ndi_polaris", endpoint=line.endpoint, options=options)
             return PolarisTracker("tracker", config, HostClock())
 
         def calls(tracker: PolarisTracker) -> list[Callable[[], Any]]:
