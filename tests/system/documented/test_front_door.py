@@ -100,7 +100,7 @@ def test_the_python_of_the_readme_runs(
 ) -> None:
     blocks = re.findall(r"```python\n(.*?)```", README.read_text(encoding="utf-8"), re.DOTALL)
     assert len(blocks) == 2
-    assert blocks[0].startswith("from ronna_hw import Frame, open_theatre\n")
+    assert blocks[1].startswith("from ronna_hw import Frame, open_theatre\n")
     monkeypatch.chdir(theatre_file.parent)
     exec(compile(blocks[number], README.name, "exec"), {})
 
