@@ -159,25 +159,31 @@ class HostileSerialLine(HostileLine):
         super().__init__(device, seed, mended)
         self._folder = tempfile.TemporaryDirectory()
         self._name = Path(self._folder.name) / "tracker"
-        self._plugged = threading.Event()
+        self._plugged = threading.Condition()
+        self._terminals = 0  # so far
 
     @property
     def endpoint(self) -> str:
-        assert self._plugged.wait(TAKES_S)
+        with self._plugged:
+            assert self._plugged.wait_for(lambda: self._terminals > 0, TAKES_S)
         return f"serial://{self._name}"
 
     def relent(self) -> None:
-        self._plugged.clear()
-        super().relent()
-        assert self._plugged.wait(2 * TAKES_S), "the terminal that means harm is still there"
+        with self._plugged:  # a terminal that is plugged in meanwhile would be cut, or keep its malice
+            of_malice = self._terminals
+            super().relent()
+            replaced = self._plugged.wait_for(lambda: self._terminals > of_malice, 2 * TAKES_S)
+        assert replaced, f"the terminal of {self.malice} is still there"
 
     def _serve(self) -> None:
         with self._folder:
             while not self._ended:
                 with contextlib.closing(_Terminal()) as terminal, contextlib.suppress(OSError):
-                    self._cut = False
-                    self._name.symlink_to(terminal.path)
-                    self._plugged.set()
+                    with self._plugged:
+                        self._cut = False
+                        self._name.symlink_to(terminal.path)
+                        self._terminals += 1
+                        self._plugged.notify_all()
                     with contextlib.closing(self._open_device()) as device:
                         DisturbedLine._pass_on(self, terminal, device)  # type: ignore[arg-type]  # the type of that end is private
                 self._name.unlink()
