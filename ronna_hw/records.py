@@ -147,7 +147,9 @@ def read_record(path: Path) -> Record:
         parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))
         record = Record(**content, parents=parents)
         sha256 = record.sha256
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except KeyError as error:
+        raise BadRecord(f"{path.name} is not a record: it has no {error}") from error
+    except (OSError, ValueError, TypeError, AttributeError) as error:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if sha256 != claimed:
         raise BadRecord(f"{path.name} does not match its hash", got=sha256[:12], expected=str(claimed)[:12])

@@ -36,7 +36,8 @@ def verify(folder: Path, *, as_json: bool) -> None:
         for problem in problems:
             say(str(problem))
         if not problems:
-            say(f"{folder.resolve().name}: intact, {checked} files are as the run left them")
+            since = ", or as they lay when it was resumed" if not_vouched_for else ""
+            say(f"{folder.resolve().name}: intact, {checked} files are as the run left them{since}")
         for sentence in not_vouched_for:
             say(sentence)
         if unchecked:

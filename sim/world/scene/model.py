@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationError, model_validator
 
-from ronna_hw.bounded_input import read_json_bytes, read_toml
+from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.plausible import FocalPixels, Length
@@ -392,6 +392,8 @@ def read_scene(path: Path) -> Scene:
         if path.suffix == ".json":
             return parse_scene_json(read_json_bytes(path), path.name)
         content = read_toml(path, BadScene)
+    except InputRefused as error:
+        raise BadScene(f"{path.name} is refused: {error.summary}") from error
     except OSError as error:
         raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
     return parse_scene(content, path.name)

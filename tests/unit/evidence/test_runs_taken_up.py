@@ -213,4 +213,5 @@ def told_by_verify(run: Path) -> list[str]:
     assert (verified.returncode, said["whole"]) == (0, True), said
     shown = in_this_process(ronna_procedure, "verify", run).stdout.splitlines()
     assert shown[1:] == said["not_vouched_for"]
+    assert shown[0].endswith("as they lay when it was resumed") == bool(shown[1:])
     return list(said["not_vouched_for"])

@@ -112,6 +112,13 @@ def test_an_impossible_scene_is_refused_and_the_field_named(
         read_scene(file)
 
 
+def test_a_scene_file_out_of_bounds_is_refused_by_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "theatre.json"
+    file.write_text("[" * 200_000)
+    with pytest.raises(BadScene, match=r"^SIM-001: theatre\.json is refused: "):
+        read_scene(file)
+
+
 def test_every_built_in_scene_is_read_back_unchanged_from_its_file(tmp_path: Path) -> None:
     for name in ("default", "mini", "bench"):
         file = tmp_path / "scene.json"
