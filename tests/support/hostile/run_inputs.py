@@ -88,11 +88,14 @@ def run_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         read_case_figures(run)
         typed(new, _MODELS[new.kind])
 
+    # Of a run without records: those would be read anew for each check, which does not need them.
+    opened = _opened(folder / "20261120T000000-s3-ef01").journal.path.parent
+    (opened / "report").mkdir()
+
     def checked(data: bytes) -> None:
-        (run / "report").mkdir(exist_ok=True)
-        (run / "report" / SUMMARY_FILE).write_bytes(data)
-        if kept_check(read_for_report(run, every_file=False)) is not None:
-            write_report(run, truth=TRUTH, out=folder / "out")
+        (opened / "report" / SUMMARY_FILE).write_bytes(data)
+        if kept_check(read_for_report(opened, every_file=False)) is not None:
+            write_report(opened, out=folder / "out")
 
     return {
         "results of a run": (tuple(json.dumps(one).encode() for one in changes), _if_readable(changed)),
@@ -195,10 +198,15 @@ def _results(cell: ClinicalCell) -> list[StepResult]:
     ]
 
 
-def _finished(folder: Path) -> Path:
+def _opened(folder: Path) -> ClinicalCell:
     cell = ClinicalCell(folder)
     opening = {"theatre": "mini scene, seed 3", "banner": "SIMULATED THEATRE", "strategy": "ocs", "seed": 3}
     cell.journal.write(Entry.OPENED, 0.0, **opening)
+    return cell
+
+
+def _finished(folder: Path) -> Path:
+    cell = _opened(folder)
     cell.carrying(MountedTool.STEREO_HEAD)
     results = _results(cell)
     _MODELS.update({one.kind: type(one) for one in results})
