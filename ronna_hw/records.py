@@ -12,7 +12,7 @@ import hashlib
 import json
 import os
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -65,6 +65,9 @@ class Record:
     def sha256(self) -> str:
         """Hash of everything in it."""
         return hashlib.sha256(canonical_json(vars(self))).hexdigest()
+
+
+FILE_FIELDS = frozenset(one.name for one in fields(Record)) | {"parents_sha256", "sha256"}
 
 
 def canonical_json(content: Any) -> bytes:
@@ -143,12 +146,15 @@ def read_record(path: Path) -> Record:
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
         content = parse_json(found)
+        if not isinstance(content, dict):
+            raise ValueError("it is no JSON object")
+        if different := content.keys() ^ FILE_FIELDS:
+            name = min(different)
+            raise ValueError(f"it has {'an unknown field' if name in content else 'no'} {name!r}")
         claimed = content.pop("sha256")
         parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))
         record = Record(**content, parents=parents)
         sha256 = record.sha256
-    except KeyError as error:
-        raise BadRecord(f"{path.name} is not a record: it has no {error}") from error
     except (OSError, ValueError, TypeError, AttributeError) as error:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if sha256 != claimed:

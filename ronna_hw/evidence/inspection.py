@@ -226,7 +226,8 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
             record = read_record(folder / name)
         except BadRecord as problem:
             there = os.path.exists(folder / name)  # a name from a file may be too long to ask pathlib
-            problems.append(Problem(name, problem.what if there else "missing: named in the journal"))
+            what = problem.what.removeprefix(f"{line.get('record')}.json ")
+            problems.append(Problem(name, what if there else "missing: named in the journal"))
             series = None
         else:
             wrong = [Problem(name, what) for what in _unlike(record, line, run, known)]

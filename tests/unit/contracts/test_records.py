@@ -34,6 +34,19 @@ def test_a_malformed_record_is_refused(tmp_path: Path, text: str) -> None:
         read_record(path)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [("payload", "pay", "it has an unknown field 'pay'"), ('"run"', '"x"', "it has no 'run'")],
+)
+def test_a_record_with_other_fields_is_refused_by_the_name_of_one(
+    tmp_path: Path, old: str, new: str, what: str
+) -> None:
+    path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(BadRecord, match=what):
+        read_record(path)
+
+
 @pytest.mark.hazard(1)
 @pytest.mark.parametrize(
     "change",
