@@ -1,6 +1,6 @@
-"""One connection of the console's server: a request has little time to arrive and little room.
+"""One connection of the console's server: a request has little time to arrive.
 
-The guard sees a request only after its head is complete, so the head is limited here, for strangers too.
+The guard sees a request only after its head is complete, so incomplete heads are limited here.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from typing import Any
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-LARGEST_HEAD_BYTES = 16 * 1024  # of a request that is incomplete; a browser sends one or two thousand
 REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
 
 
@@ -33,9 +32,14 @@ class Connection(H11Protocol):
             self._stop_waiting()
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """The guard closes a socket without a session, and leaves others open."""
+        """The guard closes a socket without a session, and leaves others open.
+
+        A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
+        """
         self._stop_waiting()
         super().handle_websocket_upgrade(event)
+        if not getattr(self.transport.get_protocol(), "handshake_initiated", False):
+            self.transport.abort()
 
     def on_response_complete(self) -> None:
         """Give the next request its time."""

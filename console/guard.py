@@ -8,7 +8,6 @@ and a session opened with a token.
 from __future__ import annotations
 
 import copy
-import http.cookies
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 from urllib.parse import parse_qs
@@ -23,6 +22,7 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 Trust = Callable[[object], None]  # told the host and port of a connection that has shown the key
 
 MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
+LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
 LARGEST_BODY_BYTES = 65_536
 MOST_FIELDS = 8  # of a query
 SESSION = "ronna.session"  # key of a request's session in its scope
@@ -95,6 +95,9 @@ class Guard:
         if host not in self._hosts:
             await _refuse(send, 421, "This is not the console's address.")
             return
+        if _head_bytes(scope) > LARGEST_HEAD_BYTES:
+            await _refuse(send, 431, "Request head too large.")
+            return
         if scope["method"] not in READING and headers.get("origin") != f"{self._scheme}://{host}":
             await _refuse(send, 403, "The request does not come from a console page.")
             return
@@ -131,13 +134,14 @@ class Guard:
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = _headers(scope)
         host = headers.get("host", "")
-        session = self._session(headers)
         allowed = (
             host in self._hosts
             and headers.get("origin") == f"{self._scheme}://{host}"
             and not self._is_foreign(scope.get("client"))
+            and _head_bytes(scope) <= LARGEST_HEAD_BYTES
         )
-        if not allowed or session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
+        session = self._session(headers) if allowed else None
+        if session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
             await receive()
             await send({"type": "websocket.close", "code": 1008})  # before acceptance: answered with 403
             return
@@ -150,13 +154,9 @@ class Guard:
             self.clients[session.role] -= 1
 
     def _session(self, headers: dict[str, str]) -> Session | None:
-        cookies: http.cookies.SimpleCookie = http.cookies.SimpleCookie()
-        try:
-            cookies.load(headers.get("cookie", ""))
-        except http.cookies.CookieError:
-            return None
-        kept = cookies.get(self._cookie)
-        session = self._sessions.find(None if kept is None else kept.value)
+        # Ours is never quoted; `http.cookies` takes quadratic time for quoted backslashes (CVE-2024-7592).
+        pairs = (pair.strip().partition("=") for pair in headers.get("cookie", "").split(";"))
+        session = self._sessions.find(next((value for name, _, value in pairs if name == self._cookie), None))
         return session if session is not None and session.role in self._roles else None
 
 
@@ -169,6 +169,12 @@ def _headers(scope: Scope) -> dict[str, str]:
         twice |= {key} & found.keys()
         found[key] = value.decode("latin-1")
     return {name: value for name, value in found.items() if name not in twice}
+
+
+def _head_bytes(scope: Scope) -> int:
+    """Of request line and headers, without what separates them."""
+    line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
+    return line + sum(len(name) + len(value) for name, value in scope["headers"])
 
 
 def _token(scope: Scope) -> str | None:

@@ -9,9 +9,9 @@ from typing import Any
 
 import uvicorn
 
-from console.connection import LARGEST_HEAD_BYTES, Connection
+from console.connection import Connection
 from console.errors import PortTaken
-from console.guard import LARGEST_BODY_BYTES, Guard
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.host.port_users import account_at
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import time
+
 import pytest
 from console_requests import HOST, ORIGIN, SOCKET, Console
 
-from console.guard import LARGEST_BODY_BYTES, MOST_CLIENTS
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS
 from console.sessions import Role
 
 
@@ -40,6 +42,29 @@ def test_a_wrong_host_header_is_answered_with_misdirected_request(
 def test_no_route_is_reached_without_a_session(console: Console, method: str, path: str, cookie: str) -> None:
     answer = console.request(method, path, headers={"cookie": cookie, "origin": ORIGIN})
     assert answer.status == 401
+    assert console.reached == []
+
+
+@pytest.mark.parametrize("quoted", ["\\", '\\"', "\\0"])
+def test_a_cookie_of_quoted_backslashes_costs_a_stranger_not_the_console(
+    console: Console, quoted: str
+) -> None:
+    cookie = f'a="{quoted * (LARGEST_HEAD_BYTES // len(quoted) - 100)}"'
+    begun_s = time.process_time()
+    assert console.request("GET", "/", headers={"cookie": cookie}).status == 401
+    assert not console.open_socket({"cookie": cookie, "origin": ORIGIN})
+    assert time.process_time() - begun_s < 0.3  # the parser of Python's library takes seconds
+
+
+def test_a_session_is_found_among_the_cookies_of_other_ports(console: Console) -> None:
+    cookie = f'ronna_console_1=x; a="b;c"; {console.operator()}; d'
+    assert console.request("GET", "/", headers={"cookie": cookie}).status == 200
+
+
+def test_a_request_head_beyond_its_limit_is_refused(console: Console) -> None:
+    headers = {"cookie": console.operator(), "origin": ORIGIN, "x": "a" * LARGEST_HEAD_BYTES}
+    assert console.request("GET", "/", headers=headers).status == 431
+    assert not console.open_socket(headers)
     assert console.reached == []
 
 

@@ -106,6 +106,29 @@ def test_an_endless_request_head_is_cut_off(line: bytes) -> None:
     assert not asyncio.run(sent_whole())
 
 
+def test_a_complete_request_head_beyond_the_limit_is_refused() -> None:
+    async def said() -> bytes:
+        async with Served().serving() as console:
+            reader, writer = await console.connected(console.request("/", f"x: {'a' * 60_000}\r\n"))
+            head = await asyncio.wait_for(reader.readuntil(b"\r\n"), 10.0)
+            writer.transport.abort()
+            return head
+
+    assert b" 431 " in asyncio.run(said())
+
+
+def test_a_socket_whose_head_is_refused_before_the_guard_is_disconnected() -> None:
+    async def said() -> bytes:
+        async with Served().serving() as console:
+            head = console.socket_opened().removesuffix(b"\r\n")
+            reader, writer = await console.connected(head + b"x: " + b"a" * 9000 + b"\r\n\r\n")
+            said = await _ended(reader)
+            writer.close()
+            return said
+
+    assert asyncio.run(said()) == b""
+
+
 @pytest.mark.parametrize("half", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: a\r\n"])
 @pytest.mark.parametrize("answered", [b"", b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"], ids=["first", "second"])
 def test_an_incomplete_request_is_disconnected_after_the_time_limit(
