@@ -105,7 +105,10 @@ class DisturbedLine:
                 if held:
                     wait_s = min(wait_s, max(0.0, held[0][0] - time.monotonic()))
                 for key, _ in ends.select(wait_s):
-                    data = os.read(key.fd, CHUNK_BYTES)
+                    try:
+                        data = os.read(key.fd, CHUNK_BYTES)
+                    except BlockingIOError:  # a terminal that was flushed meanwhile
+                        continue
                     if not data:
                         return
                     if key.fileobj is client:

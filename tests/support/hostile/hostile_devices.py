@@ -16,6 +16,7 @@ import struct
 import sys
 import tempfile
 import threading
+import traceback
 import tty
 from collections.abc import Callable
 from enum import StrEnum
@@ -173,7 +174,8 @@ class HostileSerialLine(HostileLine):
             of_malice = self._terminals
             super().relent()
             replaced = self._plugged.wait_for(lambda: self._terminals > of_malice, 2 * TAKES_S)
-        assert replaced, f"the terminal of {self.malice} is still there"
+        where = sys._current_frames().get(self._thread.ident or 0)
+        assert replaced, f"the terminal of {self.malice} is still there: {traceback.format_stack(where)}"
 
     def _serve(self) -> None:
         with self._folder:
@@ -195,6 +197,7 @@ class _Terminal:
     def __init__(self) -> None:
         self._own, self._drivers = os.openpty()
         tty.setraw(self._drivers)
+        os.set_blocking(self._own, False)  # what the driver flushes before it is read would be waited for
         self.path = os.ttyname(self._drivers)
 
     def fileno(self) -> int:
@@ -207,7 +210,8 @@ class _Terminal:
         while data:
             if not select.select([], [self._own], [], TAKES_S)[1]:
                 raise TimeoutError
-            data = data[os.write(self._own, data[:PIECE_BYTES]) :]
+            with contextlib.suppress(BlockingIOError):  # no room after all
+                data = data[os.write(self._own, data[:PIECE_BYTES]) :]
 
     def close(self) -> None:
         os.close(self._own)
