@@ -121,7 +121,8 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
     """
     temporary = path.with_name(f".{path.name}{PARTIAL}")
     try:
-        with temporary.open("wb") as file:
+        temporary.unlink(missing_ok=True)  # of a program that was killed, or somebody's link to another file
+        with temporary.open("xb") as file:
             file.write(content)
             file.flush()
             if flushed:

@@ -164,7 +164,6 @@ class Journal:
                 raise
             self._room.unlink()
             self._put(line, durable=durable)
-        self._on_line(line)
 
     def _put(self, line: bytes, *, durable: bool) -> None:
         """Write a line and flush it; one that could not be flushed is taken away again."""
@@ -207,7 +206,8 @@ class Journal:
         """Count the pending line when it is in the file; what is there of one that was cut is taken away.
 
         A signal may end a write at any point, also when the line is there and not counted yet. So what the
-        file holds decides, and chain and pending line change by one assignment each.
+        file holds decides, and chain and pending line change by one assignment each. A line that is counted
+        is handed on, also one whose writing was interrupted.
         """
         if not self._pending:
             return
@@ -215,6 +215,8 @@ class Journal:
         size = os.fstat(self._file).st_size
         if size == chain.size + len(line):
             self._chain = _Chain(size, chain.lines + 1, hashlib.sha256(line).hexdigest())
+            self._pending = b""
+            self._on_line(line)
         elif size != chain.size:
             try:
                 os.ftruncate(self._file, chain.size)
@@ -222,7 +224,8 @@ class Journal:
                 raise self._not_writable(f"the line was cut, and {error.strerror}") from error
             self._pending = b""
             raise self._not_writable("the line was cut: the disk is full")
-        self._pending = b""
+        else:
+            self._pending = b""
 
     def _not_writable(self, reason: str | None) -> JournalNotWritable:
         return JournalNotWritable(f"cannot write {self.path.name}: {reason}")

@@ -56,9 +56,11 @@ def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked
 def check_json(
     content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
 ) -> bytes:
-    """The same bytes if they are within limits; raises INP-001."""
+    """The same bytes if they are within limits; raises INP-001. Numbers in them may be anything."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
+    if b"\0" in content:  # as in every other encoding of JSON, whose depth would not be seen
+        raise InputRefused("the JSON is not UTF-8")
     _check_count(content, most_values)
     if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")

@@ -41,8 +41,10 @@ def unzip(packed: bytes, limit_bytes: int) -> bytes:
     except InputRefused:
         raise
     except (
-        zipfile.BadZipFile, zlib.error, struct.error, ValueError, IndexError, OSError, EOFError, RuntimeError
-    ) as error:  # fmt: skip  # RuntimeError: it wants a password, or a feature that is missing here
+        zipfile.BadZipFile, zlib.error, struct.error, ValueError, IndexError, OSError, EOFError,
+        RuntimeError,  # it wants a password, or a feature that is missing here
+        OverflowError,  # a 64-bit offset
+    ) as error:  # fmt: skip
         raise InputRefused(f"a ZIP file cannot be read: {error}") from error
     if len(content) > limit_bytes:
         raise InputRefused("a packed file expands beyond the limit", limit=f"{limit_bytes} bytes")

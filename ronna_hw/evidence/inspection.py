@@ -17,7 +17,16 @@ from typing import NamedTuple, cast
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
-from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, is_made_anew, read_seal, sha256_of
+from ronna_hw.evidence.seal import (
+    LARGEST_FILE_BYTES,
+    SEAL_FILE,
+    Seal,
+    files_of,
+    is_later,
+    is_made_anew,
+    read_seal,
+    sha256_of,
+)
 from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
@@ -31,6 +40,7 @@ FINISH_IT = (
     "ronna-procedure report RUN its report."
 )
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
+LARGEST_INPUTS_BYTES = 2_000_000_000  # four times a CT of a thousand slices
 MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
 SHOWN = 3  # problems named in an error; verify lists all
 
@@ -306,7 +316,8 @@ def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -
         *TRUTH_FILES,
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
     }
-    yield from _added([name for name in expected if expected[name] is None and name in {*there} - vouched])
+    suspects = {*there} - vouched
+    yield from _added([name for name in expected if expected[name] is None and name in suspects])
 
 
 def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
@@ -338,13 +349,19 @@ def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, 
 
 
 def _against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
-    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path."""
+    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path.
+
+    Those may be any of this computer, and many names may lead to one: all together have a limit.
+    """
+    left_bytes = LARGEST_INPUTS_BYTES
     for name, recorded in hashes.items():
         if wrong := _wrong(name.removeprefix("/") if inputs else name):
             yield Problem(name, wrong)
             continue
         try:
-            if sha256_of(folder / name) != recorded:
+            sha256 = sha256_of(folder / name, left_bytes if inputs else LARGEST_FILE_BYTES)
+            left_bytes -= (folder / name).stat().st_size
+            if sha256 != recorded:
                 yield Problem(name, "changed")
         except FileNotFoundError:
             yield Problem(name, "missing", unfinished=is_made_anew(name))

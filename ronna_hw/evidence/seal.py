@@ -68,13 +68,17 @@ class Seal(BaseModel):
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
-def sha256_of(path: Path) -> str:
-    """Hash of a file's content. Raises OSError, also if it is not a regular file, or too large for a run."""
+def sha256_of(path: Path, limit_bytes: int = LARGEST_FILE_BYTES) -> str:
+    """Hash of a file's content. Raises OSError, also if it is not regular or larger than the limit."""
     found = hashlib.sha256()
     with open_regular(path) as file:
-        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
-            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
+        size = os.fstat(file.fileno()).st_size
+        # A log may grow meanwhile by some lines; what claims to be empty, as in /proc, may have no end.
+        left = size + CHUNK_BYTES if size <= limit_bytes else 0
         while part := file.read(CHUNK_BYTES):
+            left -= len(part)
+            if left < 0:
+                raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
             found.update(part)
     return found.hexdigest()
 
@@ -82,7 +86,7 @@ def sha256_of(path: Path) -> str:
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
     """Every file of a run by its name there, without journal, seal and exports.
 
-    Also folders that are deeper than any run goes: nothing below them is listed.
+    Also folders that are deeper than any run goes, or may not be read: nothing below them is listed.
     """
     for path, is_folder, entered in sorted(walk(folder, without=APART)):
         name = path.relative_to(folder).as_posix()

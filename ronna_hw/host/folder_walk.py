@@ -23,8 +23,8 @@ class Found(NamedTuple):
 def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
     """Everything below a folder, except the folders directly in it that are named in `without`.
 
-    Links are not followed; folders at `DEEPEST_LEVEL` are listed and not entered. Folders that cannot be
-    read are taken as empty.
+    Links are not followed; folders at `DEEPEST_LEVEL`, and those that may not be read, are listed and not
+    entered.
     """
     waiting = [(folder, 0)]
     while waiting:
@@ -36,7 +36,8 @@ def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
             path, is_folder = at / entry.name, entry.is_dir(follow_symlinks=False)
             if is_folder and level == 0 and entry.name in without:
                 continue
-            entered = is_folder and level + 1 < DEEPEST_LEVEL
+            readable = is_folder and os.access(path, os.R_OK | os.X_OK)
+            entered = readable and level + 1 < DEEPEST_LEVEL
             yield Found(path, is_folder, entered)
             if entered:
                 waiting.append((path, level + 1))

@@ -48,6 +48,21 @@ NAME: /[A-Za-z_][A-Za-z0-9_.]*/
 LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
+def _divided(first: Number, second: Number) -> Number:
+    """Towards zero, and exact: a float has 53 bits of the 64 of a register."""
+    if not isinstance(first, int) or not isinstance(second, int):
+        return math.trunc(first / second)
+    quotient = abs(first) // abs(second)
+    return quotient if (first < 0) == (second < 0) else -quotient
+
+
+def _remainder(first: Number, second: Number) -> Number:
+    """What division towards zero leaves, with the sign of the first."""
+    if not isinstance(first, int) or not isinstance(second, int):
+        return math.fmod(first, second)
+    return first - second * int(_divided(first, second))
+
+
 def _power(base: Number, exponent: Number) -> Number:
     """Exact for integers; raises OverflowError for more than 64 bits."""
     if not isinstance(base, int) or not isinstance(exponent, int) or exponent < 0:
@@ -72,7 +87,7 @@ _BINARY: dict[str, Callable[[Any, Any], Number]] = {
     "add": operator.add,
     "sub": operator.sub,
     "mul": operator.mul,
-    "mod": math.fmod,
+    "mod": _remainder,
     "pow": _power,
     "or_": lambda a, b: int(bool(a) or bool(b)),
     "and_": lambda a, b: int(bool(a) and bool(b)),
@@ -157,5 +172,5 @@ def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth:
         return ~int(first)
     second = _value(parts[1], values, whole, depth)
     if kind == "div":
-        return math.trunc(first / second) if whole else first / second
+        return _divided(first, second) if whole else first / second
     return _BINARY[kind](first, second)

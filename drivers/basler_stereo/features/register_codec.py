@@ -36,8 +36,7 @@ def decode_register(node: Node, data: bytes) -> Number:
         return number
     low, width = register_bits(node, len(data))
     value = int.from_bytes(data, _byte_order(node)) >> low & (1 << width) - 1
-    signed = (node.text("Sign") or "Unsigned") == "Signed"
-    return value - (1 << width) if signed and value >> (width - 1) else value
+    return value - (1 << width) if _is_signed(node) and value >> (width - 1) else value
 
 
 def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
@@ -50,8 +49,16 @@ def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
             raise BadDescription(f"{node.name} cannot hold {value:g}", limit=f"{length} bytes") from error
     low, width = register_bits(node, length)
     mask = (1 << width) - 1
+    number = round(value)
+    least = -(1 << width - 1) if _is_signed(node) else 0
+    if not least <= number <= least + mask:
+        raise BadDescription(f"{node.name} cannot hold {number}", limit=f"{least} to {least + mask}")
     others = int.from_bytes(current, _byte_order(node)) & ~(mask << low)
-    return (others | (round(value) & mask) << low).to_bytes(length, _byte_order(node))
+    return (others | (number & mask) << low).to_bytes(length, _byte_order(node))
+
+
+def _is_signed(node: Node) -> bool:
+    return (node.text("Sign") or "Unsigned") == "Signed"
 
 
 def register_bits(node: Node, length: int) -> tuple[int, int]:

@@ -10,7 +10,7 @@ from procedures.engine.events.happenings import VERSION, Happening
 class Event(BaseModel):
     """One happening with its number and its time."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     version: int = VERSION
     number: int = Field(description="Counts all events of a run from 1.")

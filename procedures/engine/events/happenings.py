@@ -23,7 +23,7 @@ Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 class _Happening(BaseModel):
     """One thing that happened."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     signal: ClassVar[bool] = False
 
     @property
@@ -102,7 +102,7 @@ class Seat(_Happening):
 class OrderedStep(BaseModel):
     """A step in the order of a case."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     step: str = Field(description="Such as `registration:T1`.")
     title: str
@@ -133,7 +133,7 @@ class DeviceFact(BaseModel):
     """What a device reports of itself, such as its operating mode, and whether a case can continue with
     it."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     found: str
@@ -207,7 +207,7 @@ class Pose(_Happening):
 class Body(BaseModel):
     """A capsule that motions are checked against; of a moving one the ends come with each pose."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     radius_mm: float
@@ -218,7 +218,7 @@ class Body(BaseModel):
 class CameraView(BaseModel):
     """What a camera of the mounted tool sees, in the frame of the tool."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")

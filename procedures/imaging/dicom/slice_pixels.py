@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.dicom.attributes import optional_number, read_dicom, text, value
-from procedures.imaging.dicom.compressed_frame import JPEG, JPEG_2000, check_frame
+from procedures.imaging.dicom.compressed_frame import check_frame
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
@@ -92,13 +92,17 @@ def _stored_by_library(
     name, syntax = path.name, UID(stated, validation_mode=config.IGNORE)
     try:
         if syntax.is_encapsulated:
+            # An Extended Offset Table can lead the decoder to another frame than the one that is checked.
+            if "ExtendedOffsetTable" in data:
+                raise InputRefused("one frame, with an Extended Offset Table", expected="none")
             check_frame(
                 stated, get_frame(data.PixelData, 0, number_of_frames=1), shape, data.BitsAllocated // 8
             )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            apart = stated in (*JPEG, *JPEG_2000)
-            stored = decoder.decode(path) if apart else np.asarray(data.pixel_array)
+            stored = decoder.decode(path)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                stored = np.asarray(data.pixel_array)
     except InputRefused as problem:
         raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
     except MemoryError:

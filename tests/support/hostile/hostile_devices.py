@@ -16,6 +16,7 @@ import struct
 import sys
 import tempfile
 import threading
+import time
 import traceback
 import tty
 from collections.abc import Callable
@@ -197,7 +198,7 @@ class _Terminal:
     def __init__(self) -> None:
         self._own, self._drivers = os.openpty()
         tty.setraw(self._drivers)
-        os.set_blocking(self._own, False)  # what the driver flushes before it is read would be waited for
+        os.set_blocking(self._own, False)  # a write may wait for ever although `select` found room
         self.path = os.ttyname(self._drivers)
 
     def fileno(self) -> int:
@@ -207,11 +208,14 @@ class _Terminal:
         """A terminal has no such options."""
 
     def sendall(self, data: bytes) -> None:
+        given_up_s = time.monotonic() + TAKES_S
         while data:
-            if not select.select([], [self._own], [], TAKES_S)[1]:
-                raise TimeoutError
-            with contextlib.suppress(BlockingIOError):  # no room after all
+            select.select([], [self._own], [], LOOK_S)
+            with contextlib.suppress(BlockingIOError):  # also where `select` finds room
                 data = data[os.write(self._own, data[:PIECE_BYTES]) :]
+                given_up_s = time.monotonic() + TAKES_S
+            if time.monotonic() > given_up_s:
+                raise TimeoutError
 
     def close(self) -> None:
         os.close(self._own)

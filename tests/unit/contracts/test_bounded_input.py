@@ -121,6 +121,8 @@ HOSTILE_JSON = {
     "Infinity": b"[[Infinity,0,0]]",
     "NaN": b"[[NaN,0,0]]",
     "many values": b"[" + b"[]," * 1_600_000 + b"0]",
+    # whose bytes look like a string around the brackets
+    "nested lists in UTF-16": ('["\u2278",' + "[" * 500 + "]" * 500 + ',"\u2278"]').encode("utf-16-le"),
     "escaped quotes in a string without end": b"[" * 65 + b'"' + b'\\"' * 1_000_000,  # cost hours
 }
 

@@ -13,7 +13,7 @@ from recording_cell import RecordingCell
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import MOST_NAMES, NOT_AS_LEFT, inspected
 from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal, sha256_of
 from ronna_hw.records import Record, write_record
 
@@ -68,6 +68,30 @@ def test_an_oversized_file_is_reported_as_changed_by_its_size_alone(run: Path, s
     os.truncate(run / "pictures" / "ct-1.png", size)
     (problem,) = inspected(run).problems
     assert str(problem) == "pictures/ct-1.png: changed: larger than any file of a run"
+
+
+def test_what_claims_to_be_empty_is_hashed_only_so_far() -> None:
+    with bounded_cost(10 << 20, 1.0), pytest.raises(OSError, match="File too large"):
+        sha256_of(Path("/proc/self/pagemap"))  # hundreds of gigabytes
+
+
+def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ronna_hw.evidence.inspection.LARGEST_INPUTS_BYTES", 1000)
+    files = [tmp_path / name for name in "abc"]
+    for file in files:
+        file.write_bytes(bytes(400))
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.CLOSED, 0.0, inputs={str(file): sha256_of(file) for file in files})
+    named = [problem for problem in inspected(cell.folder).changes if problem.file == str(files[2])]
+    assert [problem.what for problem in named] == ["changed: larger than any file of a run"]
+
+
+def test_an_added_folder_that_may_not_be_read_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (run / "hidden").mkdir()  # root may read every folder
+    monkeypatch.setattr("ronna_hw.host.folder_walk.os.access", lambda path, _how: path.name != "hidden")
+    assert changed_files(run) == {"hidden"}
 
 
 def test_a_file_whose_name_is_not_valid_text_is_not_sealed(run: Path) -> None:
@@ -148,12 +172,18 @@ def test_a_record_that_a_journal_names_twice_is_reported_and_read_once(
     assert read == ["a.json"]
 
 
-@pytest.mark.parametrize(("count", "what"), [(90_000, "missing"), (500_000, "names more than")])
+FIELDS = {"pictures": (Entry.CLOSED, ""), "inputs": (Entry.CLOSED, ""), NOT_AS_LEFT: (Entry.RESTARTED, None)}
+
+
+@pytest.mark.parametrize("count", [90_000, 500_000])
+@pytest.mark.parametrize("field", FIELDS)
 def test_a_journal_that_names_very_many_files_is_checked_at_bounded_cost(
-    tmp_path: Path, count: int, what: str
+    tmp_path: Path, count: int, field: str
 ) -> None:
-    cell = RecordingCell(tmp_path / "run")
-    cell.journal.write(Entry.CLOSED, 0.0, pictures={f"{number:x}": "" for number in range(count)})
+    cell, (entry, sha256) = RecordingCell(tmp_path / "run"), FIELDS[field]
+    cell.journal.write(entry, 0.0, **{field: {f"{number:x}": sha256 for number in range(count)}})
+    for number in range(2000):
+        (cell.folder / f"{number:x}").touch()
     with bounded_cost():
         problems = inspected(cell.folder).changes
-    assert problems[0].what.startswith(what)
+    assert problems[0].what.startswith("names more than") == (count > MOST_NAMES)

@@ -158,8 +158,10 @@ def test_an_export_replaces_links_instead_of_writing_through_them(finished: Path
     for name in names:
         (out / name).unlink()
         (out / name).symlink_to(precious)
+        (out / f".{name}.partial").symlink_to(precious)
     export_run(finished, out)
     assert precious.read_text() == "precious"
+    assert not any(path.is_symlink() for path in out.iterdir())
 
 
 def test_an_unknown_file_format_is_refused() -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from bounded_cost import bounded_cost
 from pydicom.dataset import Dataset
-from pydicom.encaps import encapsulate
+from pydicom.encaps import encapsulate, get_frame
 from pydicom.uid import (
     DeflatedExplicitVRLittleEndian,
     JPEG2000Lossless,
@@ -69,7 +69,7 @@ def test_an_oversized_file_is_refused_without_reading_it_whole(dicom_series: Wri
 def test_memory_that_cannot_be_had_is_no_damage_of_a_file(
     dicom_series: Write, monkeypatch: pytest.MonkeyPatch, asked: str
 ) -> None:
-    folder = dicom_series(edit=every(lambda data: data.compress(RLELossless)))
+    folder = dicom_series(edit=every(lambda data: setattr(data, "BitsAllocated", 8)))  # not read by us alone
 
     def refuse(*_: object, **_named: object) -> None:
         raise MemoryError
@@ -200,6 +200,19 @@ def test_a_compressed_frame_is_checked_before_it_is_decoded(
 
     folder = dicom_series(edit=every(compress))
     with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"CT-005: {FIRST}"):
+        read_series(folder)
+
+
+def test_a_table_that_leads_the_decoder_to_an_unchecked_frame_is_refused(dicom_series: Write) -> None:
+    def compress(data: Dataset) -> None:
+        data.compress(RLELossless)
+        checked = get_frame(data.PixelData, 0, number_of_frames=1)
+        data.PixelData = encapsulate([checked, runs(100_000)], has_bot=False)
+        data.ExtendedOffsetTable = struct.pack("<Q", 8 + len(checked))
+        data.ExtendedOffsetTableLengths = struct.pack("<Q", len(runs(100_000)))
+
+    folder = dicom_series(edit=every(compress))
+    with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"{FIRST} .*Extended Offset Table"):
         read_series(folder)
 
 

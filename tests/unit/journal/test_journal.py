@@ -89,7 +89,8 @@ def test_a_full_disk_is_reported_when_writing_an_entry(tmp_path: Path) -> None:
 def test_a_signal_at_any_moment_of_a_write_leaves_a_continuable_chain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, done: bool
 ) -> None:
-    journal = Journal(tmp_path)
+    handed_on: list[bytes] = []
+    journal = Journal(tmp_path, handed_on.append)
     journal.write(Entry.OPENED, 0.0)
     original = getattr(os, moment)
 
@@ -112,6 +113,7 @@ def test_a_signal_at_any_moment_of_a_write_leaves_a_continuable_chain(
         "interrupted",
         "closed",
     ]
+    assert b"".join(handed_on) == journal.path.read_bytes()
 
 
 def test_a_partially_written_line_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -102,6 +104,16 @@ def test_little_endian_and_signed_registers_are_read_and_written(features, memor
     assert features.number("Signed") == -2
     features.set_number("Long", 2**40 + 1)
     assert features.number("Long") == 2**40 + 1
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("Little", 1 << 32), ("Little", -1), ("Signed", 1 << 31), ("Bits", 16), ("OneBit", 2)]
+)
+def test_a_value_that_its_register_cannot_hold_is_refused(features, memory, name, value):
+    before = memory.read(0x10, 0x20)
+    with pytest.raises(BadDescription, match=f"cannot hold {value}"):
+        features.set_number(name, value)
+    assert memory.read(0x10, 0x20) == before
 
 
 def test_masked_registers_keep_the_other_bits(features, memory):
@@ -245,6 +257,13 @@ def test_real_formulas_divide_exactly():
 def test_formulas_without_a_value_are_refused(formula):
     with pytest.raises(BadDescription, match="GEV-009"):
         evaluate(formula, {}, whole=False)
+
+
+@given(st.integers(-(2**63), 2**63), st.integers(-(2**63), 2**63).filter(bool))
+def test_integers_of_64_bits_are_divided_exactly_towards_zero(a, b):
+    quotient = int(Fraction(a, b))
+    assert evaluate("A / B", {"A": a, "B": b}, whole=True) == quotient
+    assert evaluate("A % B", {"A": a, "B": b}, whole=True) == a - b * quotient
 
 
 @given(st.integers(-1000, 1000), st.integers(-1000, 1000), st.sampled_from("+-*"))

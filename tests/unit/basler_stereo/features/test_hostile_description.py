@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 
 import pytest
@@ -55,6 +56,21 @@ def packed_zeros(method: int, claimed: int, content: bytes) -> bytes:
 def test_a_packed_description_of_a_few_bytes_does_not_fill_the_memory():
     with bounded_cost(), pytest.raises(BadDescription, match=r"GEV-009.*stored or deflated"):
         unpacked(packed_zeros(zipfile.ZIP_BZIP2, 1000, zeros()))
+
+
+def test_a_zip_file_whose_member_lies_beyond_all_files_is_refused():
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("cam.xml", b"<a/>")
+    stored = file.getvalue()
+    begin, end = stored.index(b"PK\x01\x02"), stored.index(b"PK\x05\x06")
+    entry, extra = bytearray(stored[begin:end]), struct.pack("<HHQ", 1, 8, 2**64 - 16)
+    entry[42:46] = b"\xff" * 4  # its place is in the extra field
+    entry[30:32] = struct.pack("<H", len(extra))
+    last = bytearray(stored[end:])
+    last[12:16] = struct.pack("<I", len(entry) + len(extra))
+    with bounded_cost(), pytest.raises(BadDescription, match="GEV-009"):
+        unpacked(stored[:begin] + entry + extra + last)
 
 
 @pytest.mark.parametrize(
