@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import socket
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,6 @@ LONGEST_NAME = 60  # characters of a command line shown
 MASTER_NAME = "ptmx"  # the device behind the master side of every pseudo-terminal
 ANY_ADDRESS = "0.0.0.0"
 _INDEX = "tty-index:"
-_ACCOUNT, _INODE = 7, 9  # columns of /proc/net/tcp
-_MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6, on a little-endian computer
 _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to each
 
 
@@ -76,28 +73,6 @@ def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
         for each in psutil.net_connections(kind="tcp4")
         if each.status == psutil.CONN_ESTABLISHED and each.raddr == there and each.pid != os.getpid()
     )
-
-
-def account_at(peer: tuple[str, int], here: tuple[str, int]) -> int | None:
-    """The user id of the program that has the other end of a TCP connection within this computer.
-
-    IPv4 addresses and ports; None if that end is closed, or elsewhere. psutil does not report the account
-    of a connection, and its process only where it is not another account's.
-    """
-    ends = [_in_kernel(peer), _in_kernel(here)]
-    for table, mapped in (("tcp", ""), ("tcp6", _MAPPED)):
-        with contextlib.suppress(OSError):
-            for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
-                fields = line.split()
-                if fields[1:3] == [mapped + end for end in ends]:
-                    is_open = fields[_INODE] != "0"  # else its program has closed it, and its account is lost
-                    return int(fields[_ACCOUNT]) if is_open else None
-    return None
-
-
-def _in_kernel(place: tuple[str, int]) -> str:
-    address = int.from_bytes(socket.inet_aton(place[0]), sys.byteorder)
-    return f"{address:08X}:{place[1]:04X}"
 
 
 def holder_of_lock(file: int) -> PortUser | None:

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import socket
+import time
 from collections.abc import AsyncIterator
 
 import pytest
@@ -14,7 +15,8 @@ from console import connection, listening
 from console.guard import SESSION, Guard, Receive, Scope, Send
 from console.listening import HOST, listen, server_of
 from console.sessions import Sessions
-from ronna_hw.host.port_users import account_at
+from ronna_hw.host import connection_account
+from ronna_hw.host.connection_account import account_at
 
 NOBODY = 65534  # an account without rights
 SENT_BYTES = 30_000_000  # more than all buffers between two sockets
@@ -234,7 +236,30 @@ def test_another_account_of_this_computer_is_refused_though_it_has_the_cookie(
     assert [b" 403 " in head for head in asyncio.run(heads())] == [True, True]
 
 
-def test_a_connection_whose_program_has_gone_belongs_to_no_account() -> None:
+def test_the_account_of_a_connection_costs_the_same_however_many_there_are() -> None:
+    with listen(HOST, 0) as bound, contextlib.ExitStack() as stack:
+        stack.enter_context(socket.create_connection(bound.getsockname()))
+        connection, peer = bound.accept()
+        stack.enter_context(connection)
+
+        def cost_s() -> float:
+            begun_s = time.process_time()
+            for _ in range(200):
+                assert account_at(peer, bound.getsockname()) == os.geteuid()
+            return time.process_time() - begun_s
+
+        alone_s = cost_s()
+        for _ in range(2000):  # a stranger lists as many as he likes
+            stack.enter_context(socket.create_server((HOST, 0)))
+        assert cost_s() < 5 * alone_s
+
+
+@pytest.mark.parametrize("diagnosed", [True, False], ids=["sock_diag", "without sock_diag"])
+def test_a_connection_whose_program_has_gone_belongs_to_no_account(
+    monkeypatch: pytest.MonkeyPatch, diagnosed: bool
+) -> None:
+    if not diagnosed:
+        monkeypatch.setattr(connection_account, "_diagnosed", lambda _local, _remote: None)
     with listen(HOST, 0) as bound:
         with socket.create_connection(bound.getsockname()) as client:
             assert account_at(client.getsockname(), bound.getsockname()) == os.geteuid()
@@ -245,7 +270,12 @@ def test_a_connection_whose_program_has_gone_belongs_to_no_account() -> None:
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another account")
-def test_the_account_of_a_connection_is_the_one_that_made_it() -> None:
+@pytest.mark.parametrize("diagnosed", [True, False], ids=["sock_diag", "without sock_diag"])
+def test_the_account_of_a_connection_is_the_one_that_made_it(
+    monkeypatch: pytest.MonkeyPatch, diagnosed: bool
+) -> None:
+    if not diagnosed:
+        monkeypatch.setattr(connection_account, "_diagnosed", lambda _local, _remote: None)
     with listen(HOST, 0) as bound, contextlib.ExitStack() as stack:
         os.seteuid(NOBODY)
         try:
