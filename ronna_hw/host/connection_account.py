@@ -2,7 +2,7 @@
 
 The kernel is asked for one connection (sock_diag(7)), which costs the same however many there are: anybody
 can have thousands listed in /proc/net/tcp, and would hold up whoever reads that for each connection. It is
-read only where the kernel has no sock_diag. psutil reports no account, and a process only of the same account.
+read only where the kernel has no sock_diag. psutil reports no account, and processes only of its own one.
 """
 
 from __future__ import annotations
