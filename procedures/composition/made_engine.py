@@ -23,6 +23,7 @@ from procedures.workcell.arm_history import UNMOVED
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device
+from ronna_hw.evidence.seal import input_hashes, theatre_files
 from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.recording.byte_lines import BYTES_FOLDER
 from ronna_hw.recording.flight_recorder import FlightRecorder
@@ -107,6 +108,7 @@ def made_engine(
         **({ONLY_LEAVING: True} if resumption is not None and resumption.only_leaving else {}),
         **opening,
         **truth_so_far(folder),
+        inputs=input_hashes(folder, theatre_files(folder)),
         run=case.run,
         software=str(this_software()),
         theatre=theatre.file.theatre,

@@ -28,6 +28,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import PICTURES_FOLDER
+from ronna_hw.evidence.seal import input_hashes
 from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ class StepContext:
     _support: StepSupport
     _read: dict[str, Record] = field(default_factory=dict)
     _pictures: dict[str, str] = field(default_factory=dict)
+    _inputs: dict[str, str] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
         """The standing result of a step: of this step's trajectory, or one that belongs to none.
@@ -207,6 +209,15 @@ class StepContext:
         path = next(path for path in chain((first,), numbered) if not path.exists())
         write_whole(path, png, exclusive=True)
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
+
+    def note_input(self, path: Path) -> None:
+        """A file or folder that the result was made from: `verify` finds it exchanged. Raises OSError."""
+        self._inputs.update(input_hashes(self._case.folder, (path,)))
+
+    @property
+    def inputs(self) -> dict[str, str]:
+        """The files that were noted so far, with their SHA-256."""
+        return dict(self._inputs)
 
     @property
     def pictures(self) -> dict[str, str]:

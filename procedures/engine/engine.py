@@ -348,6 +348,8 @@ class Engine:
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         if context.pictures:
             more["pictures"] = context.pictures
+        if context.inputs:
+            more["inputs"] = context.inputs
         more |= self._before_result()
         self._write(
             Entry.RESULT,

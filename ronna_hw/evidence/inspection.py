@@ -9,7 +9,7 @@ from __future__ import annotations
 import errno
 import hashlib
 import os
-from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, cast
@@ -17,6 +17,14 @@ from typing import NamedTuple, cast
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
+from ronna_hw.evidence.named_files import (
+    NOT_AS_LEFT,
+    closed_files,
+    exchanged_inputs,
+    hashes_in,
+    names_in,
+    superseded_in,
+)
 from ronna_hw.evidence.seal import (
     LARGEST_FILE_BYTES,
     SEAL_FILE,
@@ -39,7 +47,6 @@ FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
 )
-NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 LARGEST_INPUTS_BYTES = 2_000_000_000  # four times a CT of a thousand slices
 MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
 SHOWN = 3  # problems named in an error; verify lists all
@@ -87,8 +94,7 @@ class Inspection:
     @property
     def superseded(self) -> frozenset[str]:
         """Identifiers of the superseded records."""
-        gone = (line.get("supersedes") for line in self.chain.lines)
-        return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
+        return superseded_in(self.chain.lines)
 
     @property
     def changes(self) -> tuple[Problem, ...]:
@@ -157,12 +163,6 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     elif chain.lines:
         problems += _some(folder, chain, [name for name in files if os.path.lexists(folder / name)])
     return Inspection(folder, chain, records, tuple(dict.fromkeys(problems)))
-
-
-def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
-    """Files and hashes of the journal's last `closed` line."""
-    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
-    return hashes_in(closed, "files")
 
 
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
@@ -284,6 +284,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     if closed:
         yield from _against(folder, named)
         yield from _against(folder, hashes_in(lines[-1], "inputs"), inputs=True)
+        yield from (Problem(name, what) for name, what in exchanged_inputs(lines))
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
         yield from _not_put_back(folder, lines, there)
@@ -392,15 +393,3 @@ def _why_unread(error: OSError | InputRefused) -> str:
     if error.errno == errno.EFBIG:
         return "changed: larger than any file of a run"
     return f"cannot be read: {error.strerror}"
-
-
-def hashes_in(line: Line, field: str) -> dict[str, str]:
-    """File names and their hashes in a field of a line; empty if it has none."""
-    found = line.get(field)
-    return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
-
-
-def names_in(lines: Iterable[Line]) -> int:
-    """How many files the lines of a journal name."""
-    fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
-    return sum(len(hashes_in(line, field)) for line in lines for field in fields)

@@ -34,6 +34,7 @@ LATER_FILES = (
 RAW_FOLDER = "raw"  # images and frames as files, if wanted
 LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
+THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
 APART = (
     "export",
     BESIDE,
@@ -106,13 +107,27 @@ def hashes_at_closing(folder: Path) -> dict[str, str]:
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     """Hashes of files and whole folders outside a run that it worked with, by path."""
-    hashes = {}
+    own = folder.resolve()
+    return input_hashes(folder, (given for given in inputs if own not in given.resolve().parents))
+
+
+def input_hashes(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
+    """Hashes of files and whole folders that a run works with, as far as they exist.
+
+    By name in the run's folder, and by whole path elsewhere. Raises OSError.
+    """
+    own, hashes = folder.resolve(), {}
     for given in inputs:
-        if folder.resolve() in given.resolve().parents or not given.exists():
-            continue
-        paths = sorted(path for path, *_ in walk(given) if path.is_file()) if given.is_dir() else [given]
-        hashes.update({str(path.resolve()): sha256_of(path.resolve()) for path in paths})
+        files = sorted(path for path, *_ in walk(given) if path.is_file()) if given.is_dir() else [given]
+        for path in (file.resolve() for file in files if file.exists()):
+            name = path.relative_to(own).as_posix() if own in path.parents else str(path)
+            hashes[name] = sha256_of(path)
     return hashes
+
+
+def theatre_files(folder: Path) -> list[Path]:
+    """Files that describe the theatre in a run's folder: nothing changes them while the run is open."""
+    return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
 
 
 def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:

@@ -15,12 +15,11 @@ from ronna_hw.evidence.inspection import (
     RECORDS_FOLDER,
     REQUEST_FILE,
     Inspection,
-    closed_files,
-    hashes_in,
     is_closed,
     not_vouched_for,
 )
 from ronna_hw.evidence.journal_reading import Line
+from ronna_hw.evidence.named_files import closed_files, hashes_in
 from ronna_hw.evidence.seal import files_of, is_later, is_sealed
 from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL

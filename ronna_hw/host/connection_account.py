@@ -20,9 +20,7 @@ _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST = 20, 1
 _ALL_STATES = 0xFFFFFFFF
 _NO_COOKIE = b"\xff" * 8
 _HEADER = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
-_QUESTION = struct.Struct(
-    "=BBBxI"
-)  # inet_diag_req_v2: family, protocol, extensions, states
+_QUESTION = struct.Struct("=BBBxI")  # inet_diag_req_v2: family, protocol, extensions, states
 _SOCKET = struct.Struct("=2s2s16s16sI8s")  # inet_diag_sockid: ports, addresses, interface, cookie
 _ANSWER = struct.Struct("=4x48s12xII")  # inet_diag_msg: its socket, account, inode
 _ANSWER_BYTES = 4096

@@ -21,7 +21,6 @@ from procedures.engine.events.happenings import (
 )
 from procedures.journal.journal import Entry
 
-BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # journal lines with theatre and banner
 LAST_LINES = 3  # of the journal, that a display shows
 LAST_ERROR = "last error"
 
@@ -66,7 +65,7 @@ class CurrentState:
             case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume() | SignalsLost():
                 return event.what.kind
             case JournalLine(line=line):
-                opening = line.get("entry") in BEGINNINGS
+                opening = line.get("entry") in (Entry.OPENED, Entry.RESTARTED)
                 return "opened" if opening else f"line {self._lines % LAST_LINES}"
             case Fault() | Refusal():
                 return LAST_ERROR

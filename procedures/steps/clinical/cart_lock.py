@@ -102,6 +102,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     except PatientMoved as moved:
         context.void(ClampedHead, moved)
         raise
+    if proposed is not None:
+        context.note_input(context.clinical.place)
     return Outcome(
         LockedCart(
             placings=placing,

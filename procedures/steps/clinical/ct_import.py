@@ -64,6 +64,7 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
         context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
     context.setting.memory.keep(volume)
+    context.note_input(context.clinical.series)
     imported = ImportedCt.of(volume)
     slices, rows, columns = imported.shape
     return Outcome(

@@ -179,6 +179,7 @@ READS_WHOLE = {
     "ronna_hw/bounded_input/toml_text.py": "text within bounds",
     "ronna_hw/host/child_process.py": "another process of ours",
     "ronna_hw/host/port_users.py": "the kernel",
+    "ronna_hw/host/connection_account.py": "the kernel",
     "ronna_hw/software.py": "our packages",
     "ronna_hw/wire/kuka_context.py": "our context",
 }

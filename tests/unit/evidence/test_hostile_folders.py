@@ -13,7 +13,8 @@ from recording_cell import RecordingCell
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
-from ronna_hw.evidence.inspection import MOST_NAMES, NOT_AS_LEFT, inspected
+from ronna_hw.evidence.inspection import MOST_NAMES, inspected
+from ronna_hw.evidence.named_files import NOT_AS_LEFT
 from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal, sha256_of
 from ronna_hw.records import Record, write_record
 

@@ -1,0 +1,51 @@
+"""What the lines of a journal say about files and records: their names, and the hashes that they had."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import cast
+
+from ronna_hw.evidence.journal_reading import Entry, Line
+
+NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
+BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # the first line of each program that has the run
+
+
+def hashes_in(line: Line, field: str) -> dict[str, str]:
+    """File names and their hashes in a field of a line; empty if it has none."""
+    found = line.get(field)
+    return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
+
+
+def names_in(lines: Iterable[Line]) -> int:
+    """How many files the lines of a journal name."""
+    fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
+    return sum(len(hashes_in(line, field)) for line in lines for field in fields)
+
+
+def closed_files(lines: Sequence[Line]) -> dict[str, str]:
+    """Files and hashes of the journal's last `closed` line."""
+    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
+    return hashes_in(closed, "files")
+
+
+def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
+    """Identifiers of the records that lines of a journal supersede."""
+    gone = (line.get("supersedes") for line in lines)
+    return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
+
+
+def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
+    """Inputs of a closed run that were not the same at its end as when its standing results were made."""
+    at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
+    if not at_end:  # they could not be hashed
+        return
+    gone = superseded_in(lines)
+    begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
+    made_from = hashes_in(lines[begun], "inputs")
+    for line in lines:
+        if line["entry"] == Entry.RESULT and str(line.get("record")) not in gone:
+            made_from |= hashes_in(line, "inputs")
+    for name, sha256 in made_from.items():
+        if at_end.get(name) != sha256:
+            yield name, "exchanged while the run was open: its results were made from another file"

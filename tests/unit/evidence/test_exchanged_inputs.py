@@ -1,0 +1,74 @@
+"""An input that was exchanged while a run was open, after results were made from it, is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from finished_runs import changed_files
+from plain_steps import Image, plain_order
+from recording_cell import RecordingCell
+
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.step import Outcome
+from procedures.journal.journal import Entry
+from procedures.results.result import StepResult
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import input_hashes, theatre_files
+
+CT, TOOL = "case/ct/slice-1.dcm", "theatre/frame.rom"
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    folder = tmp_path / "run"
+    for name in (CT, TOOL):
+        (folder / name).parent.mkdir(parents=True)
+        (folder / name).write_text("as it was")
+    return folder
+
+
+@pytest.fixture
+def engine(run: Path) -> Engine:
+    def read(context: StepContext) -> Outcome[StepResult]:
+        context.note_input(run / "case" / "ct")
+        return Outcome(Image())
+
+    cell = RecordingCell(run)
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name, inputs=input_hashes(run, theatre_files(run)))
+    engine = cell.engine(plain_order("T1", image=read))
+    engine.run_step(engine.order.find("image"))
+    return engine
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("name", [CT, TOOL])
+def test_an_input_exchanged_while_the_run_was_open_is_named(run: Path, engine: Engine, name: str) -> None:
+    (run / name).write_text("another")
+    engine.close("done")
+    (problem,) = inspected(run).changes
+    assert (
+        str(problem) == f"{name}: exchanged while the run was open: its results were made from another file"
+    )
+
+
+@pytest.mark.hazard(39)
+def test_a_slice_removed_while_the_run_was_open_is_named(run: Path, engine: Engine) -> None:
+    (run / CT).unlink()
+    engine.close("done")
+    assert changed_files(run) == {CT}
+
+
+def test_an_input_that_was_put_back_is_as_the_results_were_made_from_it(run: Path, engine: Engine) -> None:
+    (run / CT).write_text("another")
+    (run / CT).write_text("as it was")
+    engine.close("done")
+    assert changed_files(run) == set()
+
+
+def test_a_repeated_step_is_made_from_the_input_as_it_is_then(run: Path, engine: Engine) -> None:
+    (run / CT).write_text("another")
+    engine.run_step(engine.order.find("image"))
+    engine.close("done")
+    assert changed_files(run) == set()
