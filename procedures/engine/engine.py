@@ -346,10 +346,8 @@ class Engine:
         stored = self.case.store(key, outcome.result, context.read)
         gone = [record.identifier for record in self.course.superseded_by(key)]
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
-        if context.pictures:
-            more["pictures"] = context.pictures
-        if context.inputs:
-            more["inputs"] = context.inputs
+        files = {"pictures": context.pictures, "inputs": context.inputs}
+        more |= {name: hashes for name, hashes in files.items() if hashes}
         more |= self._before_result()
         self._write(
             Entry.RESULT,
