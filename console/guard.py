@@ -116,8 +116,11 @@ class Guard:
         ):
             await _refuse(send, 413, "Request too large.")
             return
-        scope[SESSION] = session
         self._trust(scope.get("client"))
+        if scope["path"] == "/" and not self._sessions.may_open_page(session.role):
+            await _refuse(send, 429, "Too many pages were opened just now. Reload in some seconds.")
+            return
+        scope[SESSION] = session
         await self._app(scope, _bounded(receive, self._largest_body_bytes), _with_headers(send))
 
     async def _enter(self, token: str, scope: Scope, send: Send) -> None:

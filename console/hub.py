@@ -178,7 +178,7 @@ class Hub(Bell):
             return "viewers cannot give orders"
         if self._send is None or self.ended:
             return NOT_RUNNING if self._send is None else "the engine has ended"
-        if not isinstance(order, Renew | Stop) and not session.may_order(self._now_s()):
+        if not isinstance(order, Renew | Stop) and not session.orders.allows(self._now_s()):
             return "too many orders in one second"
         reply: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if order.nonce in self._replies:

@@ -12,6 +12,23 @@ from enum import StrEnum
 TOKEN_BYTES = 32
 MOST_SESSIONS = 64  # per role; the oldest is dropped for a new one
 ORDERS_PER_SECOND = 10
+PAGES, PAGES_S = 8, 4.0  # of a role in so many seconds: making one holds up everything else for tens of ms
+
+
+class Rate:
+    """At most so many in any span of time."""
+
+    def __init__(self, count: int, span_s: float) -> None:
+        self._span_s = span_s
+        self._counted_s: deque[float] = deque(maxlen=count)
+
+    def allows(self, now_s: float) -> bool:
+        """Whether there have not been too many; counts this one if so."""
+        full = len(self._counted_s) == self._counted_s.maxlen
+        if full and now_s - self._counted_s[0] < self._span_s:
+            return False
+        self._counted_s.append(now_s)
+        return True
 
 
 class Role(StrEnum):
@@ -27,15 +44,7 @@ class Session:
 
     role: Role
     identifier: str
-    orders_s: deque[float] = field(default_factory=lambda: deque(maxlen=ORDERS_PER_SECOND))
-
-    def may_order(self, now_s: float) -> bool:
-        """Whether it has not given too many orders in the last second; counts this one."""
-        full = len(self.orders_s) == ORDERS_PER_SECOND
-        if full and now_s - self.orders_s[0] < 1.0:
-            return False
-        self.orders_s.append(now_s)
-        return True
+    orders: Rate = field(default_factory=lambda: Rate(ORDERS_PER_SECOND, 1.0))
 
 
 class Sessions:
@@ -46,6 +55,7 @@ class Sessions:
         self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions: dict[str, Session] = {}  # by cookie, oldest first
+        self._pages = {role: Rate(PAGES, PAGES_S) for role in Role}
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
         """The cookie of a new session for a token; None if it is not one of ours, or not in `allowed`."""
@@ -63,6 +73,10 @@ class Sessions:
         for oldest in same[:-MOST_SESSIONS]:
             del self._sessions[oldest]
         return cookie
+
+    def may_open_page(self, role: Role) -> bool:
+        """Whether this role has not opened too many pages lately; counts this one if so."""
+        return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:
         """The session of a cookie."""

@@ -8,14 +8,23 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
 from ronna_hw.bounded_input import check_json
 
 LONGEST_BYTES = 65_536  # of one order
 MOST_READINGS = 8  # with one answer
 Short = Annotated[str, Field(max_length=200)]
-Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")]
+
+
+def _shown_as_written(name: str) -> str:
+    """A control or format character can make a name read as another person's."""
+    if not name.isprintable():
+        raise ValueError("a name has only characters that are shown")
+    return name
+
+
+Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_shown_as_written)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 

@@ -147,7 +147,12 @@ def _files_in(directory: Path) -> list[Path]:
     if not directory.is_dir():
         reason = "is not a folder" if directory.exists() else "does not exist"
         raise SeriesNotFound(f"{directory} {reason}")
-    return sorted(path for path in directory.iterdir() if path.is_file() and not path.name.startswith("."))
+    entries = [path for path in directory.iterdir() if not path.name.startswith(".") and not path.is_dir()]
+    for path in entries:
+        if path.suffix.lower() in ("", *DICOM_SUFFIXES) and not path.is_file():
+            what = "is a link that leads to no file" if path.is_symlink() else "is not a regular file"
+            raise FileDamaged(f"{path.name} {what}", expected="a slice, or no file of that name")
+    return sorted(path for path in entries if path.is_file())
 
 
 def _is_dicom(path: Path) -> bool:

@@ -8,7 +8,7 @@ import pytest
 from console_requests import HOST, ORIGIN, SOCKET, Console
 
 from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS
-from console.sessions import Role
+from console.sessions import PAGES, PAGES_S, Role
 
 
 @pytest.fixture
@@ -59,6 +59,20 @@ def test_a_cookie_of_quoted_backslashes_costs_a_stranger_not_the_console(
 def test_a_session_is_found_among_the_cookies_of_other_ports(console: Console) -> None:
     cookie = f'ronna_console_1=x; a="b;c"; {console.operator()}; d'
     assert console.request("GET", "/", headers={"cookie": cookie}).status == 200
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_role_that_opens_page_after_page_does_not_hold_up_the_others(console: Console, role: Role) -> None:
+    now_s = [0.0]
+    console.sessions.now_s = lambda: now_s[0]
+    viewer, operator = {"cookie": console.viewer()}, {"cookie": console.operator()}
+    ours, others = (viewer, operator) if role is Role.VIEWER else (operator, viewer)
+    answers = [console.request("GET", "/", headers=ours).status for _ in range(PAGES + 1)]
+    assert answers == [200] * PAGES + [429]
+    assert console.request("GET", "/", headers=others).status == 200
+    assert console.request("GET", "/state", headers=ours).status == 200
+    now_s[0] += PAGES_S
+    assert console.request("GET", "/", headers=ours).status == 200
 
 
 def test_a_request_head_beyond_its_limit_is_refused(console: Console) -> None:

@@ -216,6 +216,23 @@ def test_a_table_that_leads_the_decoder_to_an_unchecked_frame_is_refused(dicom_s
         read_series(folder)
 
 
+def _nowhere(path: Path) -> None:
+    path.symlink_to(path.parent / "not mounted yet")
+
+
+@pytest.mark.parametrize("replace", [_nowhere, os.mkfifo, lambda path: path.symlink_to("/dev/zero")])
+@pytest.mark.parametrize("suffix", [".dcm", ""])
+def test_a_slice_that_is_there_by_name_only_is_refused(
+    dicom_series: Write, replace: Callable[[Path], None], suffix: str
+) -> None:
+    folder = dicom_series()
+    last = max(folder.iterdir())
+    last.unlink()
+    replace(last.with_suffix(suffix))
+    with pytest.raises(errors.FileDamaged, match=f"CT-005: {last.stem}{suffix} is"):
+        read_series(folder)
+
+
 @pytest.mark.parametrize("count", [15, 2**32 - 1])
 def test_segments_of_a_frame_that_overlap_are_refused_without_reading_them(count: int) -> None:
     size = 10_000_000
