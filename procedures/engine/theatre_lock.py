@@ -94,7 +94,7 @@ def _opened_note(path: Path) -> int | None:
 def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
     """None for a file, or a folder, of another user, and for one that is not there."""
     try:
-        return os.open(path, how | os.O_CLOEXEC, 0o666)
+        return os.open(path, how | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
     except OSError:
         return None
 

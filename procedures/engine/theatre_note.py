@@ -6,6 +6,8 @@ other records, is the same arm. A simulated arm is where its theatre is; another
 
 from __future__ import annotations
 
+import os
+import stat
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
@@ -22,7 +24,8 @@ from ronna_hw.theatre_kind import on_this_computer
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
 
 NOT_KNOWN = (
-    "the note about the last run on this arm cannot be read: it may have left the arm away from its home"
+    "the note about the last run on this arm cannot be read, or any account may have written it: "
+    "that run may have left the arm away from its home"
 )
 
 
@@ -89,14 +92,27 @@ def _controller(theatre: Path) -> str:
 
 
 def read_note(path: Path) -> TheatreNote:
-    """What a note says; nothing is known from one that is damaged, and one that is not there says nothing."""
+    """What a note says; one that is not there says nothing.
+
+    Nothing is known from one that is damaged, or that an account which does not use the arm can have written.
+    """
     try:
+        if not all(map(_is_trusted, (path.parent, path) if path.parent == ARMS_FOLDER else (path,))):
+            return TheatreNote(unreadable=True)
         content = read_json_bytes(path)
         return TheatreNote.model_validate_json(content) if content else TheatreNote()
     except FileNotFoundError:
         return TheatreNote()
     except (OSError, RonnaError, ValidationError):
         return TheatreNote(unreadable=True)
+
+
+def _is_trusted(path: Path) -> bool:
+    """Whether this user or root owns it, or a group of this user may write it. Raises OSError."""
+    found = path.lstat()
+    of_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
+    for_all = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
+    return (found.st_uid in (os.geteuid(), 0) or of_group) and not for_all
 
 
 def is_there(run: Path) -> bool:

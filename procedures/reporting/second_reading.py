@@ -26,7 +26,9 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
-    journal = [json.loads(check_json(line)) for line in read_json_lines(run / "journal.jsonl").splitlines()]
+    journal = [
+        json.loads(check_json(line).decode()) for line in read_json_lines(run / "journal.jsonl").splitlines()
+    ]
     results = [line for line in journal if line["entry"] == "result"]
     gone = {name for line in journal for name in line.get("supersedes", ())}
     names = [line["record"] for line in results]

@@ -29,6 +29,8 @@ _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
     """The value of a JSON text. Raises INP-001, and ValueError for invalid JSON."""
     content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
+    if b"\0" in content:  # as in every other encoding, whose depth is not seen
+        raise ValueError("JSON that is not UTF-8")
     try:
         return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
     except RecursionError as error:  # from brackets that never close
@@ -59,8 +61,6 @@ def check_json(
     """The same bytes if they are within limits; raises INP-001. Numbers in them may be anything."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
-    if b"\0" in content:  # as in every other encoding of JSON, whose depth would not be seen
-        raise InputRefused("the JSON is not UTF-8")
     _check_count(content, most_values)
     if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")

@@ -15,6 +15,8 @@ from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.engine.theatre_lock import held_theatre, last_moved, require_free_theatre, theatre_user
 from procedures.engine.theatre_note import TheatreNote, read_note
 
+NOBODY = 65534  # an account without rights
+
 
 @pytest.fixture
 def theatre(tmp_path: Path) -> Path:
@@ -88,6 +90,46 @@ def test_from_a_damaged_note_nobody_knows_who_moved_the_arm_until_a_run_moves_it
     assert read_note(theatre.with_name("none")) == TheatreNote()
     lock_file(theatre).write_bytes(b"")  # made, and its program killed
     assert not last_moved(theatre).unreadable
+
+
+def _of_nobody(path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give a file to another account")
+    os.chown(path, NOBODY, NOBODY)
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.parametrize(
+    "give", [_of_nobody, lambda path: path.chmod(0o666)], ids=["of another account", "writable by all"]
+)
+@pytest.mark.parametrize("what", ["note", "folder"])
+def test_a_note_that_another_account_can_have_written_is_not_believed(
+    tmp_path: Path, arms_folder: Path, give: Callable[[Path], None], what: str
+) -> None:
+    theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
+    with held_theatre(theatre, None):
+        pass
+    assert not last_moved(theatre).unreadable
+    give(next(arms_folder.iterdir()) if what == "note" else arms_folder)
+    assert last_moved(theatre).unreadable
+
+
+@pytest.mark.hazard(5)
+def test_a_note_is_believed_by_every_user_of_the_group_that_may_write_it(
+    tmp_path: Path, arms_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
+    with held_theatre(theatre, None):
+        pass
+    for path in (arms_folder, *arms_folder.iterdir()):
+        path.chmod(path.stat().st_mode | 0o020)
+        if os.geteuid() == 0:  # who owns everything that root made
+            os.chown(path, NOBODY, -1)
+    monkeypatch.setattr(theatre_note.os, "geteuid", lambda: NOBODY - 1)
+    assert not last_moved(theatre).unreadable
+    monkeypatch.setattr(theatre_note.os, "getegid", lambda: NOBODY)
+    monkeypatch.setattr(theatre_note.os, "getgroups", list)
+    assert last_moved(theatre).unreadable
 
 
 def test_a_killed_run_with_a_name_that_no_folder_has_may_have_moved_the_arm(theatre: Path) -> None:
