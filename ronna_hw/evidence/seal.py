@@ -60,7 +60,7 @@ class Seal(BaseModel):
         """Whether it is unchanged."""
         return self.own_sha256 == self._own()
 
-    def signed(self) -> Seal:
+    def with_own_hash(self) -> Seal:
         """The same with its own hash."""
         return self.model_copy(update={"own_sha256": self._own()})
 
@@ -139,7 +139,7 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
-    made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).signed()
+    made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).with_own_hash()
     write_whole(folder / SEAL_FILE, _as_written(made))
 
 

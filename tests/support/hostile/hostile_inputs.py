@@ -237,7 +237,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
     request = json.dumps(
         {"schema": 1, "program": version("ronna-hw"), "scene": "mini", "strategy": "ocs", "speed": "max"}
     )
-    sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).signed()
+    sealed = Seal(journal_bytes=9, journal_sha256="0" * 64, files={"log.jsonl": "1" * 64}).with_own_hash()
     seal = sealed.model_dump_json(by_alias=True, indent=1).encode()
     context = Path(kuka_context.__file__).with_name(kuka_context.DEFAULT_CONTEXT_FILE).read_bytes()
     ours = load_context()

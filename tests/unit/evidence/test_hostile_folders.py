@@ -114,7 +114,7 @@ def test_a_line_break_in_a_file_name_does_not_forge_a_line(run: Path) -> None:
 def test_a_seal_that_claims_a_huge_journal_costs_no_memory(run: Path) -> None:
     made = read_seal(run)
     assert made is not None
-    longer = made.model_copy(update={"journal_bytes": 10**18}).signed()
+    longer = made.model_copy(update={"journal_bytes": 10**18}).with_own_hash()
     (run / SEAL_FILE).write_text(longer.model_dump_json(by_alias=True, indent=1))
     assert inspected(run).changes == ()  # of the same bytes, which are all there is
     (run / JOURNAL_FILE).write_bytes((run / JOURNAL_FILE).read_bytes() + b"\n")
