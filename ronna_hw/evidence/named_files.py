@@ -40,12 +40,16 @@ def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
     if not at_end:  # they could not be hashed
         return
-    gone = superseded_in(lines)
     begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
-    made_from = hashes_in(lines[begun], "inputs")
-    for line in lines:
-        if line["entry"] == Entry.RESULT and str(line.get("record")) not in gone:
-            made_from |= hashes_in(line, "inputs")
-    for name, sha256 in made_from.items():
+    for name, sha256 in (hashes_in(lines[begun], "inputs") | made_from(lines)).items():
         if at_end.get(name) != sha256:
             yield name, "exchanged while the run was open: its results were made from another file"
+
+
+def made_from(lines: Sequence[Line]) -> dict[str, str]:
+    """The files that the standing results were made from, with their hashes then."""
+    gone, found = superseded_in(lines), dict[str, str]()
+    for line in lines:
+        if line["entry"] == Entry.RESULT and str(line.get("record")) not in gone:
+            found |= hashes_in(line, "inputs")
+    return found

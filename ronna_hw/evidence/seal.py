@@ -139,7 +139,9 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
-    made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).with_own_hash()
+    made = Seal(
+        journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later
+    ).with_own_hash()
     write_whole(folder / SEAL_FILE, _as_written(made))
 
 

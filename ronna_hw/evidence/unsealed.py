@@ -19,7 +19,7 @@ from ronna_hw.evidence.inspection import (
     not_vouched_for,
 )
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.named_files import closed_files, hashes_in
+from ronna_hw.evidence.named_files import closed_files, hashes_in, made_from
 from ronna_hw.evidence.seal import files_of, is_later, is_sealed
 from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL
@@ -67,6 +67,7 @@ def _confirmed(lines: tuple[Line, ...]) -> set[str]:
         *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
         *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
+        *made_from(lines),
         *journalled_truth(lines),
     }
 
