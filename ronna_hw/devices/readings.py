@@ -78,12 +78,21 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as `target <- source`; raises DEV-004 if the reading has none that can be trusted.
+        """The pose as `TRACKER <- source`; raises DEV-004 if the reading has none that can be trusted.
 
-        Outside the measuring volume the tracker's error is not specified: use those numbers only for aiming.
+        Raises FRM-001 for another target. Outside the measuring volume the tracker's error is not specified:
+        use those numbers only for aiming.
         """
-        from ronna_hw.frames import Transform
+        from ronna_hw.frames import Frame, FrameMismatch, Transform
 
+        if target is not Frame.TRACKER or source is Frame.TRACKER:
+            raise FrameMismatch(
+                f"the pose of tool {self.tool} was measured in the tracker frame",
+                expected=f"{Frame.TRACKER} <- a frame of the tool",
+                got=f"{target} <- {source}",
+                action="Use transform(Frame.TRACKER, Frame.MARKER); invert that, or compose it with the pose "
+                "of the tracker.",
+            )
         if self.rotation is None or self.position_mm is None or self.validity is Validity.OUT_OF_VOLUME:
             raise NoPose(
                 f"tool {self.tool} has no pose: {self.validity.value}",

@@ -16,7 +16,7 @@ from ronna_hw.devices.errors import NoPose, UnknownTool
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.errors import EXIT_USAGE
-from ronna_hw.frames import Frame
+from ronna_hw.frames import Frame, FrameMismatch
 
 Make = Callable[..., PolarisTracker]
 
@@ -64,6 +64,24 @@ def test_a_tool_outside_the_volume_offers_no_transform(
     assert tool.validity is Validity.OUT_OF_VOLUME
     with pytest.raises(NoPose, match=r"DEV-004.*out_of_volume.*Move the tracker"):
         tool.transform(Frame.TRACKER, Frame.MARKER)
+
+
+@pytest.mark.hazard(14)
+@pytest.mark.parametrize(
+    ("target", "source"),
+    [
+        (Frame.ROBOT, Frame.MARKER),
+        (Frame.MARKER, Frame.TRACKER),
+        (Frame.TRACKER, Frame.TRACKER),
+    ],
+)
+def test_a_pose_in_the_tracker_frame_is_not_given_as_one_between_other_frames(
+    tracker: PolarisTracker, target: Frame, source: Frame
+) -> None:
+    tool = tracker.read_frame().tool("robot_frame")
+    with pytest.raises(FrameMismatch, match=rf"FRM-001.*robot_frame.*got {target} <- {source}.*invert"):
+        tool.transform(target, source)
+    assert tool.transform(Frame.TRACKER, Frame.MARKER).translation_mm == pytest.approx((10, -20, -1500))
 
 
 def test_an_unknown_tool_is_refused_with_the_names_of_the_loaded_ones(tracker: PolarisTracker) -> None:
