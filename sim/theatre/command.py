@@ -248,11 +248,13 @@ def verify(
     as_json: JsonOption = False,
 ) -> None:
     """Compare a completed run with the ground truth of its theatre."""
-    from sim.theatre.verify import verify_run
+    from sim.theatre.verify import require_targets, verify_run
 
     outcome = verify_run(run, theatre)
     if as_json:
         print_json(outcome)
+    require_targets(run, outcome)
+    if as_json:
         return
     print_table(
         "Error of the guide's tip against ground truth",

@@ -40,7 +40,8 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     was made in, which may have seen other runs and, by mistake, another patient.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
-    lateral_mm, axial_mm, axis_error_rad), as plain data.
+    lateral_mm, axial_mm, axis_error_rad), as plain data; `other_samples` names those at no target of
+    the plan.
     """
     place = run / THEATRE_FOLDER if theatre is None else theatre
     if not (place / SCENE_FILE).exists():
@@ -63,7 +64,7 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     try:
         ct = _verify_ct(scene, localization)
         targets = [
-            _verify_target(scene, trajectory, samples[trajectory["id"]])
+            _verify_target(scene, trajectory, samples.pop(trajectory["id"]))
             for trajectory in _planned(found)
             if trajectory["id"] in samples
         ]
@@ -74,7 +75,20 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             f"{theatre} has another patient than {run}: none of the spheres found is there",
             action=WHERE_IT_WAS_MADE,
         )
-    return {"ct": ct, "targets": targets}
+    return {"ct": ct, "targets": targets, "other_samples": list(samples)}
+
+
+def require_targets(run: Path, outcome: dict[str, Any]) -> None:
+    """Raises SIM-006 when no tip was sampled at a target of the plan: an empty table is no success."""
+    if outcome["targets"]:
+        return
+    other = ", ".join(outcome["other_samples"])
+    raise NothingToVerify(
+        f"{run} reached no target: no instrument was inserted at a trajectory of its plan"
+        + (f", but at {other}" if other else ""),
+        action="Insert the instrument at each target: in a rehearsal by hand, ronna-sim work insert "
+        "--trajectory T1 or the name in the question.",
+    )
 
 
 def _own_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:

@@ -26,7 +26,7 @@ from sim.world.faults import (
     without_fault,
 )
 from sim.world.faults.room import DEVICE, WRONG_TOOL, tool_numbers
-from sim.world.hands import Hands, NoSuchTask, WrongNumbers
+from sim.world.hands import Hands, NoSuchTask, NoTrajectory, WrongNumbers
 from sim.world.left_world import write_left_world
 from sim.world.on_stand import OnStand
 from sim.world.world import World
@@ -78,7 +78,7 @@ class Room:
                 more = action(request) or {}
         except NoSuchTool as error:
             return _refused(error, "Give one of these numbers.")
-        except NoSuchTask as error:
+        except (NoSuchTask, NoTrajectory) as error:
             return _refused(error, error.advice)
         except WrongNumbers as error:
             return _refused(error, "Give the numbers as in the question.")

@@ -67,6 +67,15 @@ class NoSuchTask(Exception):
         self.advice = f"Did you mean {near[0]}?" if near else "Use the task named in the question."
 
 
+class NoTrajectory(Exception):
+    """A task that is done at one trajectory was asked for without its name."""
+
+    advice = "Add --trajectory with the name in the question, such as --trajectory T1."
+
+    def __init__(self, task: str) -> None:
+        super().__init__(f"{task} needs the name of a trajectory of the plan; got none")
+
+
 class Hands:
     """One pair, for the life of a theatre. Truth at a target is stored in `folder`, if there is one."""
 
@@ -79,7 +88,9 @@ class Hands:
         self._done: Counter[str] = Counter()  # how often each task was done, so that no two are alike
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task; raises NoSuchTask, WrongNumbers, or ValueError if it cannot be done."""
+        """Carry out one task; raises NoSuchTask, NoTrajectory, WrongNumbers, or ValueError if it cannot
+        be done.
+        """
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
@@ -95,6 +106,8 @@ class Hands:
         needed, _ = NUMBERS.get(task, (0, ""))
         if len(numbers) != needed or not all(map(isfinite, numbers)):
             raise WrongNumbers(task, numbers)
+        if task == INSERT and not trajectory:
+            raise NoTrajectory(task)
         readings = tasks[task]()
         self._done[f"{task} {trajectory}"] += 1
         return readings

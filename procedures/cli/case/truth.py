@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.engine.errors import CommandRefused
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 from ronna_hw.host.child_process import ChildNotReady, command
 from ronna_hw.host.finite_command import finished_command
 
@@ -22,7 +23,8 @@ def truth_of(folder: Path) -> Truth:
     from procedures.reporting.outcome import Truth
 
     answer = finished_command(NAME, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
-    if answer.returncode != 0:
+    # A run that reached no target is a failure of that command, after its answer.
+    if answer.returncode not in (EXIT_DONE, EXIT_FAILED) or not answer.stdout:
         raise CommandRefused(NAME, answer.stderr, answer.returncode)
     return Truth.model_validate_json(answer.stdout)
 

@@ -7,14 +7,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from user_commands import in_this_process, one_error
 
+from procedures.cli.case.truth import truth_of
 from procedures.engine.closing import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
+from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, Inspection, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.records import Record, write_record
+from sim.cli import app as ronna_sim
 from sim.errors import NothingToVerify
 from sim.theatre import verify
 from sim.theatre.verify import verify_run
@@ -151,15 +155,42 @@ def test_a_run_without_spheres_or_targets_cannot_be_verified(run: Path) -> None:
         verify_run(run)
 
 
+@pytest.mark.parametrize("as_json", [True, False])
+@pytest.mark.parametrize(("inserted_at", "said"), [(None, "of its plan"), ("left-SNT", ", but at left-SNT")])
+def test_a_run_that_reached_no_target_is_no_success(
+    run: Path, localize: Callable[..., None], inserted_at: str | None, said: str, as_json: bool
+) -> None:
+    localize(FIDUCIALS_MM)
+    if inserted_at is not None:
+        sample(run / THEATRE_FOLDER, TARGET_MM, 0.0, inserted_at)
+    done = in_this_process(ronna_sim, "verify", run, *(["--json"] if as_json else []))
+    assert done.returncode == EXIT_FAILED
+    shown = " ".join(one_error(done.stderr))
+    assert "SIM-006" in shown
+    assert said in shown
+    assert "--trajectory" in shown
+    assert bool(done.stdout) == as_json
+
+
+def test_a_case_may_ask_for_the_truth_of_a_run_that_reached_no_target(
+    run: Path, localize: Callable[..., None]
+) -> None:
+    localize(FIDUCIALS_MM)
+    truth = truth_of(run)
+    assert truth.ct is not None
+    assert truth.ct.found == len(FIDUCIALS_MM)
+    assert truth.targets == ()
+
+
 @pytest.fixture
 def theatre(run: Path) -> Path:
     """The theatre as it is after a run by hand: a folder of its own."""
     return (run / THEATRE_FOLDER).rename(run.parent / f"{run.name}-theatre")
 
 
-def sample(theatre: Path, tip_mm: tuple[float, float, float], taken_s: float) -> None:
+def sample(theatre: Path, tip_mm: tuple[float, float, float], taken_s: float, at: str = TRAJECTORY) -> None:
     guide = SCENE.mount.tool_number_guide
-    values = {"mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0), "target": TRAJECTORY}
+    values = {"mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0), "target": at}
     one = TipSample.model_validate(values | {"theatre_time_s": taken_s, "tip_mm": tip_mm})
     append_sample(one, theatre)
 

@@ -116,8 +116,9 @@ def test_a_wrongly_set_depth_stop_reads_its_actual_value() -> None:
 def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
     room = Room(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": SKIN})["readings"] == []
+    at_t1 = {"do": "work", "task": INSERT, "trajectory": "T1"}
     for request, reason in (
-        ({"do": "work", "task": INSERT}, "bad request"),
+        (at_t1, "no depth stop was set"),
         ({"do": "work", "task": "tea"}, "unknown task 'tea'"),
         ({"do": "work"}, "bad request"),
         ({"do": "work", "task": DEPTH_STOP}, "depth_stop needs a length in mm; got no numbers"),
@@ -131,6 +132,18 @@ def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
         answer = room.answer(request)
         assert not answer["ok"]
         assert reason in answer["reason"]
+
+
+def test_an_instrument_is_not_inserted_without_the_name_of_a_trajectory(tmp_path: Path) -> None:
+    room = Room(a_world(), tmp_path)
+    assert room.answer({"do": "work", "task": DEPTH_STOP, "trajectory": "T1", "numbers": [STOP_MM]})["ok"]
+    answer = room.answer({"do": "work", "task": INSERT})
+    assert not answer["ok"]
+    assert answer["reason"] == "insert needs the name of a trajectory of the plan; got none"
+    assert "--trajectory T1" in answer["advice"]
+    assert read_samples(tmp_path) == []
+    assert room.answer({"do": "work", "task": INSERT, "trajectory": "T1"})["ok"]
+    assert [sample.target for sample in read_samples(tmp_path)] == ["T1"]
 
 
 def shift_mm(world: World) -> tuple[float, float, float]:
