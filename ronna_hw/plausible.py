@@ -23,8 +23,10 @@ WIDEST_VIEW_DEG = 75.0  # a 6 mm lens on a 2/3 inch sensor has 72; wider ones do
 FINEST_ON_ARM_MM = 0.005
 FINEST_MM = 0.001  # of a mean over many poses; coordinate measuring machines are off by more
 FINEST_SCATTER_MM = 1e-4  # of any arm, from pose to pose; 0.02 mm in metres would be less
-LARGEST_ERROR_MM = 20.0  # no mount deviates this much from its drawing
 LARGEST_ARM_ERROR_MM = 1.0  # an arm of this size is off by 0.65 mm without any calibration
+# Of records: each a thousand times the finest above, so that no error in micrometres passes for one in mm.
+LARGEST_MEASURED_ERROR_MM = 1.0  # of a point, by stereo head or calibrated arm: usually 0.02 to 0.2 mm
+LARGEST_MOUNTED_ERROR_MM = 5.0  # of a part on the mount; one as drawn is 2 to 4 mm off
 LARGEST_SEATING_MM = 2.0  # a sphere farther off its place is not on the same post
 LARGEST_DEVIATION_MM, LARGEST_DEVIATION_RAD = 20.0, 0.1  # of one joint or link: fifty times what is usual
 LONGEST_TRAVEL_MM = 100.0  # of a dial gauge
@@ -39,6 +41,17 @@ def not_in_metres(shortest_mm: float) -> AfterValidator:
         if 0.0 < length_mm < shortest_mm:
             raise ValueError("give millimetres, not metres")
         return length_mm
+
+    return AfterValidator(in_millimetres)
+
+
+def not_in_micrometres(largest_mm: float) -> AfterValidator:
+    """For an error that is smaller than this; in micrometres it would be larger."""
+
+    def in_millimetres(error_mm: float) -> float:
+        if error_mm >= largest_mm:
+            raise ValueError(f"expected less than {largest_mm:g} mm: give millimetres, not micrometres")
+        return error_mm
 
     return AfterValidator(in_millimetres)
 
@@ -86,8 +99,12 @@ Length = not_in_metres(SHORTEST_MM)  # of something large enough to tell metres 
 BoreLength = AfterValidator(_bore)
 FocalPixels = Annotated[float, Field(gt=0, le=LONGEST_FOCAL_PX), AfterValidator(_pixels)]
 SensorPixels = Annotated[int, Field(ge=16, le=65_535)]  # a GigE Vision image is no larger
-StatedError = Annotated[float, Field(gt=0, le=LARGEST_ERROR_MM), not_in_metres(FINEST_MM)]
-MountedError = Annotated[float, Field(gt=0, le=LARGEST_ERROR_MM), not_in_metres(FINEST_ON_ARM_MM)]
+StatedError = Annotated[
+    float, Field(gt=0), not_in_metres(FINEST_MM), not_in_micrometres(LARGEST_MEASURED_ERROR_MM)
+]
+MountedError = Annotated[
+    float, Field(gt=0), not_in_metres(FINEST_ON_ARM_MM), not_in_micrometres(LARGEST_MOUNTED_ERROR_MM)
+]
 Scatter = Annotated[float, Field(gt=0, le=LARGEST_ARM_ERROR_MM), not_in_metres(FINEST_SCATTER_MM)]
 ArmError = Annotated[float, Field(gt=0, le=LARGEST_ARM_ERROR_MM), not_in_metres(FINEST_ON_ARM_MM)]
 SeatingError = Annotated[float, Field(ge=0, le=LARGEST_SEATING_MM), not_in_metres(FINEST_ON_ARM_MM)]

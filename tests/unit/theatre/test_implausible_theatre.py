@@ -66,6 +66,15 @@ def test_an_error_in_metres_is_refused(content: dict[str, Any], key: str) -> Non
         parse_theatre(content)
 
 
+@pytest.mark.parametrize("key", [*STATED, "procedure.tool_error_mm"])
+@pytest.mark.parametrize("error_um", [20.0, 5.0])
+def test_an_error_in_micrometres_is_refused(content: dict[str, Any], key: str, error_um: float) -> None:
+    _change(content, key, lambda _: error_um)
+    said = rf"{key}: expected less than [15] mm: give millimetres, not micrometres \(found {error_um:g}"
+    with pytest.raises(BadTheatreFile, match=said):
+        parse_theatre(content)
+
+
 @pytest.mark.parametrize("error_mm", [0.0, 1e300])
 @pytest.mark.parametrize("key", [*STATED, *ASSUMED[:2]])
 def test_an_error_of_nothing_or_of_any_size_is_refused(
