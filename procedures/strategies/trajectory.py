@@ -21,8 +21,8 @@ class Trajectory:
     """Entry and target in CT coordinates (LPS, mm) and the free angle about the axis (rad).
 
     `beyond_mm` is how far beyond the target, along the axis, the tool origin comes to rest: a guide is held
-    outside the head, and its tip frame is at the end of its mandrel. Raises STR-003 when entry and target
-    coincide or a number is not finite.
+    outside the head, and its tip frame is at the end of its mandrel. `standoff_mm` is the plan's, from the
+    entry to the guide, for messages. Raises STR-003 when entry and target coincide or a number is not finite.
     """
 
     identifier: str
@@ -30,6 +30,7 @@ class Trajectory:
     target_mm: Point
     free_angle_rad: float = 0.0
     beyond_mm: float = 0.0
+    standoff_mm: float | None = None
 
     def __post_init__(self) -> None:
         """Check that the trajectory has a direction."""
@@ -39,9 +40,9 @@ class Trajectory:
         if self.depth_mm < SHORTEST_MM:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
-    def held(self, beyond_mm: float) -> Trajectory:
+    def held(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
         """The same trajectory, with the tool at rest this far beyond the target."""
-        return replace(self, beyond_mm=beyond_mm)
+        return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
     @property
     def rest_mm(self) -> Array:

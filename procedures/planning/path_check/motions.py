@@ -21,6 +21,7 @@ from ronna_hw.devices.readings import JointVector
 
 HOME, GAUGE = "home", "gauge"
 MOVE, LINE, BACK = "move", "line", "back"
+AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 
 
 @dataclass(frozen=True)
@@ -71,6 +72,7 @@ def unclear(
     With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
     found: dict[str, Unmet] = {}
+    standoffs_mm = {f"{one.identifier}/target": one.standoff_mm for one in trajectories}
     for motion in motions_of(setting, scene, check, trajectories):
         if motion.clear:
             continue
@@ -78,7 +80,9 @@ def unclear(
         if bad is not None:
             pose = motion.start if motion.end == HOME else motion.end
             short_mm = motion.around.margin_mm - bad.distance_mm
-            found.setdefault(pose, Unmet(pose, _collision_in_words(motion, bad), short_mm))
+            found.setdefault(
+                pose, Unmet(pose, _collision_in_words(motion, bad, standoffs_mm.get(pose)), short_mm)
+            )
             if first_only:
                 break
     return tuple(found.values())
@@ -184,14 +188,18 @@ def _home(
     yield Motion(start, HOME, plan_joint_move(setting.kinematics, joints, setting.start_rad, limits), around)
 
 
-def _collision_in_words(motion: Motion, bad: Closest) -> str:
+def _collision_in_words(motion: Motion, bad: Closest, standoff_mm: float | None = None) -> str:
+    """`standoff_mm` is that of the target at the motion's end, which is the plan's to change."""
     leads = (
         "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )
     near = f"comes within {bad.distance_mm:.1f} mm of"
     if bad.distance_mm < 0.0:
         near = f"runs {-bad.distance_mm:.1f} mm into"
+    where = f"{bad.fraction:.0%} of the way"
+    if standoff_mm is not None and motion.kind == LINE and bad.fraction > AT_THE_END:
+        where = f"where the guide is held, with the plan's standoff_mm of {standoff_mm:g}"
     return (
-        f"{leads} the {bad.first} {near} the {bad.second}, "
-        f"{bad.fraction:.0%} of the way, limit {motion.around.margin_mm:g} mm [ARM-007]"
+        f"{leads} the {bad.first} {near} the {bad.second}, {where}: expected at least "
+        f"{motion.around.margin_mm:g} mm between them [ARM-007]"
     )

@@ -51,6 +51,7 @@ WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be told from the others
 # Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
 WIDE_MARGIN_MM, USUAL_MARGIN_MM = 5.0, 2.0
+NEAR_STANDOFF_MM, USUAL_STANDOFF_MM = 10.0, 30.0  # 30 in centimetres is less
 KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 
@@ -146,6 +147,11 @@ def check_plan(
         for one in plan.trajectories
         if one.margin_mm > WIDE_MARGIN_MM
     ]
+    if plan.standoff_mm < NEAR_STANDOFF_MM:
+        warnings.append(
+            f"standoff_mm: {plan.standoff_mm:g} mm holds the guide close to the skin; {USUAL_STANDOFF_MM:g} "
+            "is usual; give millimetres, not centimetres"
+        )
     distances = structure_distances(plan)
     for found, warned in (
         _in_this_series(plan, volume),

@@ -19,7 +19,7 @@ from ronna_hw.tool_record import GuideBore
 def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
     """The trajectory, with the rest position of the tip frame on it while the guide is held outside."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
-    return planned.trajectory.held(beyond_mm)
+    return planned.trajectory.held(beyond_mm, plan.standoff_mm)
 
 
 def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:

@@ -183,6 +183,15 @@ def test_a_margin_that_accepts_a_bad_registration_is_warned_about(plan_text, pla
     assert warning == "trajectory T2.margin_mm: 20 mm would accept a bad registration; 2.0 is usual"
 
 
+def test_a_stand_off_in_centimetres_is_warned_about(plan_text, plan_path, make_volume):
+    slipped = plan_text.replace("standoff_mm = 30.0", "standoff_mm = 3.0")
+    warnings = check_plan(read_plan(plan_path(slipped)), make_volume()).warnings
+    (warning,) = [one for one in warnings if "standoff_mm" in one]
+    assert warning == (
+        "standoff_mm: 3 mm holds the guide close to the skin; 30 is usual; give millimetres, not centimetres"
+    )
+
+
 BORE = GuideBore(reach_mm=85.0, length_mm=90.0, play_mm=0.05)
 
 

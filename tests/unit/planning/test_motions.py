@@ -116,6 +116,20 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
 
 
 @pytest.mark.hazard(24)
+def test_a_guide_held_too_close_to_the_head_is_refused_with_the_stand_off_and_a_least_distance() -> None:
+    first = TRAJECTORIES[0]
+    close = first.held(first.beyond_mm + 27.0, standoff_mm=3.0)
+    setting = _setting(CollisionConfig())
+    with pytest.raises(NotReachable) as caught:
+        check_paths(setting, (close,), FIDUCIALS).require()
+    said = str(caught.value)
+    assert "T1/target: on the line to it the end of the guide runs" in said
+    assert "mm into the head, where the guide is held, with the plan's standoff_mm of 3" in said
+    assert "expected at least 10 mm between them" in said
+    assert "limit" not in said
+
+
+@pytest.mark.hazard(24)
 def test_another_angle_about_the_axis_is_chosen_when_the_planned_one_is_not_clear() -> None:
     free = _setting(CollisionConfig())
     own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
