@@ -31,7 +31,10 @@ class WrongSerial(ConnectError):
     """The camera is the right model, but not the one calibrated for this side."""
 
     code = "GEV-003"
-    action = "Check which camera is mounted; after replacing one, calibrate the head and edit the file."
+    action = (
+        "Check which camera is mounted and its serial number in the options; after replacing a camera, "
+        "calibrate the head and edit the file."
+    )
 
 
 class CablesSwapped(ConnectError):

@@ -27,6 +27,8 @@ def in_words(item: ErrorDetails) -> str:
     said = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
         said = said.replace(prefix, "expected", 1)
+    if item["type"] == "string_type" and isinstance(item["input"], int | float):
+        return "expected text: put it in quotes"
     return f"{said} without quotes" if item["type"] in UNQUOTED and _only_quoted(item["input"]) else said
 
 

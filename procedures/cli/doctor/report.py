@@ -12,6 +12,7 @@ from typing import Any
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
+from procedures.cli.doctor.mistyped_serial import mistyped_serials
 from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
 from procedures.cli.doctor.theatre_use import RUN, use_diagnostics
 from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
@@ -19,12 +20,13 @@ from procedures.engine.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
-from ronna_hw.config import DeviceConfig, read_theatre_file
-from ronna_hw.devices.probing import Diagnostic, Inspection, endpoints_of, refusal
+from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
 from ronna_hw.registry import endpoint_probes, load_probe
 
+STEREO = "stereo"  # the table of the cameras
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 
 Look = Callable[[Progress], Sequence[Diagnostic]]
@@ -81,7 +83,7 @@ def examine(
         if all(one.subject != RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
-                looks[name] = partial(_probe, name, device, inspection(name, file))
+                looks[name] = partial(_probe, name, device, file)
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, look) in enumerate(looks.items()):
@@ -163,14 +165,17 @@ def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Lo
         yield f"endpoints of {driver}", partial(probes[driver].look_at, its_own)
 
 
-def _probe(name: str, config: DeviceConfig, inspect: Inspection, progress: Progress) -> Sequence[Diagnostic]:
+def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
     """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
     try:
-        return load_probe(config.driver)(name, config, progress, inspect)
+        found = load_probe(config.driver)(name, config, progress, inspection(name, theatre))
     except Exception as problem:  # a driver of another package may raise anything
         error = as_ronna_error(problem)
         log_failure(problem, error)
         return (refusal(f"device {name}", error),)
+    if name != STEREO or theatre.calibration is None:
+        return found
+    return mistyped_serials(found, config, theatre.calibration.stereo_head)
 
 
 def _advance(progress: Progress, number: int, looks: int, share: float) -> None:

@@ -37,3 +37,8 @@ def test_one_camera_cannot_be_both_sides():
 def test_an_option_that_is_not_a_plain_value_is_refused():
     with pytest.raises(BadOptions, match="GEV-016"):
         options(left_serial=object())
+
+
+def test_a_serial_number_without_quotes_is_refused_with_the_advice_to_put_it_in_quotes():
+    with pytest.raises(BadOptions, match=r"left_serial: expected text: put it in quotes \(found 21904411\)"):
+        options(left_serial=21904411)
