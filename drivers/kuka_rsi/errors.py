@@ -16,6 +16,7 @@ from ronna_hw.errors import (
     RefusedError,
     StateError,
 )
+from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 
 @dataclass(frozen=True)
@@ -180,11 +181,19 @@ class LinkProcessStalled(DeviceError):
     )
 
 
+EKI_LISTENS = (
+    f"our EKI server listens on {PROJECT_PORT} by default, the control SDK's on 54600: check the endpoint"
+)
+
+
 class ControllerNotFound(ConnectError):
     """Nothing answers at the controller's address, or the answer is not an expected telegram."""
 
     code = "EKI-001"
-    action = "Check the address, the cable, and that the EKI server program is running on the controller."
+    action = (
+        "Check the address, the cable, and that the EKI server program is running on the controller; "
+        f"{EKI_LISTENS}."
+    )
 
 
 class ControllerLost(ProtocolError):

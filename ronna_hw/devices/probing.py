@@ -129,7 +129,7 @@ def why_unreachable(endpoint: Endpoint) -> str:
     try:
         socket.create_connection((endpoint.host, endpoint.port), REACH_LIMIT_S).close()
     except ConnectionRefusedError:
-        return f"Nothing listens at {endpoint}: is the device on, and its server program running?"
+        return f"Nothing listens at {endpoint}: is the device on, its server program running, the port right?"
     except OSError as error:
         return f"{endpoint} is unreachable ({error.strerror or error}): check cable and subnet."
     return ""

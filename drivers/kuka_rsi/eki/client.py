@@ -20,6 +20,7 @@ from xml.sax.saxutils import quoteattr
 from drivers.kuka_rsi.eki.controller_state import ControllerState, read_state
 from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
 from drivers.kuka_rsi.errors import (
+    EKI_LISTENS,
     BadEkiTelegram,
     CommandRefused,
     ControllerLost,
@@ -65,7 +66,7 @@ class Listener(Protocol):
 
 NOT_TAKEN_UP = (
     "A controller serves one program at a time: another run or another computer has the arm. Stop that "
-    "one, or wait; there is nothing to recover."
+    f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
 )
 
 

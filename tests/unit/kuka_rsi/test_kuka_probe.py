@@ -144,4 +144,5 @@ def test_a_controller_that_hangs_up_at_once_is_reported_as_serving_another_clien
         refusing.join()
     assert "EKI-002" in arm.seen
     assert "another run or another computer has the arm" in arm.advice
+    assert "Or this port is not the controller's: our EKI server listens on 54602" in arm.advice
     assert "Recover" not in arm.advice
