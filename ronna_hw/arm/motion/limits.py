@@ -53,7 +53,11 @@ class MotionLimits:
 
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with the planned speeds times `fraction` (0 < fraction <= 1); raises ARM-006 otherwise."""
-        if not 0.0 < fraction <= 1.0:
+        try:
+            is_fraction = 0.0 < fraction <= 1.0
+        except TypeError:  # "10%"
+            is_fraction = False
+        if not is_fraction:
             raise MotionInvalid("a speed fraction must be above 0 and at most 1", got=repr(fraction))
         return replace(
             self,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cbrt, ceil, degrees, pi, radians, sqrt
+from math import cbrt, ceil, degrees, pi, radians, sqrt, tau
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
@@ -20,7 +20,7 @@ SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples th
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
 PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
-IN_DEGREES = "Joints are in radians; were these degrees? ronna_hw.arm.angles.radians6 converts them."
+IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.angles.radians6 converts them."
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
 
 
@@ -72,7 +72,7 @@ def _require_within(
                 f"{arm.axis_names[axis]} would leave its range",
                 limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
                 got=f"{degrees(angle):.3f} deg",
-                action=IN_DEGREES if abs(angle) > 2.0 * pi and low <= radians(angle) <= high else None,
+                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
             )
 
 

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -32,9 +33,11 @@ def test_a_joint_target_out_of_range_names_the_axis_and_the_limit() -> None:
         plan_joint_move(MODEL, START, radians6(0, -90, 90, 0, 121, 0), LIMITS)
 
 
-def test_a_joint_target_in_degrees_is_suspected() -> None:
-    with pytest.raises(OutOfJointRange, match=r"A2 would leave its range.*were these degrees"):
-        plan_joint_move(MODEL, START, (0.0, -75.0, 99.0, 0.0, 66.0, 180.0), LIMITS)
+@pytest.mark.parametrize(("turned_deg", "axis"), [(0.0, "A2"), (5.0, "A1"), (170.0, "A1"), (-360.0, "A1")])
+def test_a_joint_target_in_degrees_is_suspected(turned_deg: float, axis: str) -> None:
+    suspected = rf"{axis} would leave its range.*Joint angles are in radians; were these degrees"
+    with pytest.raises(OutOfJointRange, match=suspected):
+        plan_joint_move(MODEL, START, (turned_deg, -75.0, 99.0, 0.0, 66.0, 180.0), LIMITS)
     with pytest.raises(OutOfJointRange, match="Choose another branch"):
         plan_joint_move(MODEL, START, radians6(0, 60, 90, 0, 45, 0), LIMITS)
 
@@ -72,9 +75,9 @@ def test_a_target_that_is_not_a_number_is_refused() -> None:
         plan_joint_move(MODEL, START, (0.0, math.nan, 0.0, 0.0, 0.0, 0.0), LIMITS)
 
 
-@pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, math.nan])
-def test_a_speed_fraction_outside_its_range_is_refused(fraction: float) -> None:
-    with pytest.raises(MotionInvalid):
+@pytest.mark.parametrize("fraction", [0.0, -1.0, 1.01, 10, math.nan, "10%", None])
+def test_a_speed_fraction_outside_its_range_is_refused(fraction: Any) -> None:
+    with pytest.raises(MotionInvalid, match="ARM-006: a speed fraction must be above 0 and at most 1"):
         LIMITS.slowed(fraction)
 
 
