@@ -7,7 +7,7 @@ from typing import Any, get_args
 
 from drivers.ndi_polaris.driver import PolarisTracker
 from drivers.ndi_polaris.options import PolarisOptions
-from drivers.ndi_polaris.probe.line import look_at_line
+from drivers.ndi_polaris.probe.line import Opening, look_at_line
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search, documented_options
@@ -26,11 +26,17 @@ TOOLS = (
 
 
 def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every line with a unit that answers. It is identified as a procedure would identify it."""
+    """Every line with a unit that answers, and those that do not exist.
+
+    A unit is identified as a procedure would identify it.
+    """
     found = []
     for number, line in enumerate(search.lines, start=1):
-        if look_at_line(line).answered is not None:
+        state = look_at_line(line)
+        if state.answered is not None:
             found.append(_proposal(line))
+        elif state.opening is Opening.MISSING:
+            found.append(_missing(line))
         progress(number / len(search.lines))
     return found
 
@@ -56,6 +62,14 @@ def _proposal(line: Endpoint) -> Proposal:
         chosen["expected_serial"] = identity.serial
     what = f"{identity.model} {identity.serial} {identity.firmware}".strip()
     return Proposal(DRIVER, what, {ONLY: str(line)}, _options(chosen), TOOLS)
+
+
+def _missing(line: Endpoint) -> Proposal:
+    from serial.tools import list_ports
+
+    ports = ", ".join(sorted(str(port.device) for port in list_ports.comports()))
+    absent = f"{line.path} does not exist; the serial ports of this computer: {ports or 'none'}"
+    return Proposal(DRIVER, "", {ONLY: str(line)}, _options({}), TOOLS, absent)
 
 
 def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:

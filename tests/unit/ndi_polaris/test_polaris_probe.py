@@ -11,6 +11,7 @@ import termios
 import threading
 import tty
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
 import pytest
 
@@ -18,7 +19,9 @@ from drivers.ndi_polaris.line import inquiry
 from drivers.ndi_polaris.probe import line, probe
 from drivers.ndi_polaris.probe.diagnosis import diagnose, line_diagnostic
 from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
+from drivers.ndi_polaris.probe.tracker_discovery import find_trackers
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.discovery import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.polaris import crc16
@@ -331,3 +334,12 @@ def test_the_cause_found_on_the_line_becomes_the_advice_for_the_device() -> None
     assert device.subject == "device tracker"
     assert "NDI-001" in device.seen
     assert device.advice == line_seen.advice
+
+
+def test_a_line_that_does_not_exist_is_named_with_the_ports_that_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = SimpleNamespace(device="/dev/ttyUSB0")
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [port])
+    lines = (parse_endpoint("serial:///dev/ttyUSB99"),)
+    (missing,) = find_trackers(Search(lines=lines), lambda share: None)
+    assert missing.absent == ("/dev/ttyUSB99 does not exist; the serial ports of this computer: /dev/ttyUSB0")
+    assert missing.endpoints == {ONLY: "serial:///dev/ttyUSB99"}
