@@ -37,6 +37,7 @@ class Speed(StrEnum):
 
 
 def theatre(
+    context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for theatre.toml and its files.")] = Path("theatre"),
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
@@ -102,6 +103,8 @@ def theatre(
     require_folder(out)
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
+    if where == str(kept):
+        _require_its_own(context, out)
     truth = load_scene(
         where,
         seed=seed,
@@ -131,6 +134,27 @@ def theatre(
         reasons = _serve(running, ended)
     if reasons:
         fail(reasons[0], EXIT_FAILED)
+
+
+def _require_its_own(context: typer.Context, folder: Path) -> None:
+    """Raise CLI-001 where another scene or seed was asked for than that of the world to be continued."""
+    from sim.world.scene.model import read_scene
+    from sim.world.scene.named_scenes import SCENES
+    from sim.world.truth import SCENE_FILE
+
+    if context.params["scene"] not in SCENES:  # a file, which may have been changed, and has its own seed
+        return
+    left = read_scene(folder / SCENE_FILE)
+    for option, own in (("scene", left.name), ("seed", left.seed)):
+        source = context.get_parameter_source(option)
+        asked = context.params[option]
+        if source is not None and source.name == "COMMANDLINE" and asked != own:
+            raise UsageMistake(
+                f"--continue: the world left in {folder} has another {option}",
+                expected=f"{own}",
+                got=f"{asked}",
+                action="Omit --scene and --seed to continue it, or omit --continue for a new world.",
+            )
 
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
