@@ -13,8 +13,9 @@ import numpy as np
 
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.inspection import Inspection, inspected
-from ronna_hw.evidence.journal_reading import theatre_time_s
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
+from ronna_hw.text.counting import counted, some_of
 from sim.errors import NothingToVerify
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene
@@ -43,6 +44,7 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     lateral_mm, axial_mm, axis_error_rad), as plain data; `other_samples` names those at no target of
     the plan.
     """
+    _require_not_of_runs(run)
     place = run / THEATRE_FOLDER if theatre is None else theatre
     if not (place / SCENE_FILE).exists():
         if theatre is None:
@@ -76,6 +78,18 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             action=WHERE_IT_WAS_MADE,
         )
     return {"ct": ct, "targets": targets, "other_samples": list(samples)}
+
+
+def _require_not_of_runs(folder: Path) -> None:
+    """Raises SIM-006 for a folder of runs, with their names."""
+    if not folder.is_dir() or (folder / JOURNAL_FILE).exists():
+        return
+    held = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
+    if held:
+        raise NothingToVerify(
+            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
+            action=f"Give one of them: {folder / held[-1]}.",
+        )
 
 
 def require_targets(run: Path, outcome: dict[str, Any]) -> None:

@@ -10,6 +10,7 @@ from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.recording.byte_lines import BYTES_FOLDER
+from ronna_hw.text.counting import counted, some_of
 
 # One of them makes a folder a run.
 RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)
@@ -21,9 +22,15 @@ def is_run(folder: Path) -> bool:
 
 
 def require_run(folder: Path) -> None:
-    """Raise CLI-005 for a folder that is not that of a run."""
-    if not is_run(folder):
-        raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
+    """Raise CLI-005 for a folder that is not that of a run, with the runs that it holds."""
+    if is_run(folder):
+        return
+    if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
+        raise PathProblem(
+            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
+            action=f"Give one of them: {folder / held[-1]}.",
+        )
+    raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
 
 
 def runs_in(folder: Path) -> list[Path]:

@@ -155,6 +155,17 @@ def test_a_run_without_spheres_or_targets_cannot_be_verified(run: Path) -> None:
         verify_run(run)
 
 
+def test_a_folder_of_runs_is_refused_with_their_names(tmp_path: Path) -> None:
+    for number in range(6):
+        (tmp_path / f"{number}-mini").mkdir()
+        (tmp_path / f"{number}-mini" / JOURNAL_FILE).touch()
+    with pytest.raises(
+        NothingToVerify, match=r"is not a run; it holds 6 runs: 0-mini.* and 1 more"
+    ) as caught:
+        verify_run(tmp_path)
+    assert caught.value.advice == f"Give one of them: {tmp_path / '5-mini'}."
+
+
 @pytest.mark.parametrize("as_json", [True, False])
 @pytest.mark.parametrize(("inserted_at", "said"), [(None, "of its plan"), ("left-SNT", ", but at left-SNT")])
 def test_a_run_that_reached_no_target_is_no_success(

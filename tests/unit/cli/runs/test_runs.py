@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
-from user_commands import in_this_process
+from user_commands import in_this_process, one_error
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest, new_run_folder
@@ -114,3 +114,13 @@ def test_home_has_nothing_to_do_when_the_arm_never_moved(tmp_path: Path) -> None
     folder = new_run_folder(CaseRequest(out=tmp_path))
     done = in_this_process(app, "home", folder, "--json")
     assert json.loads(done.stdout) == {"run": folder.name, "home": None, "moved": False}
+
+
+@pytest.mark.parametrize("command", ["show", "verify", "report", "resume"])
+def test_a_folder_of_runs_is_refused_with_the_name_of_the_run_in_it(tmp_path: Path, command: str) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    (folder / "journal.jsonl").touch()
+    done = in_this_process(app, command, tmp_path)
+    shown = " ".join(one_error(done.stderr))
+    assert f"CLI-005: {tmp_path} is not a run; it holds 1 run: {folder.name}" in shown
+    assert f"Give one of them: {folder}." in shown
