@@ -11,6 +11,8 @@ from procedures.cli.planning_inputs import read_ct
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.new_files import require_new
 
+CT_FOLDER, PLAN_FILE = "ct", "plan.toml"  # side by side in the folder of a case
+
 
 def new(
     series_dir: Annotated[Path, typer.Argument(metavar="SERIES_DIR", help="Folder of the CT series.")],
@@ -31,4 +33,10 @@ def new(
     text = new_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
     write_whole(out, text.encode(), exclusive=True)
     terminal.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
+    case = series_dir.resolve().parent
+    if series_dir.resolve().name == CT_FOLDER and out.resolve() != case / PLAN_FILE:
+        terminal.say(
+            f"it was written to {out.resolve()}; ronna-procedure run --case {case} expects it beside the "
+            f"series, as {case / PLAN_FILE}"
+        )
     terminal.say(f"then: ronna-plan check {out} --ct {series_dir}")
