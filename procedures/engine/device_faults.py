@@ -20,6 +20,8 @@ from ronna_hw.logs import logger
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
     from procedures.workcell.device_views import DeviceView
+    from ronna_hw.devices.readiness import Fact
+    from ronna_hw.errors import RonnaError
 
 ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
@@ -40,11 +42,24 @@ def as_it_stands(role: str, seen: LastKnown[object]) -> str:
     """
     if seen.fault is None:
         return f"the {role} is in fault"
-    facts = [fact for fact in seen.says if not fact.ready or (fact.advice and fact.name in seen.fault.what)]
-    now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
+    facts = _facts(seen.fault, seen.says)
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
     way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
-    return f"the {role} is in fault ({seen.fault.code}), {now}. {way_on}"
+    return f"{in_short(role, seen)}. {way_on}"
+
+
+def in_short(role: str, seen: LastKnown[object]) -> str:
+    """The same without what to do about it."""
+    if seen.fault is None:
+        return f"the {role} is in fault"
+    facts = _facts(seen.fault, seen.says)
+    now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
+    return f"the {role} is in fault ({seen.fault.code}), {now}"
+
+
+def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
+    """What stands in the way now, and what stopped it."""
+    return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
 
 
 def acknowledged(
@@ -95,6 +110,11 @@ class DeviceFaults:
     def described(self) -> dict[str, str]:
         """The same for a person: the present state of each device, and what to do."""
         return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
+
+    @property
+    def in_short(self) -> dict[str, str]:
+        """The same without what to do."""
+        return {role: in_short(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 for an arm in fault, with its present state."""

@@ -7,11 +7,15 @@ import os
 import pty
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 from recording_cell import RecordingCell
 
+from procedures.cli.case.alarms import Alarms
 from procedures.cli.case.operators import TerminalOperator, TerminalRoom
+from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
@@ -148,6 +152,38 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
     assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
     assert "63" not in misread.values()
+
+
+class ReadScreen(Screen):
+    """A screen on which the arm stops as the first prompt appears."""
+
+    def __init__(self, keyboard: int, faults: dict[str, str], *typed: bytes) -> None:
+        super().__init__(keyboard, *typed)
+        self._faults = faults
+
+    def flush(self) -> None:
+        super().flush()
+        if self.getvalue().endswith(": "):
+            self._faults["arm"] = "the arm is in fault (EKI-010), emergency stop: pressed"
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("typed", [b"yes\n", b""])
+def test_an_arm_that_stops_at_a_question_is_told_at_once_and_what_was_typed_before_does_not_count(
+    keyboard: int, typed: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    faults: dict[str, str] = {}
+    alarms = Alarms()
+    alarms.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
+    monkeypatch.setattr("sys.stderr", screen := ReadScreen(keyboard, faults, typed, b"no\n"))
+    question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
+    assert TerminalOperator(alarms=alarms).ask(question) == "no"
+    told = screen.getvalue().partition("Type yes or no: ")[2]
+    assert told.startswith(
+        "\nthe arm is in fault (EKI-010), emergency stop: pressed. Whatever you answer, no mo"
+    )
+    assert told.endswith("\nType yes or no (the arm is in fault): ")
+    assert told.count("emergency stop") == 1
 
 
 def test_lines_that_were_pasted_are_the_readings_in_turn_until_one_is_refused(

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.alarms import Alarms
 from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case, recorded_order
 from procedures.cli.case.leaving_report import begin_report
@@ -86,7 +87,8 @@ def opened_engine(
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
-        operator = operator_of(request, watcher, answers, resumption)
+        alarms = Alarms()
+        operator = operator_of(request, watcher, answers, resumption, alarms)
         if watcher.pilot is not None:
             operator = watcher.pilot.operator(operator)
         away = None
@@ -94,7 +96,8 @@ def opened_engine(
             leaving = resumption is not None and resumption.only_leaving
             last = stack.enter_context(held_theatre(file, folder, only_leaving=leaving))
             away = left_away(last, folder)
-            room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
+            simulates = is_simulated(read_theatre_file(file))
+            room: Room = TerminalRoom(watcher.asking, simulated=simulates, alarms=alarms)
             if watcher.pilot is not None:
                 from procedures.cli.console.room import ConsoleRoom
 
@@ -132,6 +135,7 @@ def opened_engine(
             opening={**request_hash(folder), "seed": request.seed},
             left_away=away,
         )
+        alarms.attach(engine)
         outcome, ended_by = "failed", None
         try:
             begin_report(folder)

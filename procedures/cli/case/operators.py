@@ -12,6 +12,7 @@ from types import MappingProxyType
 
 from typer import style
 
+from procedures.cli.case.alarms import LOOK_AGAIN_S, Alarms
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
 from procedures.operator.question import YES, Operator, Question, words
@@ -101,11 +102,13 @@ class SimulatedRoom:
 class TerminalOperator:
     """A person at the terminal. Without a terminal nobody answers.
 
-    `asking` is held while a question is open, so that nothing else overwrites it.
+    `asking` is held while a question is open, so that nothing else overwrites it. `alarms` are told at once,
+    and nothing typed before counts.
     """
 
-    def __init__(self, asking: Asking = undisturbed) -> None:
+    def __init__(self, asking: Asking = undisturbed, alarms: Alarms | None = None) -> None:
         self._asking = asking
+        self._alarms = Alarms() if alarms is None else alarms
 
     def ask(self, question: Question) -> str:
         """Write the value and wait for one of the answers, typed whole; anything else is asked again.
@@ -118,13 +121,14 @@ class TerminalOperator:
         read_back = question.read_back
         with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
-            while typed := _typed(write, words(question.answers), ends_s):
+            self._alarms.begin()
+            while typed := _typed(write, words(question.answers), ends_s, self._alarms):
                 if (answer := typed.lower().strip("'")) not in question.answers:
                     _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if answer != question.answers[0] or read_back is None:
                     return answer
-                if not (typed := _typed(write, read_back.what, ends_s)):
+                if not (typed := _typed(write, read_back.what, ends_s, self._alarms)):
                     break
                 if read_back.fits(typed):
                     return answer
@@ -144,9 +148,11 @@ class TerminalRoom:
         asking: Asking = undisturbed,
         *,
         simulated: bool = False,
+        alarms: Alarms | None = None,
     ) -> None:
         """In a `simulated` theatre a tool is mounted by a command."""
         self._asking = asking
+        self._alarms = Alarms() if alarms is None else alarms
         self._simulated = simulated
 
     def announce(self, step: str) -> None:
@@ -178,22 +184,23 @@ class TerminalRoom:
             numbers = "".join(f" {number:g}" for number in task.numbers)
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
             self._hint(f"work {task.name}{numbers}{trajectory}")
-            return _read_off(write, task) if task.reads and sys.stdin.isatty() else ()
+            self._alarms.begin()
+            return _read_off(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
 
 
-def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
+def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
     """What is typed for each reading; several are shown back before they count. Nothing when nobody reads."""
     while True:
         readings: list[float] = []
         for what in task.reads:
-            if (number := _typed_number(write, what, task.plausible_mm, bool(readings))) is None:
+            if (number := _typed_number(write, what, task.plausible_mm, alarms, bool(readings))) is None:
                 return ()
             readings.append(number)
         if len(readings) == 1:
             return tuple(readings)
         for what, number in zip(task.reads, readings, strict=True):
             _say(f"  {what}: {number:g}")
-        while (typed := _typed(write, words((YES, AGAIN)), None).lower()) != AGAIN:
+        while (typed := _typed(write, words((YES, AGAIN)), None, alarms).lower()) != AGAIN:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
             _say(
@@ -203,13 +210,13 @@ def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
 
 
 def _typed_number(
-    write: WritePrompt, what: str, plausible: tuple[float, float] | None, ahead: bool
+    write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
     """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends.
 
     `ahead` takes one of several lines that were pasted; after one that is refused, the others are lost.
     """
-    while (typed := _typed(write, what, None, ahead)) and typed.lower() != NOBODY_READS:
+    while (typed := _typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
         ahead = False
         with suppress(ValueError):
             number = typed_number(typed, UNIT)
@@ -232,21 +239,37 @@ def _emphasized(question: Question) -> str:
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
-def _typed(write: WritePrompt, what: str, ends_s: float | None, ahead: bool = False) -> str:
+def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False) -> str:
     """What is typed, without the space around it; a blank line is asked again.
 
-    Empty when it is out of time or the terminal is gone. What was typed before it was asked for is lost,
-    unless it may be typed `ahead`.
+    Empty when it is out of time or the terminal is gone. What was typed before it was asked for, or before a
+    device was reported in fault, is lost, unless it may be typed `ahead`.
     """
-    import select
-
-    if not ahead:
+    news = alarms.new()
+    if news or not ahead:
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
     while True:
-        write(f"Type {what}: ")
-        remaining_s = None if ends_s is None else max(0.0, ends_s - time.monotonic())
-        ready, _, _ = select.select([sys.stdin], [], [], remaining_s)
+        for said in news:
+            _say(said)
+        write(f"Type {what}{alarms.note}: ")
+        ready, news = _awaited(ends_s, alarms)
+        if news:
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            sys.stderr.write("\n")  # the prompt is still there
+            continue
         line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
             return line.strip()
         _say("Nothing was typed.")
+
+
+def _awaited(ends_s: float | None, alarms: Alarms) -> tuple[bool, list[str]]:
+    """Wait for a line, the end of the time or an alarm: whether something can be read, and what to tell."""
+    import select
+
+    while True:
+        left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
+        news = alarms.new()
+        if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
+            return bool(ready), news

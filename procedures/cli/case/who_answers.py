@@ -12,6 +12,7 @@ from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import on_terminal
 
 if TYPE_CHECKING:
+    from procedures.cli.case.alarms import Alarms
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.opening import Watcher
     from procedures.composition.procedure import Resumption
@@ -32,6 +33,7 @@ def operator_of(
     watcher: Watcher,
     answers: Answers | None,
     resumption: Resumption | None = None,
+    alarms: Alarms | None = None,
 ) -> Operator:
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
@@ -39,7 +41,7 @@ def operator_of(
     resumes a run only if it was told to accept the findings; in a simulated theatre with a theatre file that
     is all it answers.
     """
-    person: Operator = TerminalOperator(watcher.asking)
+    person: Operator = TerminalOperator(watcher.asking, alarms)
     simulated = True  # a file may answer everything
     if answers is not None:
         from procedures.cli.case.answers import rehearsed
