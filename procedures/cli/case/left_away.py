@@ -47,6 +47,23 @@ def left_away(note: TheatreNote, run: Path | None) -> str | None:
     return f"{left}; ronna-procedure home {shlex.quote(str(last))} brings it there"
 
 
+def instrument_left(note: TheatreNote) -> tuple[Path, str] | None:
+    """The last run that moved this theatre's arm, and that an instrument is or may be in, where one is."""
+    last = note.moved_before
+    if last is None:
+        return None
+    try:
+        chain = read_chain(last / JOURNAL_FILE)
+        arm = arm_history(chain.lines)
+    except (RonnaError, OSError):  # `left_away` says that nothing is known of it
+        return None
+    if arm.instrument_in is not None:
+        return last, f"an instrument is still in {arm.instrument_in}"
+    if arm.insertion is not None and (chain.torn or not arm.instrument_out):  # as a resumed run assumes
+        return last, f"an instrument may still be in {arm.insertion.trajectory}"
+    return None
+
+
 def _is_same(last: Path, run: Path) -> bool:
     """Also under a new name, by its journal."""
     if last.resolve() == run.resolve():

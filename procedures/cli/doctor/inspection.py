@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from procedures.cli.doctor.pictures import pair_diagnostics
+from procedures.cli.doctor.theatre_use import TOOL
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.carried_tool import calibrated_arm, require_this_arm
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
@@ -96,7 +97,7 @@ def _matching(
         yield replace(of_arm, advice=OF_THIS_ARM) if unknown and refused is None else of_arm
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         refused = _refusal(partial(mount.check, MountedTool.STEREO_HEAD))
-        yield _checked(f"{subject}mounted tool", str(MountedTool.STEREO_HEAD), refused)
+        yield _checked(f"{subject}{TOOL}", str(MountedTool.STEREO_HEAD), refused)
 
 
 def _seen_by_tracker(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:

@@ -14,7 +14,7 @@ from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.mistyped_serial import mistyped_serials
 from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
-from procedures.cli.doctor.theatre_use import RUN, use_diagnostics
+from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diagnostics
 from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
 from procedures.engine.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
@@ -44,8 +44,9 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Everything, in the order in which it is shown."""
-        return self.computer + self.case + self.calibrations + self.devices
+        """Everything, in the order in which it is shown: first what nobody may miss."""
+        everything = self.computer + self.case + self.calibrations + self.devices
+        return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
         """The documents of one section."""
@@ -88,6 +89,8 @@ def examine(
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, look) in enumerate(looks.items()):
         found[name] = look(partial(_advance, progress, number, len(looks)))
+        if config is not None and name in devices:
+            found[name] = as_left(config, found[name])
         progress((number + 1) / len(looks))
     of_devices = {name: found[name] for name in devices}
     judged = () if config is None else tuple(verdicts(case + calibrations, of_devices))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from procedures.cli.case.left_away import left_away
+from procedures.cli.case.left_away import instrument_left, left_away
+from procedures.cli.runs.left_runs import unfinished_on
 from procedures.engine.theatre_lock import last_moved, theatre_user, unwritable_note
 from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.readiness import MESSAGES
 
 RUN = "run"  # subject of a theatre that is in use
+INSTRUMENT = "instrument"  # subject of one that a run left in the head; shown before everything else
+TOOL = "mounted tool"
 
 
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
@@ -18,9 +24,35 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
-    if (away := left_away(last_moved(theatre), None)) is not None:
-        ask = "A new case asks whether to take where the arm stands as its home."
+    last = last_moved(theatre)
+    if (left := instrument_left(last)) is not None:
+        run, inside = left
+        advice = (
+            "Touch neither the tool nor the arm, and start no other run: "
+            f"ronna-procedure home {shlex.quote(str(run))} asks for the removal, then brings the arm home."
+        )
+        seen = f"run {run.name} is unfinished: {inside}"
+        yield Diagnostic(INSTRUMENT, False, seen, advice)
+    if (away := left_away(last, None)) is not None:
+        ask = "" if left else "A new case asks whether to take where the arm stands as its home."
         yield Diagnostic("home of the arm", False, away, ask)
     if (note := unwritable_note(theatre)) is not None:
         advice = "Give this user the right to write it: it tells a later run what this one left."
         yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
+
+
+def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """What was found at the devices, with advice that fits what an unfinished run left there."""
+    run, left = unfinished_on(theatre), instrument_left(last_moved(theatre))
+    return [_advised(one, run, None if left is None else left[1]) for one in found]
+
+
+def _advised(one: Diagnostic, run: Path | None, inside: str | None) -> Diagnostic:
+    if one.well:
+        return one
+    if inside is not None and one.subject.endswith(f": {TOOL}"):
+        return replace(one, advice=f"Do not touch the tool: {inside}.")
+    if run is not None and one.subject.endswith(f": {MESSAGES}"):
+        name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
+        return replace(one, advice=f"Remove its cause; then {name}.")
+    return one

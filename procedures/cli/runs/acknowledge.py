@@ -18,11 +18,11 @@ from procedures.cli.runs.left_runs import (
     opened_left,
     request_of,
     require_free_devices,
+    unfinished_on,
 )
 from procedures.composition.procedure import Resumption
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun
-from procedures.engine.left_run import read_left_run
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
@@ -81,26 +81,12 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
     Only its own journal can say that what it localized before the fault is in doubt.
     """
-    from procedures.engine.theatre_lock import last_runs
-
-    for last in last_runs(theatre):
-        if last == run:
-            return
-        if _can_be_resumed(last):
-            raise FaultOfRun(
-                f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
-                "still valid",
-                action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
-            )
-
-
-def _can_be_resumed(run: Path) -> bool:
-    try:
-        request_of(run)
-        left = read_left_run(run, only_leaving=True)
-        return not (left.parked or left.untouched)
-    except (RonnaError, OSError):  # of a check, of another version, changed, or gone
-        return False
+    if (last := unfinished_on(theatre, run)) is not None:
+        raise FaultOfRun(
+            f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
+            "still valid",
+            action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
+        )
 
 
 def _person(by: str | None) -> str:

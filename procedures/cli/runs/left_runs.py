@@ -17,12 +17,13 @@ from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
-from procedures.engine.theatre_lock import require_free_theatre
+from procedures.engine.theatre_lock import last_runs, require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
 from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.records import PARTIAL
 
@@ -115,6 +116,25 @@ def require_free_devices(request: CaseRequest | CalibrationRun) -> None:
     """Raise PRO-043 while another program has the real devices of this run."""
     if request.config is not None:
         require_free_theatre(request.config)
+
+
+def unfinished_on(theatre: Path, run: Path | None = None) -> Path | None:
+    """The run that can be resumed and had the devices of a theatre file last, if that is not `run`."""
+    for last in last_runs(theatre):
+        if last == run:
+            return None
+        if _can_be_resumed(last):
+            return last
+    return None
+
+
+def _can_be_resumed(run: Path) -> bool:
+    try:
+        request_of(run)
+        left = read_left_run(run, only_leaving=True)
+        return not (left.parked or left.untouched)
+    except (RonnaError, OSError):  # of a check, of another version, changed, or gone
+        return False
 
 
 def make_ready(left: LeftRun) -> None:

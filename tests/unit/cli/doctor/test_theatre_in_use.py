@@ -15,9 +15,13 @@ import pytest
 from user_commands import in_this_process
 
 from procedures.cli.case.request_file import RequestFile
+from procedures.cli.doctor import theatre_use
 from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
+from procedures.engine.theatre_lock import held_theatre
+from procedures.engine.theatre_note import TheatreNote, note_file
 from procedures.journal.journal import Entry, Journal
+from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
 RUN_NAME = "20261121T180000-ab12"
@@ -127,6 +131,32 @@ def test_resume_home_and_acknowledge_of_another_run_are_refused_while_a_run_uses
     assert done.returncode == EXIT_REFUSED
     assert using in done.stderr
     assert read_files(left_run) == before
+
+
+@pytest.mark.hazard(34)
+def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not_to_mount_another_tool(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    theatre, run = theatre_in(tmp_path), tmp_path / "runs" / RUN_NAME
+    run.mkdir(parents=True)
+    journal = Journal(run)
+    journal.write(Entry.OPENED, 0.0, run=run.name)
+    journal.write(Entry.MOTION, 1.0, step="positioning:T1", what="approach")
+    journal.write(Entry.INSTRUMENT, 2.0, trajectory="T1", inside=True)
+    journal.close()
+    with held_theatre(theatre, None):  # as a program leaves it that is killed
+        note = TheatreNote(run=run, moved_before=run)
+    note_file(theatre).write_text(note.model_dump_json())
+    monkeypatch.setattr(theatre_use, "unfinished_on", lambda _theatre: run)
+    first, *_ = examine(theatre).diagnostics
+    assert (first.subject, first.well) == ("instrument", False)
+    assert first.seen == f"run {RUN_NAME} is unfinished: an instrument is still in T1"
+    assert f"ronna-procedure home {run}" in first.advice
+    tool = Diagnostic("robot.master: mounted tool", False, "PRO-009", "Mount the named tool.")
+    message = Diagnostic("robot.master: messages", False, "number 1 is not acknowledged", "Acknowledge it.")
+    tool, message = theatre_use.as_left(theatre, [tool, message])
+    assert tool.advice == "Do not touch the tool: an instrument is still in T1."
+    assert message.advice == f"Remove its cause; then ronna-procedure acknowledge {run} --by 'YOUR NAME'."
 
 
 def test_acknowledge_with_a_config_is_refused_while_a_run_uses_the_theatre(theatre: Path, using: str) -> None:
