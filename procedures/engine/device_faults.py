@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
-EARLIER = "a message from before this connection"  # drivers do not say which
+EARLIER = "a message from before this connection"
 _log = logger(part="engine")
 
 
@@ -57,6 +57,11 @@ def in_short(role: str, seen: LastKnown[object]) -> str:
     return f"the {role} is in fault ({seen.fault.code}), {now}"
 
 
+def _what_happened(seen: LastKnown[object]) -> str:
+    """The fault without advice: it is kept, and read when it is over."""
+    return "" if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
+
+
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
     """What stands in the way now, and what stopped it."""
     return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
@@ -73,13 +78,14 @@ def acknowledged(
         seen = device.observe()
         if seen.state is Lifecycle.FAULT:
             recover(role)
-            yield role, str(seen.fault)
+            yield role, _what_happened(seen)
         elif seen.state is Lifecycle.CONNECTED:
             try:
                 recover(role)
             except WrongState:  # it holds none
                 continue
-            yield role, EARLIER
+            said = [fact.found for fact in seen.says if fact.name == MESSAGES and not fact.ready]
+            yield role, f"{EARLIER} ({'; '.join(said)})" if said else EARLIER
 
 
 class DeviceFaults:
@@ -104,7 +110,7 @@ class DeviceFaults:
     @property
     def now(self) -> dict[str, str]:
         """The devices that are in fault, by role, and why."""
-        return {role: str(seen.fault) for role, seen in in_fault(self._workcell.devices)}
+        return {role: _what_happened(seen) for role, seen in in_fault(self._workcell.devices)}
 
     @property
     def described(self) -> dict[str, str]:
@@ -155,7 +161,8 @@ class DeviceFaults:
         In the journal before the fault can be gone, so that no restart forgets it.
         """
         if (fault := self.now.get(ARM)) is not None:
-            self.doubt_tool(fault, self._course.order.localizations)
+            when = f"theatre time {self._clock.now_s():.0f} s"
+            self.doubt_tool(f"{fault} ({when})", self._course.order.localizations)
 
     def doubt_tool(self, fault: str, localizations: Sequence[StepKey] = ()) -> None:
         """The checks of the mounted tool, and what else was localized before: hands may have been at it."""

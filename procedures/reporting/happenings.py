@@ -101,8 +101,10 @@ def _rested(line: Line) -> str:
 
 
 def _acknowledged(line: Line) -> str:
-    code = str(line.get("fault", "")).partition(":")[0]
-    return f"{line.get('by', '')} acknowledged the fault of the {line.get('device', '')}: {code}"
+    who, device, fault = (str(line.get(field, "")) for field in ("by", "device", "fault"))
+    code, words, _ = fault.partition(": ")
+    what = code if words and code.isupper() else fault  # an error has been told when it came
+    return f"{who} acknowledged the fault of the {device}: {what}"
 
 
 def _doubted(line: Line) -> str:

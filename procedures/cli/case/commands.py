@@ -160,7 +160,7 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
     recovered = engine.faults.acknowledge(argument)
-    done = [f"{role}, {fault.partition(':')[0]}" for role, fault in recovered.items()]
+    done = [f"{role}, {fault}" for role, fault in recovered.items()]
     say(f"acknowledged by {argument}: {'; '.join(done)}" if done else "no device is in fault")
 
 

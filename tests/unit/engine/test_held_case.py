@@ -5,6 +5,7 @@ from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
@@ -95,15 +96,31 @@ def test_acknowledging_recovers_the_device_and_moves_nothing(cell: RecordingCell
     assert engine.why_refused(engine.order.find("image")) == ()
 
 
-def test_a_message_left_from_an_earlier_session_is_acknowledged_too(cell: RecordingCell) -> None:
+def test_a_message_left_from_an_earlier_session_is_acknowledged_too_and_named(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def holds_none(*_: object) -> None:
         raise WrongState("recover is not allowed now")
 
     engine = cell.engine(plain_order())
     cell.arm.state = cell.stereo.state = Lifecycle.CONNECTED
     cell.stereo.recover = holds_none  # type: ignore[attr-defined]
-    assert list(engine.faults.acknowledge("A. Nurse")) == ["arm"]
+    seen = LastKnown(Lifecycle.CONNECTED, None, None, (MESSAGE,))
+    monkeypatch.setattr(cell.arm, "observe", lambda: seen)
+    which = "a message from before this connection (1 is not acknowledged)"
+    assert engine.faults.acknowledge("A. Nurse") == {"arm": which}
     assert cell.arm.calls == ["recovered by A. Nurse"]
+
+
+def test_what_is_kept_of_a_fault_says_what_happened_and_no_longer_what_to_do(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    fault = StepRefused("the arm was stopped", got="emergency stop", action="Release the emergency stop.")
+    monkeypatch.setattr(cell.arm, "observe", lambda: LastKnown(Lifecycle.FAULT, fault, None))
+    assert engine.faults.acknowledge("A. Nurse") == {"arm": "PRO-001: the arm was stopped: emergency stop"}
+    (line,) = read_journal(cell.folder / JOURNAL_FILE)
+    assert line["fault"] == "PRO-001: the arm was stopped: emergency stop"
 
 
 @pytest.mark.hazard(37)
