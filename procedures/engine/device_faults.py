@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
@@ -105,7 +106,7 @@ class DeviceFaults:
         self._workcell = workcell
         self._journal = journal
         self._clock = clock
-        self._acknowledged = 0
+        self._acknowledged: list[tuple[str, str]] = []  # code of each fault, and by whom
 
     @property
     def now(self) -> dict[str, str]:
@@ -136,7 +137,8 @@ class DeviceFaults:
         workcell, done = self._workcell, dict[str, str]()
         self.doubt_results()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
-            self._acknowledged += 1  # first: it is recovered, also when that cannot be written
+            # First: it is recovered, also when that cannot be written.
+            self._acknowledged.append((fault.partition(": ")[0], by))
             if role == ARM:
                 self.doubt_tool(fault, self._course.order.localizations)
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
@@ -150,10 +152,21 @@ class DeviceFaults:
 
         Raises PRO-001 at the end of the block; only what begins asks what is kept and what is mounted.
         """
-        before = self._acknowledged
+        before = len(self._acknowledged)
         yield
-        if self._acknowledged != before:
+        if len(self._acknowledged) != before:
             raise StepRefused("a fault was acknowledged during the pause", action="Repeat what was paused.")
+
+    def as_of_now(self, problem: RonnaError) -> RonnaError:
+        """What ended a step, for the last line of a run: a fault that was acknowledged since is over."""
+        if self.now:
+            return problem
+        for code, by in reversed(self._acknowledged):
+            if code and (code == problem.code or f"is in fault ({code})" in problem.what):
+                over = copy(problem)
+                over.what = f"was: {problem.what.rstrip('.')}; acknowledged by {by}"
+                return over
+        return problem
 
     def doubt_results(self) -> None:
         """What was localized or checked before the arm was in fault: someone may have been at it since.

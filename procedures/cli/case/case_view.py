@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 LAST_ERRORS = 2
+ACKNOWLEDGED = "acknowledged"  # an entry of the journal
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")
 
@@ -118,6 +119,8 @@ class CaseView:
                 self._ages_s[device] = age_s
             case JournalLine(line=line):
                 self._journal.append(_short(line))
+                if line.get("entry") == ACKNOWLEDGED:
+                    self._settle_fault(str(line.get("device")), str(line.get("fault")))
             case Fault(code=code, what=what):
                 text = what if what.startswith(code) else f"{code}: {what}"
                 self._errors.append((self._step, text))
@@ -149,6 +152,13 @@ class CaseView:
     def _settle(self, step: str) -> None:
         """What was wrong with a step is past: it is done again."""
         left = [one for one in self._errors if one[0] != step]
+        self._errors.clear()
+        self._errors.extend(left)
+
+    def _settle_fault(self, device: str, fault: str) -> None:
+        """A fault is over, and so is what was refused because of it."""
+        over = (f"the {device} is in fault", f"{_code(fault)}: ")
+        left = [one for one in self._errors if not any(words in one[1] for words in over)]
         self._errors.clear()
         self._errors.extend(left)
 

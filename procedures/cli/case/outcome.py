@@ -94,7 +94,7 @@ def _run(engine: Engine, watcher: Watcher) -> None:
                 failure = error
             if not held.follow(engine):
                 failure.shown = True
-                raise failure from None
+                raise engine.faults.as_of_now(failure) from None
 
 
 def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:

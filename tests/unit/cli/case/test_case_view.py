@@ -17,7 +17,7 @@ from procedures.cli.case.display import following
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
-from procedures.engine.events import Event
+from procedures.engine.events import Event, EventStream, Fault, JournalLine, Refusal
 from procedures.engine.step import Outcome
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
@@ -68,6 +68,22 @@ def test_the_error_of_a_step_disappears_when_the_step_is_repeated_successfully(t
             view.take_in(event)
         shown.append(REASON in "\n".join(line for _, line in view.lines()))
     assert shown == [True, False]
+
+
+def test_what_was_refused_because_of_a_fault_disappears_when_the_fault_is_acknowledged() -> None:
+    view, events = CaseView(), EventStream(lambda: 0.0)
+    reader = events.subscribe()
+    stopped = "EKI-010: robot.master was stopped: emergency stop is active. Release it."
+    events.publish(Fault(code="EKI-010", what=stopped))
+    events.publish(Refusal(step="tool_change", unmet=("the arm is in fault (EKI-010), pressed",)))
+    for event in reader.read(0.0).events:
+        view.take_in(event)
+    assert sum(style == "red" for style, _text in view.lines()) == 2
+    said = {"entry": "acknowledged", "device": "arm", "fault": "EKI-010: stopped", "by": "Ann"}
+    events.publish(JournalLine(line=said))
+    for event in reader.read(0.0).events:
+        view.take_in(event)
+    assert not any(style == "red" for style, _text in view.lines())
 
 
 def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(

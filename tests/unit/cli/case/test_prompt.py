@@ -19,6 +19,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
 
 
@@ -295,6 +296,25 @@ def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     with pytest.raises(GateFailed, match="stopped"):
         outcome._run(engine, Watcher(held=typed.prompt))
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
+
+
+def test_quitting_after_a_fault_was_acknowledged_ends_the_case_with_a_fault_that_was(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_stopped(_context: StepContext) -> Outcome[StepResult]:
+        stopped = GateFailed("the arm was stopped", got="emergency stop")
+        seen = LastKnown(Lifecycle.FAULT, stopped, None)
+        recovered = LastKnown(Lifecycle.CONFIGURED, None, None)
+        is_over = "recovered by Ann"
+        monkeypatch.setattr(cell.arm, "observe", lambda: recovered if is_over in cell.arm.calls else seen)
+        raise stopped
+
+    typed = Typed(monkeypatch, "acknowledge Ann", "quit", resumes=True)
+    engine = cell.engine(plain_order(image=is_stopped))
+    with pytest.raises(GateFailed) as ended:
+        outcome._run(engine, Watcher(held=typed.prompt))
+    assert ended.value.what == "was: the arm was stopped; acknowledged by Ann"
+    assert ended.value.shown
 
 
 def test_a_fault_on_the_way_home_is_acknowledged_at_the_prompt_when_every_step_is_done(
