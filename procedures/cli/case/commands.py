@@ -143,7 +143,8 @@ def _stop(_engine: Engine, _argument: str, say: Say) -> None:
 def _resume(engine: Engine, _argument: str, say: Say) -> None:
     withdrawn = engine.checkpoint.withdraw_pause()
     state = "the pause is withdrawn" if withdrawn else "nothing is paused"
-    say(f"{state}; next or to continues")
+    faults = tuple(engine.faults.described.values())
+    say("; ".join((state, *(faults or ("next or to continues",)))))
 
 
 def _home(engine: Engine, _argument: str, say: Say) -> None:

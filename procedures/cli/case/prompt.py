@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 HELD = (
-    "the case is held, the arm is at rest: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
+    "the case is held, the arm is at rest: next, run STEP, why, back STEP, home, acknowledge YOUR-NAME, "
+    "abort, quit"
 )
 PAUSED = "paused> "
 ACKNOWLEDGE = "acknowledge"
@@ -140,7 +141,7 @@ class Prompt:
                 fail_with(error)
         else:
             if name == ACKNOWLEDGE and not engine.faults.now:
-                self._say(f"the arm is at rest; {'resume' if self._resumes else 'next'} continues")
+                self._say(f"the arm is at rest; {self._way_on}")
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
@@ -150,7 +151,12 @@ class Prompt:
         for fault in faults.values():
             if fault not in str(error):
                 self._say(fault)
-        self._say(f"{HELD}; resume continues" if self._resumes else HELD)
+        self._say(f"{HELD}; {self._way_on}")
+
+    @property
+    def _way_on(self) -> str:
+        """What goes on with the case here: `next` everywhere."""
+        return "resume continues, next does one step" if self._resumes else "next continues"
 
     def _tell_way_on(self, engine: Engine) -> None:
         if not engine.machine.ended:

@@ -51,7 +51,7 @@ def test_a_failed_step_holds_the_case_and_shows_the_commands_that_continue(
     typed = Typed(monkeypatch, "to localization:T1", "list")
     typed.at(engine)
     assert "PRO-007" in capsys.readouterr().err
-    assert typed.said[0] == HELD
+    assert typed.said[0] == f"{HELD}; next continues"
     assert engine.machine.state == "held"
     assert engine.status(engine.order.find("image")) == "done"
 
@@ -267,7 +267,7 @@ def test_acknowledge_shows_by_whom_and_what_was_acknowledged_and_how_to_continue
     typed = Typed(monkeypatch, "acknowledge A. Nurse", resumes=True)
     typed.at(engine)
     assert typed.said[0].startswith("acknowledged by A. Nurse: arm")
-    assert typed.said[1] == "the arm is at rest; resume continues"
+    assert typed.said[1] == "the arm is at rest; resume continues, next does one step"
 
 
 def test_a_device_in_fault_shows_its_current_recovery_steps_instead_of_the_errors_advice(
@@ -281,7 +281,7 @@ def test_a_device_in_fault_shows_its_current_recovery_steps_instead_of_the_error
     typed.at(cell.engine(plain_order(image=is_stopped)))
     assert capsys.readouterr().err == "PRO-007: stopped.\n"
     assert typed.said[0].startswith("the arm is in fault")
-    assert typed.said[1] == f"{HELD}; resume continues"
+    assert typed.said[1] == f"{HELD}; resume continues, next does one step"
 
 
 def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
@@ -296,6 +296,18 @@ def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     with pytest.raises(GateFailed, match="stopped"):
         outcome._run(engine, Watcher(held=typed.prompt))
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
+
+
+def test_resume_step_by_step_says_what_keeps_the_case_and_not_that_next_continues(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    seen = LastKnown(Lifecycle.FAULT, GateFailed("stopped"), None)
+    monkeypatch.setattr(cell.arm, "observe", lambda: seen)
+    typed = Typed(monkeypatch, "resume", "quit")
+    typed.at(engine)
+    assert typed.said[0].startswith("nothing is paused; the arm is in fault (PRO-007), stopped. To")
+    assert "next" not in typed.said[0]
 
 
 def test_quitting_after_a_fault_was_acknowledged_ends_the_case_with_a_fault_that_was(
