@@ -147,11 +147,20 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     events = EventStream(lambda: 0.0)
     questions = Questions(TerminalOperator(), cell.journal, lambda: 0.0, events)
     assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)) == "no"
-    assert f"'63' {READ_BACK.wrong}. Answer from the start.\n" in screen.getvalue()
+    assert f"'63' {READ_BACK.wrong}. Answer from the start, or no to stop.\n" in screen.getvalue()
     assert "'Case 62' is not an answer: type yes or no in full." in screen.getvalue()
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
     assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
     assert "63" not in misread.values()
+
+
+@pytest.mark.hazard(9)
+def test_three_wrong_values_read_back_count_as_no(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    typed = (b"yes\n", b"mini-5\n") * 3
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *typed, b"yes\n", b"62\n"))
+    assert ask(30.0, READ_BACK) == "no"
+    assert screen.getvalue().endswith(f"'mini-5' {READ_BACK.wrong}. 3 wrong values count as 'no'.\n")
+    assert screen.getvalue().count("Answer from the start, or no to stop.") == 2
 
 
 class ReadScreen(Screen):

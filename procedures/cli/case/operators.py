@@ -25,7 +25,9 @@ from ronna_hw.text.typed_number import typed_number
 AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
 UNIT = "mm"  # of every reading; it may be typed with the number
-ONE_NUMBER = f"one number in mm, such as 0.01 or 0.01 mm, or {NOBODY_READS!r} to end the step."
+SMALL_MM = 0.01  # as a dial shows it
+
+MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
@@ -122,6 +124,7 @@ class TerminalOperator:
         with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
             self._alarms.begin()
+            misread_before = 0
             while typed := _typed(write, words(question.answers), ends_s, self._alarms):
                 if (answer := typed.lower().strip("'")) not in question.answers:
                     _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
@@ -133,7 +136,12 @@ class TerminalOperator:
                 if read_back.fits(typed):
                     return answer
                 question.misread()
-                _say(f"{typed!r} {read_back.wrong.rstrip('.')}. Answer from the start.")
+                misread_before += 1
+                wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
+                if misread_before == MOST_MISREAD:
+                    _say(f"{wrong} {MOST_MISREAD} wrong values count as {question.silence!r}.")
+                    return question.silence
+                _say(f"{wrong} Answer from the start, or {words((question.silence,))} to stop.")
             if ends_s is not None and time.monotonic() >= ends_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 _say(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
@@ -222,10 +230,17 @@ def _typed_number(
             number = typed_number(typed, UNIT)
             if not (wrong := misread(number, plausible)):
                 return number
-            _say(f"{wrong}; type {ONE_NUMBER}")
+            _say(f"{wrong}; type {_one_number(plausible)}")
             continue
-        _say(f"{typed!r} is not a reading: type {ONE_NUMBER}")
+        _say(f"{typed!r} is not a reading: type {_one_number(plausible)}")
     return None
+
+
+def _one_number(plausible: tuple[float, float] | None) -> str:
+    """What is to be typed, by an example that is possible."""
+    low, high = plausible or (0.0, SMALL_MM)
+    example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
+    return f"one number in mm, such as {example:g} or {example:g} mm, or {NOBODY_READS!r} to end the step."
 
 
 def _say(line: str) -> None:

@@ -118,7 +118,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
     wristband = ReadBack(
         "the patient's identifier, as on the wristband",
         identifier,
-        wrong="is not the identifier in this CT (PatientID). Stop if that is what the wristband says.",
+        wrong="is not the identifier in this CT (PatientID). Answer no if that is what the wristband says.",
     )
     context.confirm(Topic.PATIENT, subject, _shown(plan, head), read_back=wristband if identifier else None)
 

@@ -77,6 +77,7 @@ def test_a_depth_stop_read_in_centimetres_is_asked_again_without_costing_an_atte
     assert (
         "18.24 is implausible: expected 85 to 250; did you type centimetres?; type one number in mm" in said
     )
+    assert "such as 168 or 168 mm" in said
 
 
 def test_several_readings_are_shown_back_and_can_be_typed_again(
