@@ -48,10 +48,10 @@ class MotionFacts:
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
         by = self.detour and f" {self.detour}"
         how = (
-            f"joints turn up to {math.degrees(max(turns_rad)):.0f} deg, in {duration_s:.1f} s "
-            f"at up to {fastest_mm_s:.0f} mm/s"
+            f"joints turn up to {_not_nothing(math.degrees(max(turns_rad)))} deg, in {duration_s:.1f} s "
+            f"at up to {_not_nothing(fastest_mm_s)} mm/s"
         )
-        return f"{self.what} moves {self.travel_mm:.0f} mm{by}{apart}" + "; ".join((how, *near))
+        return f"{self.what} moves {_not_nothing(self.travel_mm)} mm{by}{apart}" + "; ".join((how, *near))
 
     def near(self) -> list[str]:
         """What comes closest, and how near the head: bodies of the arm are nearly always closest together."""
@@ -68,7 +68,7 @@ class MotionFacts:
     @property
     def read_back(self) -> ReadBack:
         """The distance, which only who reads the line knows."""
-        distance_mm = f"{self.travel_mm:.0f}"
+        distance_mm = _not_nothing(self.travel_mm)
         return ReadBack(
             "how many mm it moves first",
             distance_mm,
@@ -130,3 +130,8 @@ def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -
         there = motion.target
         here = here if motion.flange_from_tool is None else here @ motion.flange_from_tool
     return math.dist(there.translation_mm, here.translation_mm)
+
+
+def _not_nothing(value: float) -> str:
+    """Whole, or with one decimal where that would round to 0: something does move."""
+    return f"{value:.1f}" if 0.05 <= value < 0.5 else f"{value:.0f}"

@@ -77,7 +77,7 @@ def _give(page: Any, patient: str) -> None:
     keep_seat(page)
     typed = question.locator(".typed input")
     if typed.count():
-        moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
+        moves = re.search(r"moves (\d+(?:\.\d+)?) mm", question.locator(".value").inner_text())
         typed.fill(moves[1] if moves else patient)
     answers = question.locator(".answers button")
     goes_on = question.locator(".answers button[data-answer=continue]")

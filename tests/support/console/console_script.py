@@ -45,7 +45,7 @@ class ConsoleScript:
 
     def answer(self, question: dict[str, Any], patient: str = PATIENT, **more: Any) -> str:
         """The first answer, with what is to be read back."""
-        moves = re.search(r"moves (\d+) mm", question["value"])
+        moves = re.search(r"moves (\d+(?:\.\d+)?) mm", question["value"])
         typed = {"typed": moves[1] if moves else patient} if question["read_back"] else {}
         first = question["answers"][0]
         return self.order(
