@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line
+from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
 from procedures.reporting.outcome import RunError
 from ronna_hw.text.counting import counted
 
+ARM = "arm"  # role of the device that an emergency stop stops
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 
@@ -70,19 +71,43 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
 
 def _after(journal: Sequence[Line]) -> str:
     """What a case went through before it was done, in words; empty if it went straight to its end."""
-    failed = [line for line in journal if line["entry"] == Entry.FAILED]
-    stopped = [line for line in failed if "emergency stop" in str(line.get("what", ""))]
-    steps = [str(line.get("step", "")).partition(":")[0] for line in failed if line not in stopped]
+    failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
+    steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
-    again = [line for line in journal if line["entry"] == Entry.ACCEPTED]
     went_through = [
-        (len(stopped), "emergency stop", ""),
+        (_emergency_stops(journal), "emergency stop", ""),
         (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
         (len(paused), "pause", ""),
-        (len(again), "resume", ""),
+        (resumes(journal), "resume", ""),
     ]
     counts = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
     return f", after {', '.join(counts)}" if counts else ""
+
+
+def resumes(journal: Sequence[Line]) -> int:
+    """How often a run went on in another program: what was found was accepted."""
+    count, leaving = 0, False
+    for line in journal:
+        if line["entry"] == Entry.RESTARTED:
+            leaving = ONLY_LEAVING in line
+        count += line["entry"] == Entry.ACCEPTED and not leaving
+    return count
+
+
+def _emergency_stops(journal: Sequence[Line]) -> int:
+    """Each is acknowledged once, however many steps fail or are refused meanwhile, or none."""
+    count, standing = 0, False
+    for line in journal:
+        of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM
+        if of_arm and (standing or _is_stop(line)):
+            count, standing = count + 1, False
+        elif line["entry"] in (Entry.FAILED, Entry.REFUSED) and _is_stop(line):
+            standing = True
+    return count + standing
+
+
+def _is_stop(line: Line) -> bool:
+    return any("emergency stop" in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
 
 
 def _during(step: str) -> str:

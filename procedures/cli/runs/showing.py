@@ -9,7 +9,7 @@ from procedures.cli.runs.folders import runs_in
 from procedures.engine.run_lock import holder_of_run
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.ending import Ending, ending_of
+from procedures.reporting.ending import Ending, ending_of, resumes
 from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
@@ -60,8 +60,10 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     seed = "" if row["seed"] is None or "seed" in theatre else f", seed {row['seed']}"
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
-    if resumed := row["restarts"] - row["only_leaving"]:
-        say(f"resumed {counted(resumed, 'time')}")
+    if row["resumes"]:
+        say(f"resumed {counted(row['resumes'], 'time')}")
+    if (in_vain := row["restarts"] - row["only_leaving"] - row["resumes"]) > 0:
+        say(f"taken up {counted(in_vain, 'time')} without going on from what was left")
     if row["only_leaving"]:
         say(f"taken up {counted(row['only_leaving'], 'time')} only to go home, or to acknowledge a fault")
     if row["instrument_in"]:
@@ -121,6 +123,7 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         "sentence": ending.sentence,
         "instrument_in": ending.instrument_in,
         "restarts": len(restarts := run.lines(Entry.RESTARTED)),
+        "resumes": resumes(run.journal),
         "only_leaving": sum(ONLY_LEAVING in line for line in restarts),
         "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.what_stands],
         "superseded": sorted(run.superseded),

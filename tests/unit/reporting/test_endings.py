@@ -17,7 +17,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.operator.errors import OperatorAborted
-from procedures.reporting.ending import ending_of
+from procedures.reporting.ending import ending_of, resumes
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -58,6 +58,28 @@ def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(ce
     engine.close("done")
     sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
     assert ending_of(read_for_report(cell.folder).run.journal).sentence == sentence
+
+
+def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on_count(
+    cell: ClinicalCell,
+) -> None:
+    engine = cell.engine(plain_order())
+    stopped = "EKI-010: the arm was stopped: emergency stop is active"
+    for entry in (Entry.FAILED, Entry.FAILED):
+        cell.journal.write(entry, 1.0, step="tool_check", code="EKI-010", what=stopped)
+    cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=stopped, by="Ann")
+    cell.journal.write(Entry.REFUSED, 3.0, step="tool_change", unmet=["emergency stop: pressed"])
+    cell.journal.write(Entry.ACKNOWLEDGED, 4.0, device="arm", fault="a message from before", by="Ann")
+    for leaving in ({}, {}, {"only_leaving": True}):  # the first was not accepted
+        cell.journal.write(Entry.RESTARTED, 5.0, begun=None, torn_bytes=0, orphans=[], **leaving)
+    cell.journal.write(Entry.ACCEPTED, 6.0)
+    cell.journal.write(Entry.RESTARTED, 7.0, begun=None, torn_bytes=0, orphans=[])
+    cell.journal.write(Entry.ACCEPTED, 8.0)
+    engine.run_to()
+    engine.close("done")
+    journal = read_for_report(cell.folder).run.journal
+    assert ending_of(journal).sentence == "Every step was done, after 2 emergency stops, 1 resume."
+    assert resumes(journal) == 1
 
 
 @pytest.mark.hazard(41)

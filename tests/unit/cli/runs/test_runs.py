@@ -93,6 +93,7 @@ def test_show_counts_a_restart_that_ran_no_step_apart_from_those_that_resumed_th
     journal.write(Entry.OPENED, 0.0, run=folder.name)
     for only_leaving in (True, True, False):
         journal.write(Entry.RESTARTED, 0.0, **({ONLY_LEAVING: True} if only_leaving else {}))
+    journal.write(Entry.ACCEPTED, 0.0)
     shown = in_this_process(app, "show", folder).stdout
     assert "resumed 1 time\ntaken up 2 times only to go home, or to acknowledge a fault\n" in shown
 
