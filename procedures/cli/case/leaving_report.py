@@ -14,6 +14,7 @@ from procedures.cli.case.request import CaseRequest, forget_if_empty, forget_if_
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.truth import truth_if_any
 from procedures.journal.journal import JOURNAL_FILE
+from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
@@ -152,12 +153,22 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
         if _left_by_another(folder):  # what ends this run names the commands of that one
             return
         if history.left_home or (interrupted and history.motions):
+            first = _theatre_again(folder) if isinstance(problem, ClockUnavailable) else ""
             tell(
-                f"the arm is where it stopped; continue with ronna-procedure home {run} or "
+                f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "
                 f"ronna-procedure resume {run}"
             )
         elif interrupted:
             tell(f"nothing has moved; continue with ronna-procedure resume {run}")
+
+
+def _theatre_again(folder: Path) -> str:
+    """What must come first where a simulated theatre has ended; empty for one of the run itself."""
+    config = read_request(folder).config
+    if config is None:
+        return ""
+    out = shlex.quote(str(config.parent))
+    return f"its theatre has ended: start it again with ronna-sim theatre --out {out} --continue, then"
 
 
 def _left_by_another(folder: Path) -> bool:

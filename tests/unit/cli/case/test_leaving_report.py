@@ -12,12 +12,14 @@ from user_commands import in_this_process
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
 from procedures.cli.case.opening import Watcher, opened_engine
 from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
 from procedures.results.errors import GateFailed
+from ronna_hw.clock import ClockUnavailable
 from ronna_hw.evidence.inspection import REQUEST_FILE, inspected
 
 
@@ -76,6 +78,23 @@ def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
     assert said in shown
     assert ("ronna-procedure home" in shown) == moved
     assert f"ronna-procedure resume {tmp_path}" in shown
+
+
+def test_a_run_whose_theatre_has_ended_says_to_start_the_theatre_again_first(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_request(CaseRequest(out=tmp_path, config=tmp_path / "theatre" / "theatre.toml"), tmp_path)
+    journal = Journal(tmp_path)
+    journal.write(Entry.OPENED, 0.0)
+    journal.write(Entry.MOTION, 1.0)
+    journal.close()
+    with pytest.raises(ClockUnavailable), leaving_report(tmp_path):
+        raise ClockUnavailable("cannot open the clock")
+    first, _, then = capsys.readouterr().err.partition(
+        f"theatre --out {tmp_path / 'theatre'} --continue, then"
+    )
+    assert first.endswith("its theatre has ended: start it again with ronna-sim ")
+    assert then.startswith(f" ronna-procedure home {tmp_path} or ronna-procedure resume {tmp_path}")
 
 
 @pytest.mark.hazard(41)
