@@ -60,13 +60,22 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     if last is not None and last["entry"] == Entry.REFUSED:
         unmet = last.get("unmet")
         reasons = "; ".join(map(str, unmet)) if isinstance(unmet, list) else ""
-        return Ending("refused", f"{step} was refused: {reasons}.", instrument_in=instrument_in)
+        over = _acknowledged_since(journal, last)
+        return Ending("refused", f"{step} was refused: {reasons}.{over}", instrument_in=instrument_in)
     if last is not None and last["entry"] == Entry.FAILED:
         code = str(last.get("code", ""))
-        return Ending("failed", f"{step} failed. {last.get('what', '')}", code, instrument_in)
+        over = _acknowledged_since(journal, last)
+        return Ending("failed", f"{step} failed. {last.get('what', '')}{over}", code, instrument_in)
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
     return _with_error("failed", f"It failed after {step}." if step else "It failed.", error, instrument_in)
+
+
+def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
+    """A sentence for a fault that no longer stands: who acknowledged it after that line."""
+    place = next(number for number, line in enumerate(journal) if line is last)
+    names = [str(line.get("by", "")) for line in journal[place:] if line["entry"] == Entry.ACKNOWLEDGED]
+    return f" The fault was acknowledged by {names[-1]}." if names else ""
 
 
 def _after(journal: Sequence[Line]) -> str:

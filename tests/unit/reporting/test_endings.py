@@ -82,6 +82,15 @@ def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on
     assert resumes(journal) == 1
 
 
+def test_an_ending_by_a_fault_says_who_acknowledged_it(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="EKI-010", what="The arm was stopped.")
+    cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault="EKI-010: stopped", by="Ann")
+    engine.close("failed")
+    sentence = ending_of(read_for_report(cell.folder).run.journal).sentence
+    assert sentence == "fit:T1 failed. The arm was stopped. The fault was acknowledged by Ann."
+
+
 @pytest.mark.hazard(41)
 def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
     assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
