@@ -178,7 +178,7 @@ class ReadScreen(Screen):
 
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize("typed", [b"yes\n", b""])
-def test_an_arm_that_stops_at_a_question_is_told_at_once_and_what_was_typed_before_does_not_count(
+def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_before_does_not_count(
     keyboard: int, typed: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     faults: dict[str, str] = {}
@@ -187,12 +187,12 @@ def test_an_arm_that_stops_at_a_question_is_told_at_once_and_what_was_typed_befo
     monkeypatch.setattr("sys.stderr", screen := ReadScreen(keyboard, faults, typed, b"no\n"))
     question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
     assert TerminalOperator(alarms=alarms).ask(question) == "no"
-    told = screen.getvalue().partition("Type yes or no: ")[2]
-    assert told.startswith(
+    shown = screen.getvalue().partition("Type yes or no: ")[2]
+    assert shown.startswith(
         "\nthe arm is in fault (EKI-010), emergency stop: pressed. Whatever you answer, no mo"
     )
-    assert told.endswith("\nType yes or no (the arm is in fault): ")
-    assert told.count("emergency stop") == 1
+    assert shown.endswith("\nType yes or no (the arm is in fault): ")
+    assert shown.count("emergency stop") == 1
 
 
 def test_lines_that_were_pasted_are_the_readings_in_turn_until_one_is_refused(

@@ -1,4 +1,4 @@
-"""What a person at an open question is told of the devices: an answer may rely on an arm that moves."""
+"""What a person at an open question learns of the devices: an answer may rely on an arm that moves."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ class Alarms:
 
     def __init__(self) -> None:
         self._engine: Engine | None = None
-        self._told: set[str] = set()  # roles, at this question
+        self._reported: set[str] = set()  # roles, at this question
 
     def attach(self, engine: Engine) -> None:
         """From now on the devices of this engine are looked at; before, none."""
         self._engine = engine
 
     def begin(self) -> None:
-        """A question opens: what is in fault already is told with it."""
-        self._told = set()
+        """A question opens: what is in fault already is shown with it."""
+        self._reported = set()
 
     def new(self) -> list[str]:
-        """One line for each device in fault of which this question's reader was not told yet."""
+        """One line for each device in fault of which this question's reader does not know yet."""
         faults = self._faults()
-        lines = [f"{what}. {MEANS}" for role, what in faults.items() if role not in self._told]
-        self._told = set(faults)  # one that comes again is told again
+        lines = [f"{what}. {MEANS}" for role, what in faults.items() if role not in self._reported]
+        self._reported = set(faults)  # one that comes again is shown again
         return lines
 
     @property
     def note(self) -> str:
         """For the prompt, such as ` (the arm is in fault)`; empty while no device is."""
-        roles = " and ".join(f"the {role}" for role in sorted(self._told))
-        return f" ({roles} {'is' if len(self._told) == 1 else 'are'} in fault)" if roles else ""
+        roles = " and ".join(f"the {role}" for role in sorted(self._reported))
+        return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
 
     def _faults(self) -> dict[str, str]:
         return {} if self._engine is None else self._engine.faults.in_short
