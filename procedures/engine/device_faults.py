@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 ARM = "arm"  # role of the device that carries the tools
 ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
+UNKNOWN = "a fault of unknown cause"
 EARLIER = "a message from before this connection"
 _log = logger(part="engine")
 
@@ -60,7 +61,7 @@ def in_short(role: str, seen: LastKnown[object]) -> str:
 
 def _what_happened(seen: LastKnown[object]) -> str:
     """The fault without advice: it is kept, and read when it is over."""
-    return "" if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
+    return UNKNOWN if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
 
 
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:

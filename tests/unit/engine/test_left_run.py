@@ -147,7 +147,7 @@ def test_a_localization_doubted_after_an_arm_fault_is_still_doubted_after_a_rest
         broken_off(cell)
     again, _, _ = opened_again(cell, order)
     (localized,) = (one.record for one in again.case.standing if one.record.kind == "localization")
-    assert again.case.doubt_of(localized) == "None"  # the words of the recording arm's fault
+    assert again.case.doubt_of(localized) == "a fault of unknown cause (theatre time 0 s)"
     assert len(again.entries("doubted")) == 1
 
 
