@@ -24,6 +24,7 @@ from console.planning.avoided import imported
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
 from console.planning.judging import judge
+from console.sessions import ORDERS_PER_SECOND, Rate
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
 from procedures.cli.calibrating.kinds import kind_of
@@ -81,7 +82,7 @@ def _orders() -> Take:
     assert session is not None
 
     def take(data: bytes) -> None:
-        session.orders_s.clear()
+        session.orders = Rate(ORDERS_PER_SECOND, 1.0)
         with contextlib.suppress(ValueError):
             read_order(data)
         assert console.request("POST", "/orders", headers=headers, body=data).status in (200, 400, 409, 413)
