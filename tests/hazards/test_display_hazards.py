@@ -62,7 +62,7 @@ def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
     errors = tuple(TargetTruth(id=f"T{k}", application_error_mm=value) for k, value in enumerate(EXTREMES_MM))
     text = write_report(tmp_path, truth=Truth(targets=errors)).read_text(encoding="utf-8")
     for k, shown in enumerate(SHOWN):
-        assert f"<tr><td>T{k}</td><td>–</td><td>{shown}</td><td>{shown}</td><td>{shown}</td>" in text
+        assert f"<tr><td>T{k}</td><td>{shown}</td><td>–</td><td>{shown}</td><td>{shown}</td>" in text
         assert re.search(rf"T{k} +– +{shown} +{shown} +{shown}\n", text)
     assert '<span class="big">22471.136 mm</span>' in text
 

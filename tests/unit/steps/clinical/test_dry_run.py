@@ -111,7 +111,7 @@ def test_the_motions_over_the_gauge_are_told_with_distance_speed_and_clearance(
     engine = cell.begin(checked_plan(), localized_fiducials(), paths, *coarse(), tool_check.STEP)
     engine.run_to(engine.order.sequence[-2])
     there, again, _, back = would_move(engine.case, StepKey(CheckedTool.kind), cell.setting()) or ()
-    facts = r"the guide moves (\d+) mm, joints turn up to \d+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
+    facts = r"the guide moves (\d+) mm, joints turn up to [\d.]+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
     far = re.fullmatch(f"move home to the gauge, {facts}", there)
     home = re.fullmatch(f"move the gauge to home, {facts}", back)
     assert far is not None
