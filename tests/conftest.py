@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
@@ -12,6 +13,8 @@ from hypothesis import settings
 
 if TYPE_CHECKING:
     from user_commands import Commands
+
+MANY_FILES = 300  # `select` takes numbers up to 1023
 
 pytest_plugins = ["hazard_ledger"]
 
@@ -26,6 +29,12 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(50_000)  # a search after every 700 objects finds next to nothing
     gc.enable()
+
+
+def pytest_runtest_teardown() -> None:
+    """Files of what is garbage are closed before `select` meets numbers that it does not take."""
+    if len(os.listdir("/proc/self/fd")) > MANY_FILES:
+        gc.collect()
 
 
 @pytest.fixture(scope="session")
