@@ -158,9 +158,10 @@ class Guard:
 
     def _session(self, headers: dict[str, str]) -> Session | None:
         # Ours is never quoted; `http.cookies` takes quadratic time for quoted backslashes (CVE-2024-7592).
+        # Any program on this computer can set one of the same name, which the browser may send first.
         pairs = (pair.strip().partition("=") for pair in headers.get("cookie", "").split(";"))
-        session = self._sessions.find(next((value for name, _, value in pairs if name == self._cookie), None))
-        return session if session is not None and session.role in self._roles else None
+        found = (self._sessions.find(value) for name, _, value in pairs if name == self._cookie)
+        return next((one for one in found if one is not None and one.role in self._roles), None)
 
 
 def _headers(scope: Scope) -> dict[str, str]:

@@ -90,6 +90,7 @@ def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Se
             log_config=None,
             access_log=False,  # an address may contain a key
             lifespan="on" if viewers is None else "off",  # the pages start once
+            ws="websockets-sansio",  # `Connection` knows its protocol
             ws_max_size=SOCKET_BYTES,
             ws_per_message_deflate=False,  # all clients are near
             timeout_graceful_shutdown=1,

@@ -14,6 +14,7 @@ from procedures.engine.context import CaseSetting, this_second
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.events.event_file import EventFile
+from procedures.engine.left_run import LeftRun
 from procedures.engine.replay.sections import opening_line, section_follower
 from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
 from procedures.operator.question import Operator
@@ -108,7 +109,7 @@ def made_engine(
         **({ONLY_LEAVING: True} if resumption is not None and resumption.only_leaving else {}),
         **opening,
         **truth_so_far(folder),
-        inputs=input_hashes(folder, theatre_files(folder)),
+        inputs=_theatre_inputs(folder, left),
         run=case.run,
         software=str(this_software()),
         theatre=theatre.file.theatre,
@@ -143,3 +144,10 @@ def made_engine(
     engine.checkpoint.beside = tape.beside
     guard(engine, file, theatre.file, only_leaving=resumption is not None and resumption.only_leaving)
     return engine
+
+
+def _theatre_inputs(folder: Path, left: LeftRun | None) -> dict[str, JournalValue]:
+    """Hashes of the theatre in the run's folder, without what was changed or added before it is resumed."""
+    known = () if left is None else left.not_as_left
+    hashes = input_hashes(folder, theatre_files(folder))
+    return {name: sha256 for name, sha256 in hashes.items() if name not in known}

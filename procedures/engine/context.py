@@ -210,9 +210,9 @@ class StepContext:
         write_whole(path, png, exclusive=True)
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
-    def note_input(self, path: Path) -> None:
-        """A file or folder that the result was made from: `verify` finds it exchanged. Raises OSError."""
-        self._inputs.update(input_hashes(self._case.folder, (path,)))
+    def note_inputs(self, *files: Path) -> None:
+        """Files that the result was made from: `verify` finds an exchanged one."""
+        self._inputs.update(input_hashes(self._case.folder, files))
 
     @property
     def inputs(self) -> dict[str, str]:

@@ -124,7 +124,7 @@ class TheatreNotNoted(RefusedError):
     """The file that remembers the last run that moved the arm cannot be written."""
 
     code = "PRO-045"
-    action = "Make that file, and its folder in /var/tmp, writable for a group of everyone who uses this arm."
+    action = "Make that file writable for a group of everyone who uses this arm (chgrp, chmod g+w)."
 
 
 class TheatreInUse(RefusedError):

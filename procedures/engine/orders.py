@@ -7,6 +7,7 @@ done. Only to stop needs nothing. Each order has a nonce of its own and is carri
 from __future__ import annotations
 
 from typing import Annotated, Literal
+from unicodedata import category
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
 
@@ -17,9 +18,13 @@ MOST_READINGS = 8  # with one answer
 Short = Annotated[str, Field(max_length=200)]
 
 
+HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode
+JOINERS = "\u200c\u200d"  # parts of names in some scripts
+
+
 def _shown_as_written(name: str) -> str:
     """A control or format character can make a name read as another person's."""
-    if not name.isprintable():
+    if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
         raise ValueError("a name has only characters that are shown")
     return name
 

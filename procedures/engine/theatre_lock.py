@@ -9,6 +9,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shlex
+import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
@@ -64,10 +65,10 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
             if file is not None:
                 stack.callback(os.close, file)
                 _lock(file, path, needed=noted in (None, file))
+        before = read_note(path).settled()
         if noted is not None:
             with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
-                os.fchmod(noted, os.fstat(noted).st_mode | READABLE_BY_ALL)
-        before = read_note(path).settled()
+                os.fchmod(noted, (os.fstat(noted).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH)
         lines = 0 if run is None else _journal_lines(run)
         note = before.model_copy(
             update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}

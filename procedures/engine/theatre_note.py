@@ -24,8 +24,8 @@ from ronna_hw.theatre_kind import on_this_computer
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
 
 NOT_KNOWN = (
-    "the note about the last run on this arm cannot be read, or any account may have written it: "
-    "that run may have left the arm away from its home"
+    "the note about the last run on this arm cannot be read, or accounts that do not use the arm may have "
+    "written it: that run may have left the arm away from its home"
 )
 
 
@@ -97,7 +97,7 @@ def read_note(path: Path) -> TheatreNote:
     Nothing is known from one that is damaged, or that an account which does not use the arm can have written.
     """
     try:
-        if not all(map(_is_trusted, (path.parent, path) if path.parent == ARMS_FOLDER else (path,))):
+        if not _is_trusted(path):
             return TheatreNote(unreadable=True)
         content = read_json_bytes(path)
         return TheatreNote.model_validate_json(content) if content else TheatreNote()
@@ -107,12 +107,26 @@ def read_note(path: Path) -> TheatreNote:
         return TheatreNote(unreadable=True)
 
 
-def _is_trusted(path: Path) -> bool:
-    """Whether this user or root owns it, or a group of this user may write it. Raises OSError."""
-    found = path.lstat()
+def _is_trusted(note: Path) -> bool:
+    """Whether only users of the arm can have written it, or taken it away. Raises OSError if it is not there.
+
+    Next to a theatre file, its owner decides: not every file system has rights.
+    """
+    if note.parent != ARMS_FOLDER:
+        return _is_ours(note.lstat())
+    try:
+        found = note.lstat()
+    except FileNotFoundError:
+        if not _is_ours(note.parent.lstat()):
+            return False  # its owner can have removed it
+        raise
+    return _is_ours(found) and not found.st_mode & stat.S_IWOTH
+
+
+def _is_ours(found: os.stat_result) -> bool:
+    """Whether this user or root owns it, or a group of this user may write it."""
     of_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
-    for_all = found.st_mode & stat.S_IWOTH and not found.st_mode & stat.S_ISVTX
-    return (found.st_uid in (os.geteuid(), 0) or of_group) and not for_all
+    return found.st_uid in (os.geteuid(), 0) or of_group
 
 
 def is_there(run: Path) -> bool:

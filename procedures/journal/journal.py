@@ -206,8 +206,8 @@ class Journal:
         """Count the pending line when it is in the file; what is there of one that was cut is taken away.
 
         A signal may end a write at any point, also when the line is there and not counted yet. So what the
-        file holds decides, and chain and pending line change by one assignment each. A line that is counted
-        is handed on, also one whose writing was interrupted.
+        file holds decides, and chain and pending line change by one assignment each. A line is handed on when
+        it is counted, also one whose writing was interrupted.
         """
         if not self._pending:
             return

@@ -72,10 +72,21 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
 
 
 def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
-    """A sentence for a fault that no longer stands: who acknowledged it after that line."""
+    """A sentence for a fault that a line names and that no longer stands: who acknowledged it since."""
     place = next(number for number, line in enumerate(journal) if line is last)
-    names = [str(line.get("by", "")) for line in journal[place:] if line["entry"] == Entry.ACKNOWLEDGED]
+    said = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
+    names = [
+        str(line.get("by", ""))
+        for line in journal[place:]
+        if line["entry"] == Entry.ACKNOWLEDGED and _is_named(line, said)
+    ]
     return f" The fault was acknowledged by {names[-1]}." if names else ""
+
+
+def _is_named(acknowledged: Line, said: str) -> bool:
+    """Whether words name the fault that was acknowledged, or the device that had it."""
+    code = str(acknowledged.get("fault", "")).partition(":")[0]
+    return f"the {acknowledged.get('device')} is in fault" in said or (code != "" and code in said)
 
 
 def _after(journal: Sequence[Line]) -> str:

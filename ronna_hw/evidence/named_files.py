@@ -36,13 +36,11 @@ def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
 
 
 def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Inputs of a closed run that were not the same at its end as when its standing results were made."""
+    """Inputs of a closed run that were others at its end than when its standing results were made."""
     at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
-    if not at_end:  # they could not be hashed
-        return
     begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
     for name, sha256 in (hashes_in(lines[begun], "inputs") | made_from(lines)).items():
-        if at_end.get(name) != sha256:
+        if at_end.get(name, sha256) != sha256:
             yield name, "exchanged while the run was open: its results were made from another file"
 
 

@@ -12,6 +12,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -69,13 +70,13 @@ class Seal(BaseModel):
         return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
-def sha256_of(path: Path, limit_bytes: int = LARGEST_FILE_BYTES) -> str:
-    """Hash of a file's content. Raises OSError, also if it is not regular or larger than the limit."""
+def sha256_of(path: Path) -> str:
+    """Hash of a file's content. Raises OSError, also if it is not a regular file, or too large for a run."""
     found = hashlib.sha256()
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         # A log may grow meanwhile by some lines; what claims to be empty, as in /proc, may have no end.
-        left = size + CHUNK_BYTES if size <= limit_bytes else 0
+        left = size + CHUNK_BYTES if size <= LARGEST_FILE_BYTES else 0
         while part := file.read(CHUNK_BYTES):
             left -= len(part)
             if left < 0:
@@ -107,20 +108,24 @@ def hashes_at_closing(folder: Path) -> dict[str, str]:
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     """Hashes of files and whole folders outside a run that it worked with, by path."""
-    own = folder.resolve()
-    return input_hashes(folder, (given for given in inputs if own not in given.resolve().parents))
+    hashes = {}
+    for given in inputs:
+        if folder.resolve() in given.resolve().parents or not given.exists():
+            continue
+        paths = sorted(path for path, *_ in walk(given) if path.is_file()) if given.is_dir() else [given]
+        hashes.update({str(path.resolve()): sha256_of(path.resolve()) for path in paths})
+    return hashes
 
 
-def input_hashes(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hashes of files and whole folders that a run works with, as far as they exist.
+def input_hashes(folder: Path, files: Iterable[Path]) -> dict[str, str]:
+    """Hashes of files that a run works with, as far as they can be read.
 
-    By name in the run's folder, and by whole path elsewhere. Raises OSError.
+    By name in the run's folder, and by whole path elsewhere.
     """
     own, hashes = folder.resolve(), {}
-    for given in inputs:
-        files = sorted(path for path, *_ in walk(given) if path.is_file()) if given.is_dir() else [given]
-        for path in (file.resolve() for file in files if file.exists()):
-            name = path.relative_to(own).as_posix() if own in path.parents else str(path)
+    for path in (file.resolve() for file in files):
+        name = path.relative_to(own).as_posix() if own in path.parents else str(path)
+        with suppress(OSError):
             hashes[name] = sha256_of(path)
     return hashes
 

@@ -15,6 +15,8 @@ from pathlib import Path
 
 Place = tuple[str, int]  # IPv4 address and port
 
+ANSWERS_WITHIN_S = 0.1
+
 _NETLINK_SOCK_DIAG = 4
 _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST = 20, 1
 _ALL_STATES = 0xFFFFFFFF
@@ -49,6 +51,7 @@ def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
     question = _QUESTION.pack(socket.AF_INET, socket.IPPROTO_TCP, 0, _ALL_STATES) + wanted
     head = _HEADER.pack(_HEADER.size + len(question), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST, 0, 0)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
+        kernel.settimeout(ANSWERS_WITHIN_S)
         kernel.sendto(head + question, (0, 0))
         answer = kernel.recv(_ANSWER_BYTES)
     if _HEADER.unpack_from(answer)[1] != _SOCK_DIAG_BY_FAMILY:  # an error: no such socket

@@ -143,6 +143,11 @@ def images_of(
             progress((number + 1) / len(files))
 
 
+def dicom_files(directory: Path) -> list[Path]:
+    """The DICOM files directly in a folder. Raises CT-001, CT-005."""
+    return [path for path in _files_in(directory) if _is_dicom(path)]
+
+
 def _files_in(directory: Path) -> list[Path]:
     if not directory.is_dir():
         reason = "is not a folder" if directory.exists() else "does not exist"

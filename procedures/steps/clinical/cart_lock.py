@@ -103,7 +103,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         context.void(ClampedHead, moved)
         raise
     if proposed is not None:
-        context.note_input(context.clinical.place)
+        context.note_inputs(context.clinical.place)
     return Outcome(
         LockedCart(
             placings=placing,

@@ -8,6 +8,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.imaging.dicom.slice_headers import dicom_files
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from procedures.results.errors import GateFailed
@@ -64,7 +65,7 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
         context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
     context.setting.memory.keep(volume)
-    context.note_input(context.clinical.series)
+    context.note_inputs(*dicom_files(context.clinical.series))
     imported = ImportedCt.of(volume)
     slices, rows, columns = imported.shape
     return Outcome(

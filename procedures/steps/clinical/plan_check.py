@@ -70,7 +70,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     _confirm_patient(context, plan, head)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
-    context.note_input(context.clinical.plan)
+    context.note_inputs(context.clinical.plan)
     context.setting.memory.drop(Volume)  # the largest input is not needed after this
     return Outcome(
         CheckedPlan(

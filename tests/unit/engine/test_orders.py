@@ -16,6 +16,11 @@ def test_a_valid_order_is_read() -> None:
     assert read_order(f'{{"kind":"stop",{GOOD}}}') == Stop(nonce="nonce-0001", session="session-1")
 
 
+@pytest.mark.parametrize("name", ["Ana Novak", "王\u3000伟", "Ana\u00a0N.", "علی\u200cرضا", "O'Brien-Šimić"])
+def test_the_names_of_people_are_taken(name: str) -> None:
+    assert read_order(f'{{"kind":"claim","name":"{name}",{GOOD}}}').kind == "claim"
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -102,15 +102,30 @@ def _of_nobody(path: Path) -> None:
 @pytest.mark.parametrize(
     "give", [_of_nobody, lambda path: path.chmod(0o666)], ids=["of another account", "writable by all"]
 )
-@pytest.mark.parametrize("what", ["note", "folder"])
 def test_a_note_that_another_account_can_have_written_is_not_believed(
-    tmp_path: Path, arms_folder: Path, give: Callable[[Path], None], what: str
+    tmp_path: Path, arms_folder: Path, give: Callable[[Path], None]
 ) -> None:
     theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
     with held_theatre(theatre, None):
         pass
-    assert not last_moved(theatre).unreadable
-    give(next(arms_folder.iterdir()) if what == "note" else arms_folder)
+    (note,) = arms_folder.iterdir()
+    give(note)
+    for _ in range(2):
+        assert last_moved(theatre).unreadable
+    with held_theatre(theatre, None) as before:
+        assert before.unreadable
+    assert not note.stat().st_mode & 0o002
+
+
+@pytest.mark.hazard(5)
+def test_a_note_that_another_account_can_have_removed_is_not_known(tmp_path: Path, arms_folder: Path) -> None:
+    theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
+    with held_theatre(theatre, None):
+        pass
+    _of_nobody(arms_folder)
+    assert not last_moved(theatre).unreadable  # it is there, and ours
+    (note,) = arms_folder.iterdir()
+    note.unlink()
     assert last_moved(theatre).unreadable
 
 

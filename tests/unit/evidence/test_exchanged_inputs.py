@@ -9,8 +9,10 @@ from finished_runs import changed_files
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 
+from procedures.composition.made_engine import _theatre_inputs
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
+from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Outcome
 from procedures.journal.journal import Entry
 from procedures.results.result import StepResult
@@ -32,7 +34,7 @@ def run(tmp_path: Path) -> Path:
 @pytest.fixture
 def engine(run: Path) -> Engine:
     def read(context: StepContext) -> Outcome[StepResult]:
-        context.note_input(run / "case" / "ct")
+        context.note_inputs(run / CT, run / "case" / "unreadable")
         return Outcome(Image())
 
     cell = RecordingCell(run)
@@ -72,3 +74,29 @@ def test_a_repeated_step_is_made_from_the_input_as_it_is_then(run: Path, engine:
     engine.run_step(engine.order.find("image"))
     engine.close("done")
     assert changed_files(run) == set()
+
+
+def test_an_input_out_of_reach_at_the_end_is_compared_when_it_is_back(run: Path, engine: Engine) -> None:
+    aside = (run / CT).rename(run.with_name("aside"))
+    engine.close("left")
+    assert [problem.what for problem in inspected(run).changes] == ["missing"]
+    aside.rename(run / CT)
+    assert "exchanged" not in str(inspected(run).changes)
+    (run / CT).write_text("another")
+    assert "changed" in {problem.what for problem in inspected(run).changes if problem.file == CT}
+
+
+def test_an_input_changed_after_a_kill_is_told_and_left_to_the_resumed_run(run: Path, engine: Engine) -> None:
+    (run / CT).write_text("another")
+    found = inspected(run)
+    assert f"{CT}: changed since results were made from it" in map(str, found.problems)
+    assert found.changes == ()
+
+
+def test_a_theatre_file_that_was_added_is_no_input_of_who_takes_the_run_up(run: Path) -> None:
+    cell = RecordingCell(run)
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name)
+    cell.engine(plain_order("T1")).close("left")
+    (run / "theatre" / "backup.toml").write_text("from elsewhere")
+    inputs = _theatre_inputs(run, read_left_run(run, only_leaving=True))
+    assert list(inputs) == [TOOL]

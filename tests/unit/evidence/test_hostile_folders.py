@@ -85,8 +85,8 @@ def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
         file.write_bytes(bytes(400))
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.CLOSED, 0.0, inputs={str(file): sha256_of(file) for file in files})
-    named = [problem for problem in inspected(cell.folder).changes if problem.file == str(files[2])]
-    assert [problem.what for problem in named] == ["changed: larger than any file of a run"]
+    named = [problem for problem in inspected(cell.folder).problems if problem.file == str(files[2])]
+    assert [problem.what for problem in named] == ["not checked: too much lies outside the run"]
 
 
 def test_an_added_folder_that_may_not_be_read_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -91,6 +91,15 @@ def test_an_ending_by_a_fault_says_who_acknowledged_it(cell: ClinicalCell) -> No
     assert sentence == "fit:T1 failed. The arm was stopped. The fault was acknowledged by Ann."
 
 
+def test_an_ending_by_something_else_names_nobody_who_acknowledged_a_fault(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="REG-001", what="The residual is too large.")
+    cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="tracker", fault="NDI-008: link lost", by="Ann")
+    engine.close("failed")
+    sentence = ending_of(read_for_report(cell.folder).run.journal).sentence
+    assert sentence == "fit:T1 failed. The residual is too large."
+
+
 @pytest.mark.hazard(41)
 def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
     assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
