@@ -283,11 +283,10 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     seal = read_seal(folder)
     if closed:
         yield from _against(folder, named)
-        yield from _against(folder, hashes_in(lines[-1], "inputs"), inputs=True)
         yield from (Problem(name, what) for name, what in exchanged_inputs(lines))
-        at_end = {*named, *hashes_in(lines[-1], "inputs")}  # what could not be read then is read now
-        rest = {name: sha256 for name, sha256 in made_from(lines).items() if name not in at_end}
-        yield from _against(folder, rest, inputs=True)
+        # What could not be read at the end is compared with what results were made from.
+        unread = {name: of for name, of in made_from(lines).items() if name not in named}
+        yield from _against(folder, unread | hashes_in(lines[-1], "inputs"), inputs=True)
     else:
         yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
         yield from _not_put_back(folder, lines, there)
@@ -355,11 +354,8 @@ def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, 
 
 
 def _against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
-    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path.
-
-    Those may be any of this computer, and many names may lead to one: all together have a limit.
-    """
-    left_bytes = LARGEST_INPUTS_BYTES  # elsewhere
+    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path."""
+    left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():
         if wrong := _wrong(name.removeprefix("/") if inputs else name):
             yield Problem(name, wrong)
