@@ -368,7 +368,7 @@ def _against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -
                 continue
             if sha256_of(folder / name) != recorded:
                 yield Problem(name, "changed")
-        except FileNotFoundError:
+        except (FileNotFoundError, ValueError):  # the second for a name that no file can have
             yield Problem(name, "missing", unfinished=is_made_anew(name))
         except OSError as error:
             yield Problem(name, _why_unread(error))

@@ -188,3 +188,10 @@ def test_a_journal_that_names_very_many_files_is_checked_at_bounded_cost(
     with bounded_cost():
         problems = inspected(cell.folder).changes
     assert problems[0].what.startswith("names more than") == (count > MOST_NAMES)
+
+
+@pytest.mark.parametrize("name", ["/a\0b", "/\ud800", "/" + "a" * 5000])
+def test_an_input_elsewhere_with_an_impossible_name_is_reported(tmp_path: Path, name: str) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.CLOSED, 0.0, inputs={name: "0" * 64})
+    assert name in {problem.file for problem in inspected(cell.folder).changes}
