@@ -77,6 +77,15 @@ which => {
   return top >= document.querySelector(".head").getBoundingClientRect().bottom && top < window.innerHeight;
 }
 """
+# The page looks every 250 ms whether a question is new, and brings it into view once; the scrolling comes after that.
+TWO_TICKS_MS = 500
+SCROLLED_AND_STAYS = """
+px => {
+  const stays = window.scrollY > px;
+  document.querySelector(".answers button")?.scrollIntoView();
+  return stays;
+}
+"""
 WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
 
 
@@ -111,8 +120,7 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
     with served_at(tmp_path, content=content()) as (_, addresses):
         enter(page, addresses["url"] + "&low")
         take_seat(page)
-        page.locator(".answers button").first.scroll_into_view_if_needed()
-        assert page.evaluate("window.scrollY") > 500
+        page.wait_for_function(SCROLLED_AND_STAYS, arg=500, polling=TWO_TICKS_MS)
         answered.set()
         page.wait_for_selector("section.question >> text=park the arm")
         page.wait_for_function(CLEAR_OF_THE_HEAD, arg="section.question")

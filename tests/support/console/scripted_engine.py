@@ -91,6 +91,8 @@ def _send(ours: socket.socket, over: threading.Event, content: Iterable[Happenin
     pairs = tuple((moving, other) for moving in range(9) for other in range(12))
     _event(ours, Bodies(moving=(body,) * 9, fixed=(fixed,) * 12, pairs=pairs))
     for what in content:
+        if over.is_set():
+            return
         _event(ours, what)
     count = 0
     while not over.wait(PERIOD_S):
