@@ -77,7 +77,7 @@ which => {
   return top >= document.querySelector(".head").getBoundingClientRect().bottom && top < window.innerHeight;
 }
 """
-# The page looks every 250 ms whether a question is new, and brings it into view once; the scrolling comes after that.
+# The page looks every 250 ms for a new question and brings it into view once; the scrolling comes after that.
 TWO_TICKS_MS = 500
 SCROLLED_AND_STAYS = """
 px => {
