@@ -158,11 +158,19 @@ class DeviceFaults:
         if len(self._acknowledged) != before:
             raise StepRefused("a fault was acknowledged during the pause", action="Repeat what was paused.")
 
-    def as_of_now(self, problem: RonnaError) -> RonnaError:
-        """What ended a step, for the last line of a run: a fault that was acknowledged since is over."""
+    @property
+    def acknowledgements(self) -> int:
+        """How many there were so far."""
+        return len(self._acknowledged)
+
+    def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:
+        """What ended a step, for the last line of a run: a fault that was acknowledged since is over.
+
+        `before` is how many acknowledgements there were when the step ended.
+        """
         if self.now:
             return problem
-        for code, by in reversed(self._acknowledged):
+        for code, by in reversed(self._acknowledged[before:]):
             if code and (code == problem.code or f"is in fault ({code})" in problem.what):
                 over = copy(problem)
                 over.what = f"was: {problem.what.rstrip('.')}; acknowledged by {by}"

@@ -204,9 +204,9 @@ class Engine:
         """As `hands.have_instrument_out`."""
         have_instrument_out(self.setting, self._journal, self.ask)
 
-    def find(self, text: str) -> None:
+    def find(self, text: str, **more: JournalValue) -> None:
         """Record something that the operator should know and that stops nothing."""
-        self._write(Entry.FINDING, text=text)
+        self._write(Entry.FINDING, text=text, **more)
         self.events.publish(Advisory(text=text))
         _log.warning("finding", text=self._logged(text))
 

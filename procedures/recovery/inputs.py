@@ -9,6 +9,7 @@ from procedures.recovery.comparison import Comparison
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.validity.inputs import note_same_content
 from ronna_hw.errors import RonnaError
 
 
@@ -41,6 +42,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
         else:
             if plan == checked.result.plan:
                 comparison.same("plan")
+                note_same_content(engine, clinical.plan, checked.record)
             else:
                 comparison.differs("plan", "the checked plan", "a different one")
     elif plan_sha256 is not None and clinical.plan_sha256 not in (None, plan_sha256):
@@ -55,3 +57,4 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
                 comparison.differs("proposed position", locked.record.identifier, changed)
             elif locked.result.proposal is not None:
                 comparison.same("proposed position")
+                note_same_content(engine, clinical.place, locked.record)

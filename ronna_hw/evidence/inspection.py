@@ -19,9 +19,12 @@ from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.named_files import (
     NOT_AS_LEFT,
+    RECORDS_FOLDER,
+    REQUEST_FILE,
     closed_files,
     exchanged_inputs,
     hashes_in,
+    lasting_files,
     made_from,
     names_in,
     superseded_in,
@@ -39,10 +42,7 @@ from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_t
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
 
-REQUEST_FILE = "request.json"
-RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
-LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
@@ -288,7 +288,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         unread = {name: of for name, of in made_from(lines).items() if name not in named}
         yield from _against(folder, unread | hashes_in(lines[-1], "inputs"), inputs=True)
     else:
-        yield from _against(folder, {name: of for name, of in named.items() if name.startswith(LASTING)})
+        yield from _against(folder, lasting_files(lines))
         yield from _not_put_back(folder, lines, there)
         since = _against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
         yield from (Problem(one.file, f"{one.what} since results were made from it", True) for one in since)

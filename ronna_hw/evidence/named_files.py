@@ -7,6 +7,9 @@ from typing import cast
 
 from ronna_hw.evidence.journal_reading import Entry, Line
 
+REQUEST_FILE = "request.json"
+RECORDS_FOLDER = "records"
+LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # the first line of each program that has the run
 
@@ -29,6 +32,12 @@ def closed_files(lines: Sequence[Line]) -> dict[str, str]:
     return hashes_in(closed, "files")
 
 
+def lasting_files(lines: Sequence[Line]) -> dict[str, str]:
+    """Files of a run that goes on which must still be as the journal says, with their hashes."""
+    lasting = {name: sha256 for name, sha256 in closed_files(lines).items() if name.startswith(LASTING)}
+    return lasting | begun_with(lines)
+
+
 def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
     """Identifiers of the records that lines of a journal supersede."""
     gone = (line.get("supersedes") for line in lines)
@@ -38,16 +47,24 @@ def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
 def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     """Inputs of a closed run that were others at its end than when its standing results were made."""
     at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
-    begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
-    for name, sha256 in (hashes_in(lines[begun], "inputs") | made_from(lines)).items():
+    for name, sha256 in (begun_with(lines) | made_from(lines)).items():
         if at_end.get(name, sha256) != sha256:
             yield name, "exchanged while the run was open: its results were made from another file"
 
 
+def begun_with(lines: Sequence[Line]) -> dict[str, str]:
+    """The files that the last program to open the run began with, with their hashes then."""
+    begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
+    return hashes_in(lines[begun], "inputs")
+
+
 def made_from(lines: Sequence[Line]) -> dict[str, str]:
-    """The files that the standing results were made from, with their hashes then."""
+    """The files that the standing results were made from, with their hashes then.
+
+    A finding holds that of a file that was written again since and says the same.
+    """
     gone, found = superseded_in(lines), dict[str, str]()
     for line in lines:
-        if line["entry"] == Entry.RESULT and str(line.get("record")) not in gone:
+        if line["entry"] in (Entry.RESULT, Entry.FINDING) and str(line.get("record")) not in gone:
             found |= hashes_in(line, "inputs")
     return found

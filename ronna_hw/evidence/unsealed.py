@@ -10,16 +10,20 @@ from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import (
-    LASTING,
     PICTURES_FOLDER,
-    RECORDS_FOLDER,
-    REQUEST_FILE,
     Inspection,
     is_closed,
     not_vouched_for,
 )
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.named_files import closed_files, hashes_in, made_from
+from ronna_hw.evidence.named_files import (
+    RECORDS_FOLDER,
+    REQUEST_FILE,
+    closed_files,
+    hashes_in,
+    lasting_files,
+    made_from,
+)
 from ronna_hw.evidence.seal import files_of, is_later, is_sealed
 from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL
@@ -61,9 +65,8 @@ def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
 
 def _confirmed(lines: tuple[Line, ...]) -> set[str]:
     """What the journal names with its hash, or with its content."""
-    closed = closed_files(lines)
     return {
-        *(name for name in closed if is_closed(lines) or name.startswith(LASTING)),
+        *(closed_files(lines) if is_closed(lines) else lasting_files(lines)),
         *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
         *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),

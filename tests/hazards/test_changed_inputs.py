@@ -45,6 +45,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.workcell import MountedTool
+from ronna_hw.evidence.inspection import inspected
 
 POSITIONING = f"positioning:{FIRST}"
 VOXELS_HU = np.arange(4 * 6 * 6, dtype=np.int16).reshape(4, 6, 6)
@@ -55,6 +56,8 @@ def made_from(model: type[StepResult], result: StepResult) -> StepSpec[StepResul
 
     def run(context: StepContext) -> Outcome[StepResult]:
         context.result(model)
+        if isinstance(result, CheckedPlan):
+            context.note_inputs(context.clinical.plan)
         return Outcome(result)
 
     return replace(given(result), run=run, reads=(model,))
@@ -154,6 +157,18 @@ def test_files_that_were_only_touched_or_copied_count_as_unchanged(engine: Engin
     shutil.rmtree(series_of(engine))
     copy.rename(series_of(engine))
     engine.run_step(engine.order.find(POSITIONING))
+
+
+@pytest.mark.hazard(1)
+def test_a_comment_written_into_the_plan_is_a_finding_and_the_run_is_whole(
+    cell: ClinicalCell, engine: Engine
+) -> None:
+    with plan_of(engine).open("a") as plan_file:
+        plan_file.write("# agreed with the surgeon\n")
+    engine.run_step(engine.order.find(POSITIONING))
+    engine.close("left")
+    assert [entry for entry, _ in cell.entries("voided", "finding")] == ["finding"]
+    assert inspected(engine.case.folder).changes == ()
 
 
 @pytest.mark.hazard(1)

@@ -6,6 +6,7 @@ import io
 import os
 import pty
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -14,7 +15,9 @@ import pytest
 from recording_cell import RecordingCell
 
 from procedures.cli.case.alarms import Alarms
+from procedures.cli.case.commands import AT_PAUSE
 from procedures.cli.case.operators import TerminalOperator, TerminalRoom
+from procedures.cli.case.prompt import Prompt
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
@@ -193,6 +196,25 @@ def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_bef
     )
     assert shown.endswith("\nType yes or no (the arm is in fault): ")
     assert shown.count("emergency stop") == 1
+
+
+@pytest.mark.hazard(36)
+def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before_does_not_count(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said: list[str] = []
+    faults: dict[str, str] = {}
+    typed = iter((b"resume\n", b"abort\n"))
+
+    def at_prompt(_words: str) -> None:
+        os.write(keyboard, next(typed))
+        faults["arm"] = "the arm is in fault (EKI-010), emergency stop: pressed"
+
+    monkeypatch.setattr("sys.stderr", io.StringIO())
+    prompt = Prompt("step> ", said.append, asking=lambda: nullcontext(at_prompt))
+    prompt.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
+    assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)) == AT_PAUSE["abort"]
+    assert [line for line in said if "emergency stop: pressed. No motion and no step begins" in line]
 
 
 def test_lines_that_were_pasted_are_the_readings_in_turn_until_one_is_refused(

@@ -1,7 +1,11 @@
-"""What a person at an open question learns of the devices: an answer may rely on an arm that moves."""
+"""What a person at a question or prompt learns of the devices: an answer may rely on an arm that moves."""
 
 from __future__ import annotations
 
+import select
+import sys
+import termios
+import time
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -14,7 +18,9 @@ MEANS = "Whatever you answer, no motion and no step begins before the fault is a
 class Alarms:
     """The devices in fault, as they were last seen: asks none of them anything."""
 
-    def __init__(self) -> None:
+    def __init__(self, means: str = MEANS) -> None:
+        """`means` follows what is in fault."""
+        self._means = means
         self._engine: Engine | None = None
         self._reported: set[str] = set()  # roles, at this question
 
@@ -29,7 +35,7 @@ class Alarms:
     def new(self) -> list[str]:
         """One line for each device in fault of which this question's reader does not know yet."""
         faults = self._faults()
-        lines = [f"{what}. {MEANS}" for role, what in faults.items() if role not in self._reported]
+        lines = [f"{what}. {self._means}" for role, what in faults.items() if role not in self._reported]
         self._reported = set(faults)  # one that comes again is shown again
         return lines
 
@@ -41,3 +47,18 @@ class Alarms:
 
     def _faults(self) -> dict[str, str]:
         return {} if self._engine is None else self._engine.faults.in_short
+
+
+def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str]]:
+    """Wait at a terminal for a line, the end of time or an alarm: whether there is a line, and what to tell.
+
+    What was typed before an alarm is lost: it was typed without knowing of it.
+    """
+    while True:
+        left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
+        if news := alarms.new():
+            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            sys.stderr.write("\n")  # the prompt is still there
+        if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
+            return bool(ready), news

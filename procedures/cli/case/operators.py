@@ -12,7 +12,7 @@ from types import MappingProxyType
 
 from typer import style
 
-from procedures.cli.case.alarms import LOOK_AGAIN_S, Alarms
+from procedures.cli.case.alarms import Alarms, awaited
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
 from procedures.operator.question import YES, Operator, Question, words
@@ -267,24 +267,10 @@ def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, 
         for said in news:
             _say(said)
         write(f"Type {what}{alarms.note}: ")
-        ready, news = _awaited(ends_s, alarms)
+        ready, news = awaited(alarms, ends_s)
         if news:
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
-            sys.stderr.write("\n")  # the prompt is still there
             continue
         line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
             return line.strip()
         _say("Nothing was typed.")
-
-
-def _awaited(ends_s: float | None, alarms: Alarms) -> tuple[bool, list[str]]:
-    """Wait for a line, the end of the time or an alarm: whether something can be read, and what to tell."""
-    import select
-
-    while True:
-        left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
-        ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
-        news = alarms.new()
-        if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
-            return bool(ready), news

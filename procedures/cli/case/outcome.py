@@ -74,6 +74,7 @@ def _run(engine: Engine, watcher: Watcher) -> None:
     """
     held = watcher.held
     failure: RonnaError | None = None
+    acknowledged = 0  # before it
     run = engine.run_to if watcher.pilot is None else partial(watcher.pilot.run_to_end, engine)
     while True:
         try:
@@ -91,10 +92,10 @@ def _run(engine: Engine, watcher: Watcher) -> None:
                 raise
             held.tell_held(engine, error)
             if failure is None or not isinstance(error, StepRefused) or not engine.faults.now:
-                failure = error
+                failure, acknowledged = error, engine.faults.acknowledgements
             if not held.follow(engine):
                 failure.shown = True
-                raise engine.faults.as_of_now(failure) from None
+                raise engine.faults.as_of_now(failure, acknowledged) from None
 
 
 def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:

@@ -9,7 +9,8 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.asking import Asking, undisturbed
+from procedures.cli.case.alarms import Alarms, awaited
+from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
@@ -30,6 +31,7 @@ HELD = (
     "the case is held, the arm is at rest: next, run STEP, why, back STEP, home, acknowledge YOUR-NAME, "
     "abort, quit"
 )
+TO_CONTINUE = "No motion and no step begins before it is acknowledged by name; why shows what to do."
 PAUSED = "paused> "
 ACKNOWLEDGE = "acknowledge"
 AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {ACKNOWLEDGE} YOUR-NAME | {' | '.join(LOOKING)}"
@@ -175,10 +177,24 @@ class Prompt:
     def _line(self, words: str) -> str | None:
         with self._asking() as write:
             if on_terminal(sys.stdin):
-                write(words)
+                self._await_line(words, write)
             line = (self._piped or sys.stdin).readline()
             self.input_ended = not line
             return line or None
+
+    def _await_line(self, words: str, write: WritePrompt) -> None:
+        """Show the prompt until a line was typed, and what comes to be in fault meanwhile."""
+        alarms = Alarms(TO_CONTINUE)
+        if self._engine is not None:
+            alarms.attach(self._engine)
+        alarms.new()  # what is in fault already was said
+        is_typed = False
+        while not is_typed:
+            write(words)
+            is_typed, news = awaited(alarms)
+            for said in news:
+                self._say(said)
+            is_typed = is_typed and not news
 
 
 def _too_much(name: str, argument: str) -> bool:

@@ -19,7 +19,7 @@ from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
-from ronna_hw.evidence.inspection import RECORDS_FOLDER
+from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.host.folder_walk import walk
 from ronna_hw.log_output import LOG_FILE
 

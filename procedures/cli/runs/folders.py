@@ -7,7 +7,7 @@ from pathlib import Path
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.evidence.inspection import RECORDS_FOLDER, REQUEST_FILE
+from ronna_hw.evidence.named_files import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.recording.byte_lines import BYTES_FOLDER
 from ronna_hw.text.counting import counted, some_of

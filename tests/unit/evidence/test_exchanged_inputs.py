@@ -16,6 +16,7 @@ from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Outcome
 from procedures.journal.journal import Entry
 from procedures.results.result import StepResult
+from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import input_hashes, theatre_files
 
@@ -91,6 +92,16 @@ def test_an_input_changed_after_a_kill_is_told_and_left_to_the_resumed_run(run: 
     found = inspected(run)
     assert f"{CT}: changed since results were made from it" in map(str, found.problems)
     assert found.changes == ()
+
+
+def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up(
+    run: Path, engine: Engine
+) -> None:
+    assert engine.upcoming is not None
+    (run / TOOL).write_text("another")
+    assert [str(problem) for problem in inspected(run).changes] == [f"{TOOL}: changed"]
+    with pytest.raises(RunChanged):
+        read_left_run(run)
 
 
 def test_a_theatre_file_that_was_added_is_no_input_of_who_takes_the_run_up(run: Path) -> None:

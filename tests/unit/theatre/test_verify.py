@@ -14,8 +14,9 @@ from procedures.engine.closing import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.inspection import RECORDS_FOLDER, Inspection, inspected
+from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.records import Record, write_record
 from sim.cli import app as ronna_sim

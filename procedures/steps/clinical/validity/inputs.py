@@ -20,6 +20,10 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
+from ronna_hw.evidence.named_files import made_from
+from ronna_hw.evidence.seal import input_hashes
+from ronna_hw.records import Record
 
 Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
 Stamps = tuple[Stamp, ...]
@@ -60,8 +64,23 @@ class UnchangedInputs:
                 self._engine.context(key).void(model, problem)
                 self._seen[path] = stamps
                 raise problem
+            elif model is not ImportedCt:
+                note_same_content(self._engine, path, stored.record)
             self._seen[path] = stamps
         return None
+
+
+def note_same_content(engine: Engine, path: Path, record: Record) -> None:
+    """A plan or position written again with the same content: the standing result counts as made from it.
+
+    Raises PRO-003.
+    """
+    folder = engine.case.folder
+    then = made_from(read_chain(folder / JOURNAL_FILE).lines)
+    now: dict[str, JournalValue] = dict(input_hashes(folder, [path]))
+    if any(then.get(name, sha256) != sha256 for name, sha256 in now.items()):
+        text = f"{path.name} was written again with the same content"
+        engine.find(text, record=record.identifier, inputs=now)
 
 
 def _proposed(result: StepResult) -> bool:

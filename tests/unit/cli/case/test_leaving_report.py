@@ -20,7 +20,8 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
 from procedures.results.errors import GateFailed
 from ronna_hw.clock import ClockUnavailable
-from ronna_hw.evidence.inspection import REQUEST_FILE, inspected
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.named_files import REQUEST_FILE
 
 
 @pytest.mark.hazard(41)

@@ -329,6 +329,23 @@ def test_quitting_after_a_fault_was_acknowledged_ends_the_case_with_a_fault_that
     assert ended.value.shown
 
 
+def test_a_failure_after_an_acknowledgement_of_the_same_code_is_no_fault_that_was(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def is_stopped(_context: StepContext) -> Outcome[StepResult]:
+        raise GateFailed("the arm was stopped again")
+
+    seen = LastKnown(Lifecycle.FAULT, GateFailed("stopped"), None)
+    recovered = LastKnown(Lifecycle.CONFIGURED, None, None)
+    monkeypatch.setattr(cell.arm, "observe", lambda: recovered if cell.arm.calls else seen)
+    engine = cell.engine(plain_order(image=is_stopped))
+    engine.faults.acknowledge("Ann")
+    typed = Typed(monkeypatch, "quit", resumes=True)
+    with pytest.raises(GateFailed) as ended:
+        outcome._run(engine, Watcher(held=typed.prompt))
+    assert ended.value.what == "the arm was stopped again"
+
+
 def test_a_fault_on_the_way_home_is_acknowledged_at_the_prompt_when_every_step_is_done(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

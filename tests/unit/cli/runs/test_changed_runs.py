@@ -35,7 +35,8 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import (
     EXIT_REFUSED,
 )
-from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.evidence.seal import SEAL_FILE
 from ronna_hw.recording.byte_lines import BYTES_FOLDER
 from ronna_hw.recording.flight_recorder import FlightRecorder
