@@ -137,7 +137,7 @@ def theatre(
 
 
 def _require_its_own(context: typer.Context, folder: Path) -> None:
-    """Raise CLI-001 where another scene or seed was asked for than that of the world to be continued."""
+    """Raise CLI-001 where something else was asked for than the world to be continued has."""
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
@@ -145,15 +145,21 @@ def _require_its_own(context: typer.Context, folder: Path) -> None:
     if context.params["scene"] not in SCENES:  # a file, which may have been changed, and has its own seed
         return
     left = read_scene(folder / SCENE_FILE)
-    for option, own in (("scene", left.name), ("seed", left.seed)):
+    owns = {
+        "scene": left.name,
+        "seed": left.seed,
+        "markers": len(left.head.fiducials),
+        "targets": len(left.head.targets),
+    }
+    for option, own in owns.items():
         source = context.get_parameter_source(option)
         asked = context.params[option]
         if source is not None and source.name == "COMMANDLINE" and asked != own:
             raise UsageMistake(
-                f"--continue: the world left in {folder} has another {option}",
+                f"--continue: the {option} of the world left in {folder} cannot be changed",
                 expected=f"{own}",
                 got=f"{asked}",
-                action="Omit --scene and --seed to continue it, or omit --continue for a new world.",
+                action=f"Omit --{option} to continue it, or omit --continue for a new world.",
             )
 
 

@@ -31,18 +31,22 @@ def _refusal(folder: Path, *options: str) -> str:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (("--scene", "default", "--seed", "4"), "has another scene; expected mini, got default"),
-        (("--scene", "mini", "--seed", "5"), "has another seed; expected 4, got 5"),
-        (("--seed", "5"), "has another seed; expected 4, got 5"),
+        (("--scene", "default", "--seed", "4"), "cannot be changed; expected mini, got default"),
+        (("--scene", "mini", "--seed", "5"), "cannot be changed; expected 4, got 5"),
+        (("--seed", "5"), "the seed of the world left in"),
+        (("--markers", "6"), "the markers of the world left in"),
+        (("--targets", "4"), "the targets of the world left in"),
     ],
 )
-def test_a_theatre_is_not_continued_as_another_scene_or_seed(
+def test_a_theatre_is_not_continued_with_another_scene_seed_or_head(
     left: Path, options: tuple[str, ...], said: str
 ) -> None:
     assert said in _refusal(left, *options)
 
 
-@pytest.mark.parametrize("options", [(), ("--scene", "mini", "--seed", "4"), ("--seed", "4")])
+@pytest.mark.parametrize(
+    "options", [(), ("--scene", "mini", "--seed", "4"), ("--seed", "4"), ("--markers", "3")]
+)
 def test_a_theatre_is_continued_with_its_own_scene_and_seed_or_without_any(
     left: Path, options: tuple[str, ...]
 ) -> None:
