@@ -48,7 +48,7 @@ from more_hostile_inputs import further_parsers
 from painted_ct import write_series
 from plan_toml import PLAN, SECOND
 from pydicom.dataset import Dataset
-from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
+from pydicom.uid import DeflatedExplicitVRLittleEndian
 from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
@@ -247,7 +247,6 @@ def parsers(folder: Path) -> dict[str, Parser]:
     )
     voxels = np.arange(3 * 6 * 7, dtype=np.int16).reshape(3, 6, 7) - 1000
     series = write_series(folder / "series", voxels)
-    packed = write_series(folder / "packed", voxels, edit=_compressed)
     deflated = write_series(folder / "deflated", voxels, edit=_deflated)
 
     def slices(where: Path) -> Callable[[bytes], object]:
@@ -345,7 +344,6 @@ def parsers(folder: Path) -> dict[str, Parser]:
         ),
         "DICOM": Parser(((series / "0000.dcm").read_bytes(),), slices(series)),
         "DICOM deflated": Parser(((deflated / "0000.dcm").read_bytes(),), slices(deflated)),
-        "DICOM RLE": Parser(((packed / "0000.dcm").read_bytes(),), slices(packed)),
     }
     for more in (
         further_parsers(folder / "further"),
@@ -401,10 +399,6 @@ def _reply(reader: ReplyReader, sentype: bytes) -> Callable[[bytes], object]:
 def _held(parts: tuple[bytes, ...], data: bytes) -> None:
     if not _IN_PIECES.search(data):
         assert all(part in data for part in parts)
-
-
-def _compressed(data: Dataset, _number: int) -> None:
-    data.compress(RLELossless, generate_instance_uid=False)
 
 
 def _deflated(data: Dataset, _number: int) -> None:

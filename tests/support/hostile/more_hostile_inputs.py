@@ -91,7 +91,8 @@ LEDGER = b"".join(
         {"unit": UNIT, "sums": {"runs": 2.0, "squares_mm2": 0.5}},
     )
 )
-LIBRARY_SYNTAXES = {
+DECODED_SYNTAXES = {
+    "DICOM RLE": gdcm.TransferSyntax.RLELossless,
     "DICOM JPEG": gdcm.TransferSyntax.JPEGLosslessProcess14_1,
     "DICOM JPEG-LS": gdcm.TransferSyntax.JPEGLSLossless,
     "DICOM JPEG 2000": gdcm.TransferSyntax.JPEG2000Lossless,
@@ -164,7 +165,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "room": (ROOM_REQUESTS, _asked(room)),
         "raw image": ((mono,), _raw_image),
         "conformance BX": ((body[:46],), _conformance),
-        **{name: _compressed(folder / name, syntax) for name, syntax in LIBRARY_SYNTAXES.items()},
+        **{name: _compressed(folder / name, syntax) for name, syntax in DECODED_SYNTAXES.items()},
         "proposed place": (
             (PLACE,),
             of("place.json", lambda _run: _placed(read_place(run / "place.json").place)),
@@ -297,7 +298,7 @@ def _conformance(data: bytes) -> None:
 
 
 def _compressed(folder: Path, syntax: int) -> tuple[tuple[bytes, ...], Take]:
-    """A slice that a decoder in C++ takes, in its own process."""
+    """A slice that is decoded in the decoder's own process."""
     where = write_series(folder, np.arange(3 * 6 * 7, dtype=np.int16).reshape(3, 6, 7) - 1000)
     path = where / "0000.dcm"
     header = next(one for one in read_headers(where, lambda _share: None) if one.path == path)
