@@ -11,25 +11,28 @@ from typing import Any
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
+ANSWER_LIMIT_S = 60.0  # host time from there until the answer was taken: five megabytes by a slow line
 
 
 class Connection(H11Protocol):
-    """HTTP/1.1 of which an incomplete head is dropped when its time is up, however it drips."""
+    """HTTP/1.1 that is dropped when the time for a head or for an answer is up, however either drips."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
         self._deadline: asyncio.TimerHandle | None = None
+        self._is_answering = False
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
         """Give the first request its time."""
         super().connection_made(transport)
-        self._expect_request()
+        self._wait(REQUEST_LIMIT_S)
 
     def handle_events(self) -> None:
-        """A complete head has as much time for its answer as this needs."""
+        """A complete head begins the time for its answer."""
         super().handle_events()
-        if self.cycle is not None and not self.cycle.response_complete:
-            self._stop_waiting()
+        if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
+            self._is_answering = True
+            self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
         """The guard closes a socket without a session, and leaves others open.
@@ -43,7 +46,8 @@ class Connection(H11Protocol):
 
     def on_response_complete(self) -> None:
         """Give the next request its time."""
-        self._expect_request()
+        self._is_answering = False
+        self._wait(REQUEST_LIMIT_S)
         super().on_response_complete()
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -51,9 +55,9 @@ class Connection(H11Protocol):
         self._stop_waiting()
         super().connection_lost(exc)
 
-    def _expect_request(self) -> None:
+    def _wait(self, limit_s: float) -> None:
         self._stop_waiting()
-        self._deadline = self.loop.call_later(REQUEST_LIMIT_S, self.transport.abort)
+        self._deadline = self.loop.call_later(limit_s, self.transport.abort)
 
     def _stop_waiting(self) -> None:
         if self._deadline is not None:

@@ -19,9 +19,10 @@ Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
-Trust = Callable[[object], None]  # told the host and port of a connection that has shown the key
+Trust = Callable[[object, Role], bool]  # of a connection, by host and port, that has shown the key of a role
 
 MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
+OVERLOADED = 503
 LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
 LARGEST_BODY_BYTES = 65_536
 MOST_FIELDS = 8  # of a query
@@ -53,10 +54,13 @@ class Guard:
         sessions: Sessions,
         port: int,
         largest_body_bytes: int = LARGEST_BODY_BYTES,
-        trust: Trust = lambda _peer: None,
+        trust: Trust = lambda _peer, _role: True,
         is_foreign: Callable[[object], bool] = lambda _peer: False,
     ) -> None:
-        """`is_foreign` tells by host and port which connections another account of this computer has."""
+        """`trust` refuses a connection if its role has too many.
+
+        `is_foreign` tells by host and port which connections another account of this computer has.
+        """
         self._app = app
         self._sessions = sessions
         self._largest_body_bytes = largest_body_bytes
@@ -68,7 +72,7 @@ class Guard:
         self._is_foreign = is_foreign
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
-    def for_viewers(self, host: str, trust: Trust = lambda _peer: None) -> Guard:
+    def for_viewers(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
         """The same application for viewers on other computers, over TLS: the operator's key is not accepted.
 
         Its clients count towards the limits of this guard.
@@ -116,7 +120,9 @@ class Guard:
         ):
             await _refuse(send, 413, "Request too large.")
             return
-        self._trust(scope.get("client"))
+        if not self._trust(scope.get("client"), session.role):
+            await _refuse(send, OVERLOADED, "Too many connections are open. Close some pages and reload.")
+            return
         if scope["path"] == "/" and not self._sessions.may_open_page(session.role):
             await _refuse(send, 429, "Too many pages were opened just now. Reload in some seconds.")
             return
@@ -128,7 +134,10 @@ class Guard:
         if cookie is None:
             await _refuse(send, 401, "This key belongs to another run, or is truncated.")
             return
-        self._trust(scope.get("client"))
+        if (session := self._sessions.find(cookie)) is not None:
+            self._trust(
+                scope.get("client"), session.role
+            )  # one too many is as a stranger until its next request
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
         if self._scheme == "https":
             kept += "; Secure"
@@ -144,12 +153,15 @@ class Guard:
             and _head_bytes(scope) <= LARGEST_HEAD_BYTES
         )
         session = self._session(headers) if allowed else None
-        if session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
+        if (
+            session is None
+            or self.clients[session.role] >= MOST_CLIENTS[session.role]
+            or not self._trust(scope.get("client"), session.role)
+        ):
             await receive()
             await send({"type": "websocket.close", "code": 1008})  # before acceptance: answered with 403
             return
         scope[SESSION] = session
-        self._trust(scope.get("client"))
         self.clients[session.role] += 1
         try:
             await self._app(scope, receive, send)
@@ -215,7 +227,8 @@ def _with_headers(send: Send) -> Send:
 
 
 async def _refuse(send: Send, status: int, why: str) -> None:
-    await _answer(send, status, why.encode(), {"content-type": "text/plain; charset=utf-8"})
+    more = {"connection": "close"} if status == OVERLOADED else {}
+    await _answer(send, status, why.encode(), {"content-type": "text/plain; charset=utf-8", **more})
 
 
 async def _answer(send: Send, status: int, body: bytes, headers: dict[str, str]) -> None:

@@ -12,12 +12,14 @@ import uvicorn
 from console.connection import Connection
 from console.errors import PortTaken
 from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard
+from console.sessions import Role
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.host.connection_account import account_at
 
 HOST = "127.0.0.1"
 BACKLOG = 32  # also the most that the loop accepts at a time
 MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
+MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a browser opens seven
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
 
 
@@ -33,6 +35,7 @@ class Listening(socket.socket):
         super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
         self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
         self._foreign: dict[object, socket.socket] = {}  # likewise, of other accounts
+        self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
 
     def accept(self) -> tuple[socket.socket, Any]:
         """The next connection: a stranger, before any handshake of TLS."""
@@ -55,9 +58,15 @@ class Listening(socket.socket):
         """
         return peer in self._foreign
 
-    def trust(self, peer: object) -> None:
-        """The connection from this host and port has shown the key or a session."""
-        self._strangers.pop(peer, None)
+    def trust(self, peer: object, role: Role) -> bool:
+        """The connection from this host and port has shown a session; whether its role may have one more."""
+        if peer not in self._strangers:
+            return True
+        known = self._known[role] = _still_open(self._known[role])
+        if len(known) >= MOST_CONNECTIONS[role]:
+            return False
+        known[peer] = self._strangers.pop(peer)
+        return True
 
 
 def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket.socket]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
+from fastapi.responses import PlainTextResponse
 from nicegui import app as page_app
 from nicegui import core, ui
 
@@ -31,8 +32,14 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
         show_welcome_message=False,
         gzip_middleware_factory=None,
     )
+    page_app.add_exception_handler(404, _not_found)
     page_app.config.socket_io_js_transports = ["websocket"]
     bind_sockets(core.sio)
+
+
+async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
+    """In place of a whole page of the library's, which holds up everything else while it is made."""
+    return PlainTextResponse("Not found.", 404)
 
 
 def page_head() -> str:

@@ -42,3 +42,17 @@ def test_the_page_for_other_computers_opens_with_the_viewer_key_only(
         viewer, operator = (addresses[name].partition("token=")[2] for name in ("viewer_url", "url"))
         assert status_of(remote, viewer) == 303
         assert status_of(remote, operator) == 401
+
+
+def test_an_unknown_path_is_answered_without_making_a_page_of_it(tmp_path: Path) -> None:
+    with served_at(tmp_path) as (_, addresses):
+        entrance = urlsplit(addresses["viewer_url"])
+        connection = http.client.HTTPConnection(str(entrance.hostname), entrance.port, timeout=10)
+        connection.request("GET", f"/?{entrance.query}")
+        entered = connection.getresponse()
+        entered.read()
+        cookie = str(entered.getheader("set-cookie")).partition(";")[0]
+        connection.request("GET", "/nothing-here", headers={"Cookie": cookie})
+        answer = connection.getresponse()
+        assert (answer.status, answer.read()) == (404, b"Not found.")
+        connection.close()

@@ -14,7 +14,7 @@ import pytest
 from console import connection, listening
 from console.guard import SESSION, Guard, Receive, Scope, Send
 from console.listening import HOST, listen, server_of
-from console.sessions import Sessions
+from console.sessions import Role, Sessions
 from ronna_hw.host import connection_account
 from ronna_hw.host.connection_account import account_at
 
@@ -30,11 +30,12 @@ class Served:
         self.listening = listen(HOST, 0)
         self.port = self.listening.getsockname()[1]
         self.sessions = Sessions()
+        self.left = asyncio.Event()  # an answer was sent as far as it was read
 
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Served]:
         trust, is_foreign = self.listening.trust, self.listening.is_foreign
-        server = server_of(Guard(_page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
+        server = server_of(Guard(self._page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
         task = asyncio.create_task(server.serve(sockets=[self.listening]))
         while not server.started:
             await asyncio.sleep(0)
@@ -53,27 +54,35 @@ class Served:
     def entered(self) -> bytes:
         return self.request(f"/?token={self.sessions.operator_token}")
 
-    def socket_opened(self) -> bytes:
-        cookie = self.sessions.open(self.sessions.operator_token)
-        return self.request(
+    def asked(self, path: str, token: str, more: str = "") -> bytes:
+        cookie = self.sessions.open(token)
+        return self.request(path, f"Cookie: ronna_console_{self.port}={cookie}\r\n{more}")
+
+    def socket_opened(self, token: str = "") -> bytes:
+        return self.asked(
             "/",
-            f"Origin: http://{HOST}:{self.port}\r\nCookie: ronna_console_{self.port}={cookie}\r\n"
+            token or self.sessions.operator_token,
+            f"Origin: http://{HOST}:{self.port}\r\n"
             "Connection: Upgrade\r\nUpgrade: websocket\r\n"
             "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n",
         )
 
-
-async def _page(scope: Scope, receive: Receive, send: Send) -> None:
-    assert scope["type"] != "http" or SESSION in scope
-    message = await receive()
-    if scope["type"] == "lifespan":
-        await send({"type": "lifespan.startup.complete"})
-        await receive()
-        await send({"type": "lifespan.shutdown.complete"})
-    elif scope["type"] == "websocket":
-        await send({"type": "websocket.accept"})
-        while message["type"] != "websocket.disconnect":
-            message = await receive()
+    async def _page(self, scope: Scope, receive: Receive, send: Send) -> None:
+        assert scope["type"] != "http" or SESSION in scope
+        message = await receive()
+        if scope["type"] == "lifespan":
+            await send({"type": "lifespan.startup.complete"})
+            await receive()
+            await send({"type": "lifespan.shutdown.complete"})
+        elif scope["type"] == "websocket":
+            await send({"type": "websocket.accept"})
+            while message["type"] != "websocket.disconnect":
+                message = await receive()
+        else:
+            await send({"type": "http.response.start", "status": 200, "headers": []})
+            for _ in range(SENT_BYTES // 100_000):
+                await send({"type": "http.response.body", "body": bytes(100_000), "more_body": True})
+            self.left.set()
 
 
 async def _ended(reader: asyncio.StreamReader) -> bytes:
@@ -181,6 +190,54 @@ def test_connections_without_the_key_do_not_lock_out_the_operator(monkeypatch: p
                 writer.transport.abort()
 
     asyncio.run(come())
+
+
+def test_a_viewer_with_too_many_connections_gets_no_more_and_locks_out_no_operator(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(listening.MOST_CONNECTIONS, Role.VIEWER, 2)
+
+    async def come() -> None:
+        async with Served().serving() as console:
+            viewer = console.sessions.viewer_token
+            viewers = [await console.connected(console.socket_opened(viewer)) for _ in range(2)]
+            for reader, _ in viewers:
+                assert b" 101 " in await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
+            for one_more, answer in (
+                (console.asked("/state", viewer), b" 503 "),
+                (console.socket_opened(viewer), b" 403 "),
+            ):
+                reader, writer = await console.connected(one_more)
+                assert answer in (await _ended(reader)).partition(b"\r\n")[0]
+                writer.close()
+            operator = await console.connected(console.socket_opened())
+            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            viewers[0][1].transport.abort()
+            await asyncio.wait_for(_again(console, viewer), 10.0)
+            for _, writer in (operator, *viewers):
+                writer.transport.abort()
+
+    async def _again(console: Served, viewer: str) -> None:
+        """Until the server has noticed that there is room."""
+        said = b""
+        while b" 101 " not in said:
+            reader, writer = await console.connected(console.socket_opened(viewer))
+            said = await reader.readuntil(b"\r\n\r\n")
+            writer.transport.abort()
+
+    asyncio.run(come())
+
+
+def test_an_answer_that_is_not_read_is_given_up_after_its_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "ANSWER_LIMIT_S", 0.1)
+
+    async def stay() -> None:
+        async with Served().serving() as console:
+            _, writer = await console.connected(console.asked("/", console.sessions.viewer_token))
+            await asyncio.wait_for(console.left.wait(), 10.0)
+            writer.transport.abort()
+
+    asyncio.run(stay())
 
 
 def test_an_open_socket_outlasts_the_request_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
