@@ -90,7 +90,7 @@ def opened_engine(
         alarms = Alarms()
         operator = operator_of(request, watcher, answers, resumption, alarms)
         if watcher.pilot is not None:
-            operator = watcher.pilot.operator(operator)
+            operator = watcher.pilot.operator(operator, script_at_pause=watcher.at_pause is None)
         away = None
         if file is not None:
             leaving = resumption is not None and resumption.only_leaving

@@ -84,6 +84,7 @@ class Desk:
         self._taken: deque[tuple[str, str, float | None]] = deque()  # as `changes_of_seat`
         self._vacated = 0
         self._gone = False
+        self._stopped = False  # and nobody in the seat has answered since
 
     def attach(self, engine: Engine) -> None:
         """From now on orders are about this engine."""
@@ -104,6 +105,12 @@ class Desk:
         """Whether the case is operated from the console: it lives, and somebody has taken its seat."""
         with self._changed:
             return not self._gone and (self._waits or self._seat.ever_taken)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody at the console stopped the arm, and nobody in its seat has answered for it since."""
+        with self._changed:
+            return self._stopped and not self._gone
 
     @property
     def waits(self) -> bool:
@@ -215,6 +222,7 @@ class Desk:
             return "the theatre is not open yet: nothing moves"
         seated = self._seat.held_by(session)
         who = self._seat.holder if seated else f"someone outside the operator's seat (session {session})"
+        self._stopped = True
         engine.checkpoint.pause(f"{who} stopped the arm")
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
@@ -296,6 +304,7 @@ class Desk:
             finally:
                 self._standing = None
         if standing.signature is not None:
+            self._stopped = self._stopped and question.topic is not Topic.PAUSE
             question.signed(standing.signature)
         if standing.readings is not None:
             question.read(standing.readings)

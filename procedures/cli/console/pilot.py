@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 WITHOUT = "the console has ended; continuing runs the case from this terminal"
+STOPPED = "the arm was stopped from the console; the case waits for someone in the operator's seat"
 HELD = "the case is held, the arm is at rest; the operator at the console decides how to continue"
 LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
 
@@ -31,20 +32,28 @@ def _typed(timeout_s: float) -> bool:
 
 
 class ConsoleOperator:
-    """Asks at the console while it operates the case, and otherwise whoever would be asked without it."""
+    """Asks at the console while it operates the case, and otherwise whoever would be asked without it.
 
-    def __init__(self, desk: Desk, otherwise: Operator, pilot: Pilot) -> None:
+    A script does not answer a person who stopped the arm: that waits for somebody in the seat.
+    """
+
+    def __init__(self, desk: Desk, otherwise: Operator, pilot: Pilot, *, script_at_pause: bool) -> None:
         self._desk = desk
         self._otherwise = otherwise
         self._pilot = pilot
+        self._script_at_pause = script_at_pause
 
     def ask(self, question: Question) -> str:
         """The answer; of a console that ends meanwhile, that of whoever takes its place."""
         self._pilot.note_seat()
-        answer = self._desk.ask(question, self._pilot.acknowledge) if self._desk.in_charge else None
+        waits = self._script_at_pause and question.topic is Topic.PAUSE and self._desk.stopped
+        if waits:
+            tell(STOPPED)
+        asked = waits or self._desk.in_charge
+        answer = self._desk.ask(question, self._pilot.acknowledge) if asked else None
         self._pilot.note_seat()
         if answer is None:  # whoever takes its place reads in another way
-            return question.silence if question.reads else self._otherwise.ask(question)
+            return question.silence if waits or question.reads else self._otherwise.ask(question)
         return answer
 
 
@@ -71,9 +80,9 @@ class Pilot:
         """As `Desk.in_charge`."""
         return self.desk.in_charge
 
-    def operator(self, otherwise: Operator) -> Operator:
-        """Who answers the questions of the case."""
-        return ConsoleOperator(self.desk, otherwise, self)
+    def operator(self, otherwise: Operator, *, script_at_pause: bool = False) -> Operator:
+        """Who answers the questions of the case; with `script_at_pause` nobody else is there at a pause."""
+        return ConsoleOperator(self.desk, otherwise, self, script_at_pause=script_at_pause)
 
     def read(self, task: Task) -> tuple[float, ...] | None:
         """What the operator at the console reads off; nothing when nobody does, None without a console."""

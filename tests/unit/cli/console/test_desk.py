@@ -12,7 +12,9 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
+from procedures.cli.case.operators import ScriptedOperator
 from procedures.cli.console.desk import Desk, Wish
+from procedures.cli.console.pilot import Pilot
 from procedures.cli.console.seat import LEASE_S
 from procedures.engine.events import Seat
 from procedures.engine.events.shown import shown_digest
@@ -235,6 +237,42 @@ def test_a_stop_is_recorded_under_the_name_of_the_seat_only_if_it_came_from_ther
     stand.engine.checkpoint.here("here")
     lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
     assert [line["reason"] for line in lines if line["entry"] == "rested"] == [f"{who} stopped the arm"]
+
+
+@pytest.mark.hazard(32)
+def test_a_script_does_not_continue_a_case_that_a_person_stopped(
+    tmp_path: Path,
+) -> None:
+    stand = Stand(tmp_path)  # nobody is in the seat
+    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
+    assert operator.ask(pause) == "continue"
+    stand.give("stop", BEN)
+    answers: list[str] = []
+    threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
+    eventually(lambda: stand.desk._standing is not None)
+    given = {"question": 1, "answer": "continue", "shown": shown(pause)}
+    assert stand.give("answer", BEN, **given) == "you are not in the operator's seat"
+    stand.give("claim", name="Ana")
+    assert answers == []
+    assert stand.give("answer", **given) == ""
+    eventually(lambda: answers == ["continue"])
+    assert not stand.desk.stopped
+
+
+@pytest.mark.hazard(32)
+def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(
+    tmp_path: Path,
+) -> None:
+    stand = Stand(tmp_path)
+    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    stand.give("stop", BEN)
+    answers: list[str] = []
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
+    threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
+    eventually(lambda: stand.desk._standing is not None)
+    stand.desk.leave()
+    eventually(lambda: answers == ["abort"])
 
 
 def test_the_journal_says_since_when_the_seat_is_taken_however_late_it_is_written(stand: Stand) -> None:
