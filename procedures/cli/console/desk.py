@@ -108,7 +108,7 @@ class Desk:
 
     @property
     def stopped(self) -> bool:
-        """Whether somebody at the console stopped the arm, and nobody in its seat has answered for it since."""
+        """Whether somebody at the console stopped the arm, and nobody in its seat has answered since."""
         with self._changed:
             return self._stopped and not self._gone
 
