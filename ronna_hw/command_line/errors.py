@@ -67,6 +67,7 @@ class OutOfMemory(RonnaError):
     action = "Close other programs, or use a smaller series."
 
 
+NOT_MAPPED = "failed to map segment"  # the loader's words for a library for which there is no memory
 _BY_ERRNO: dict[int, type[RonnaError]] = {
     errno.ENOSPC: DiskFull,
     errno.EDQUOT: DiskFull,
@@ -80,6 +81,7 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
     errno.EEXIST: PathProblem,
     errno.ENAMETOOLONG: PathProblem,
     errno.EADDRINUSE: PortInUse,
+    errno.ENOMEM: OutOfMemory,
 }
 
 
@@ -87,7 +89,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
     """Any exception as a RonnaError: itself, or an operating-system or internal error with a code."""
     if isinstance(problem, RonnaError):
         return problem
-    if isinstance(problem, MemoryError):
+    if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
         return OutOfMemory("the computer ran out of memory")
     problem = _first_with_number(problem)
     if isinstance(problem, OSError) and problem.errno is not None:

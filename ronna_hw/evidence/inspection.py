@@ -6,15 +6,15 @@ seal: it is checked as far as it goes, and what only its end could confirm is `u
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import NamedTuple, cast
 
 from ronna_hw.bounded_input import InputRefused, read_json_lines
+from ronna_hw.evidence.compared_files import Problem, against, why_unread, wrong_name
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.named_files import (
@@ -34,45 +34,18 @@ from ronna_hw.evidence.seal import (
     Seal,
     files_of,
     is_later,
-    is_made_anew,
     read_seal,
-    sha256_of,
 )
 from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
-from ronna_hw.text.printable import printable
 
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
 )
-LARGEST_INPUTS_BYTES = 8_000_000_000  # four times the largest CT that is read
 MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
 SHOWN = 3  # problems named in an error; verify lists all
-
-
-@dataclass(frozen=True)
-class Problem:
-    """One file that is not as the run left it, and how.
-
-    `unfinished` if the only problem is that the run did not reach its end, or that a file of its report is to
-    be made anew; `beside` if nothing written by the run is affected: its folder was renamed, or a file added.
-    """
-
-    file: str
-    what: str
-    unfinished: bool = False
-    beside: bool = False
-
-    @property
-    def of_account(self) -> bool:
-        """Whether journal, request or records are not as written."""
-        of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
-        return of_it and not self.beside
-
-    def __str__(self) -> str:
-        return f"{printable(self.file)}: {self.what}"
 
 
 class KnownRecord(NamedTuple):
@@ -90,6 +63,7 @@ class Inspection:
     chain: Chain
     records: tuple[Record, ...]
     problems: tuple[Problem, ...]
+    out_of_reach: tuple[str, ...] = ()  # inputs outside the run that are not here, and were not compared
 
     @property
     def superseded(self) -> frozenset[str]:
@@ -162,7 +136,8 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
         problems += _files(folder, chain)
     elif chain.lines:
         problems += _some(folder, chain, [name for name in files if os.path.lexists(folder / name)])
-    return Inspection(folder, chain, records, tuple(dict.fromkeys(problems)))
+    found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
+    return Inspection(folder, chain, records, found, tuple(one.file for one in problems if one.out_of_reach))
 
 
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
@@ -202,7 +177,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
         problems.append(Problem(JOURNAL_FILE, "missing", unfinished=not began))
         return Chain()
     except (OSError, InputRefused) as error:
-        problems.append(Problem(JOURNAL_FILE, _why_unread(error)))
+        problems.append(Problem(JOURNAL_FILE, why_unread(error)))
         return Chain()
     if broken is not None:
         problems.append(Problem(JOURNAL_FILE, broken.what))
@@ -229,8 +204,8 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         if line["entry"] != Entry.RESULT:
             continue
         name = f"{RECORDS_FOLDER}/{line.get('record')}.json"
-        if wrong_name := _wrong(name) or ("named twice" if str(line.get("record")) in known else ""):
-            problems.append(Problem(name, wrong_name))
+        if refused := wrong_name(name) or ("named twice" if str(line.get("record")) in known else ""):
+            problems.append(Problem(name, refused))
             continue
         try:
             record = read_record(folder / name)
@@ -271,27 +246,28 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     lines, closed, named = chain.lines, is_closed(chain.lines), closed_files(chain.lines)
     request = lines[0].get("request_sha256")
     if isinstance(request, str):
-        yield from _against(folder, {REQUEST_FILE: request})
+        yield from against(folder, {REQUEST_FILE: request})
     pictures: dict[str, str] = {}
     for line in lines:
         for picture, of in hashes_in(line, "pictures").items():
             name = f"{PICTURES_FOLDER}/{picture}"
             pictures[name] = of if pictures.get(name, of) == of else "two hashes"
-    yield from _against(folder, pictures)
+    yield from against(folder, pictures)
     yield from (Problem(name, what) for name, what in unlike_truth(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:
-        yield from _against(folder, named)
+        yield from against(folder, named)
         yield from (Problem(name, what) for name, what in exchanged_inputs(lines))
         # What could not be read at the end is compared with what results were made from.
         unread = {name: of for name, of in made_from(lines).items() if name not in named}
-        yield from _against(folder, unread | hashes_in(lines[-1], "inputs"), inputs=True)
+        yield from against(folder, unread | hashes_in(lines[-1], "inputs"), inputs=True)
     else:
-        yield from _against(folder, lasting_files(lines))
+        yield from against(folder, lasting_files(lines))
         yield from _not_put_back(folder, lines, there)
-        since = _against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
-        yield from (Problem(one.file, f"{one.what} since results were made from it", True) for one in since)
+        since = against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
+        for one in since:
+            yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
         in_journal = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
         for name in there:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
@@ -306,7 +282,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         return
     whole = yield from _against_seal(folder, chain, seal)
     if whole:
-        yield from _against(folder, seal.files)
+        yield from against(folder, seal.files)
         yield from _added([name for name in there if name not in named and name not in seal.files])
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
@@ -316,7 +292,7 @@ def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -
     """Files that a killed program had found changed or added, and that still are."""
     expected = not_vouched_for(lines)
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
-    yield from _against(folder, known, inputs=True)
+    yield from against(folder, known, inputs=True)
     vouched = {
         *TRUTH_FILES,
         *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
@@ -335,7 +311,7 @@ def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]
         if seal is None or not whole:
             yield Problem(name, "not confirmed by a seal")
         elif name in seal.files:
-            yield from _against(folder, {name: seal.files[name]})
+            yield from against(folder, {name: seal.files[name]})
         else:
             yield from _added([name])
 
@@ -353,47 +329,9 @@ def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, 
     return not after
 
 
-def _against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
-    """Problems with files of the folder; with `inputs` also with files elsewhere, by their whole path."""
-    left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
-    for name, recorded in hashes.items():
-        if wrong := _wrong(name.removeprefix("/") if inputs else name):
-            yield Problem(name, wrong)
-            continue
-        try:
-            if PurePosixPath(name).is_absolute():
-                left_bytes -= os.stat(name).st_size
-            if left_bytes < 0:
-                yield Problem(name, "not checked: too much lies outside the run", unfinished=True)
-                continue
-            if sha256_of(folder / name) != recorded:
-                yield Problem(name, "changed")
-        except (FileNotFoundError, ValueError):  # the second for a name that no file can have
-            yield Problem(name, "missing", unfinished=is_made_anew(name))
-        except OSError as error:
-            yield Problem(name, _why_unread(error))
-
-
-def _wrong(name: str) -> str:
-    """What is wrong with the name of a file in a folder: it leads elsewhere, or has two forms."""
-    path = PurePosixPath(name)
-    leads_elsewhere = path.is_absolute() or ".." in path.parts
-    return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
-
-
 def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
     for name in names:
         if not sealed and name.endswith(PARTIAL):
             yield Problem(name, "incomplete: the program was killed while writing", unfinished=True)
         else:
             yield Problem(name, "added: not part of the run", beside=True)
-
-
-def _why_unread(error: OSError | InputRefused) -> str:
-    if isinstance(error, InputRefused):
-        return error.summary
-    if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
-        return "replaced: not a regular file"
-    if error.errno == errno.EFBIG:
-        return "changed: larger than any file of a run"
-    return f"cannot be read: {error.strerror}"

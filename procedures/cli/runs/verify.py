@@ -11,6 +11,8 @@ from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of, unchecked_folders
 from ronna_hw.evidence.unsealed import unsealed_sentences
+from ronna_hw.text.counting import counted
+from ronna_hw.text.printable import printable
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
@@ -29,6 +31,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
                 "problems": [asdict(one) for one in problems],
                 "not_vouched_for": not_vouched_for,
                 "not_checked": unchecked,
+                "out_of_reach": found.out_of_reach,
                 "raw_missing": missing,
             }
         )
@@ -40,6 +43,9 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(f"{folder.resolve().name}: intact, {checked} files are as the run left them{since}")
         for sentence in not_vouched_for:
             say(sentence)
+        if absent := found.out_of_reach:
+            inputs = counted(len(absent), "input")
+            say(f"not compared: {inputs} outside the run, whose folder is not there: {printable(absent[0])}")
         if unchecked:
             say(f"not part of the run, and not checked: {', '.join(unchecked)}")
         if missing:

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 HU_LIMITS = (-32768, 32767)
 
+UNSIGNED, SIGNED = 0, 1  # PS3.3 C.7.6.3.1, Pixel Representation
 _LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
     {"1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99"}  # the last is deflated as a whole
 )
@@ -59,7 +60,9 @@ def _whole(header: SliceHeader, data: FileDataset, keyword: str, missing: int) -
 
 def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
     name = header.path.name
-    signed = bool(_whole(header, data, "PixelRepresentation", 0))
+    representation = _whole(header, data, "PixelRepresentation", 0)
+    if representation not in (UNSIGNED, SIGNED):
+        raise PixelsUnusable(f"{name} has pixel representation {representation}", expected="0 or 1")
     pixels = value(header.path, data, "PixelData")
     needed = 2 * shape[0] * shape[1]
     if not isinstance(pixels, bytes) or len(pixels) < needed:
@@ -71,7 +74,9 @@ def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
             expected=f"{needed} bytes",
             got=f"{len(pixels)}",
         )
-    stored = np.frombuffer(pixels, dtype="<i2" if signed else "<u2", count=needed // 2).reshape(shape)
+    stored = np.frombuffer(
+        pixels, dtype="<i2" if representation == SIGNED else "<u2", count=needed // 2
+    ).reshape(shape)
     bits = _whole(header, data, "BitsStored", 16)
     high = _whole(header, data, "HighBit", bits - 1)
     if not 1 <= bits <= high + 1 <= 16:

@@ -87,7 +87,15 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize(("problem", "kind"), [(MemoryError(), OutOfMemory), (TypeError("x"), InternalFault)])
+@pytest.mark.parametrize(
+    ("problem", "kind"),
+    [
+        (MemoryError(), OutOfMemory),
+        (OSError(errno.ENOMEM, "no memory"), OutOfMemory),
+        (ImportError("cv2.so: failed to map segment from shared object"), OutOfMemory),
+        (TypeError("x"), InternalFault),
+    ],
+)
 def test_an_unexpected_error_has_a_code_and_no_traceback(
     problem: Exception, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
 ) -> None:

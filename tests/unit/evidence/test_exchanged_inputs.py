@@ -87,6 +87,30 @@ def test_an_input_out_of_reach_at_the_end_is_compared_when_it_is_back(run: Path,
     assert "changed" in {problem.what for problem in inspected(run).changes if problem.file == CT}
 
 
+def test_inputs_whose_folder_is_elsewhere_now_are_not_compared_and_the_run_is_whole(
+    run: Path, tmp_path: Path
+) -> None:
+    patient = tmp_path / "patient"
+    patient.mkdir()
+    (patient / "slice-1.dcm").write_text("as it was")
+
+    def read(context: StepContext) -> Outcome[StepResult]:
+        context.note_inputs(*patient.iterdir())
+        return Outcome(Image())
+
+    cell = RecordingCell(run)
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name)
+    engine = cell.engine(plain_order("T1", image=read))
+    engine.run_step(engine.order.find("image"))
+    engine.close("done")
+    aside = patient.rename(tmp_path / "archive")
+    found = inspected(run)
+    assert (found.changes, found.out_of_reach) == ((), (str(patient / "slice-1.dcm"),))
+    aside.rename(patient)
+    (patient / "slice-1.dcm").unlink()
+    assert [str(problem) for problem in inspected(run).changes] == [f"{patient}/slice-1.dcm: missing"]
+
+
 def test_an_input_changed_after_a_kill_is_told_and_left_to_the_resumed_run(run: Path, engine: Engine) -> None:
     (run / CT).write_text("another")
     found = inspected(run)

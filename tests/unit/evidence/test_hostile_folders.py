@@ -79,7 +79,7 @@ def test_what_claims_to_be_empty_is_hashed_only_so_far() -> None:
 def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ronna_hw.evidence.inspection.LARGEST_INPUTS_BYTES", 1000)
+    monkeypatch.setattr("ronna_hw.evidence.compared_files.LARGEST_INPUTS_BYTES", 1000)
     files = [tmp_path / name for name in "abc"]
     for file in files:
         file.write_bytes(bytes(400))
@@ -148,8 +148,8 @@ def test_a_file_outside_the_run_that_a_journal_names_is_reported_and_not_opened(
     cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: sha256})
     cell.journal.write(Entry.CLOSED, 0.0, files={f"{name}.json": sha256})
     opened: list[Path] = []
-    for where in ("read_record", "sha256_of"):
-        monkeypatch.setattr(f"ronna_hw.evidence.inspection.{where}", opened.append)
+    for where in ("inspection.read_record", "compared_files.sha256_of"):
+        monkeypatch.setattr(f"ronna_hw.evidence.{where}", opened.append)
     problems = {problem.file: problem.what for problem in inspected(cell.folder).changes}
     named = (f"records/../{name}.json", f"records/{name}.json", f"pictures/{name}", f"{name}.json")
     assert {problems[one] for one in named} == {"not the name of a file of the run"}

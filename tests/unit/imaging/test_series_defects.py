@@ -153,6 +153,11 @@ EDITED = {
         errors.PixelsUnusable,
         "MONOCHROME1",
     ),
+    "neither signed nor unsigned": (
+        every(setting(PixelRepresentation=7)),
+        errors.PixelsUnusable,
+        "pixel representation 7",
+    ),
     "bits beyond the word": (
         every(setting(BitsStored=12, HighBit=17)),
         errors.PixelsUnusable,
