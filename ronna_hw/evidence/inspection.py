@@ -77,13 +77,13 @@ class Inspection:
 
     @property
     def not_as_left(self) -> dict[str, str | None]:
-        """Changed, missing and added files, with their hash when the run last ended; None without one.
+        """Changed, missing and added files, with their hash at the run's last end or beginning; None without.
 
         Files that every program continues, such as the log, are excluded unless added; so is a renamed
         folder, which is found whenever it is read.
         """
         end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
-        known = hashes_in(end, "files") | hashes_in(end, "inputs")
+        known = hashes_in(end, "files") | hashes_in(end, "inputs") | lasting_files(self.chain.lines)
         return {
             one.file: known.get(one.file)
             for one in self.changes

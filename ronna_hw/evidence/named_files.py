@@ -54,8 +54,8 @@ def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
 
 def begun_with(lines: Sequence[Line]) -> dict[str, str]:
     """The files that the last program to open the run began with, with their hashes then."""
-    begun = max(number for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number)
-    return hashes_in(lines[begun], "inputs")
+    begun = [line for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number]
+    return hashes_in(begun[-1], "inputs") if begun else {}
 
 
 def made_from(lines: Sequence[Line]) -> dict[str, str]:

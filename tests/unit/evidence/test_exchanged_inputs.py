@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -124,6 +125,7 @@ def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up
     assert engine.upcoming is not None
     (run / TOOL).write_text("another")
     assert [str(problem) for problem in inspected(run).changes] == [f"{TOOL}: changed"]
+    assert inspected(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
     with pytest.raises(RunChanged):
         read_left_run(run)
 
