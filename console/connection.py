@@ -21,6 +21,7 @@ class Connection(H11Protocol):
         super().__init__(*arguments, **named)
         self._deadline: asyncio.TimerHandle | None = None
         self._is_answering = False
+        self._answer_ends_s = 0.0
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
         """Give the first request its time."""
@@ -32,6 +33,7 @@ class Connection(H11Protocol):
         super().handle_events()
         if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
             self._is_answering = True
+            self._answer_ends_s = self.loop.time() + ANSWER_LIMIT_S
             self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
@@ -57,7 +59,15 @@ class Connection(H11Protocol):
 
     def _wait(self, limit_s: float) -> None:
         self._stop_waiting()
-        self._deadline = self.loop.call_later(limit_s, self.transport.abort)
+        self._deadline = self.loop.call_later(limit_s, self._end)
+
+    def _end(self) -> None:
+        """An answer that was sent whole may still be on its way to a slow reader."""
+        left_s = self._answer_ends_s - self.loop.time()
+        if left_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
+            self._wait(min(left_s, REQUEST_LIMIT_S))
+        else:
+            self.transport.abort()
 
     def _stop_waiting(self) -> None:
         if self._deadline is not None:

@@ -43,7 +43,9 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
         return
     engine.goes_on = MovedCart(engine).agreed_to_go_on
     if not only_leaving:
-        guards.append(UnchangedInputs(engine, setting.clinical))
+        inputs = UnchangedInputs(engine, setting.clinical)
+        guards.append(inputs)
+        engine.recorders.append(inputs)
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
     guards.append(GuideStill(workcell, setting.clock, setting.memory))  # before the head: it names the cause
     guards.append(sight_guard(engine, void))

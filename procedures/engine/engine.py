@@ -76,7 +76,7 @@ class Engine:
         self._logged = order.without_names
         self._on_ending = on_ending
         self._before_result = before_result
-        self._recorders = recorders
+        self.recorders = list(recorders)
         self.running: StepKey | None = None
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
         setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
@@ -324,7 +324,7 @@ class Engine:
             self.faults.doubt_results()
         self.events.hold_time()
         self.setting.workcell.close()
-        for recorder in self._recorders:  # the journal's last line speaks for every file of the run
+        for recorder in self.recorders:  # the journal's last line speaks for every file of the run
             recorder.close()
         more = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
         if problem is not None:

@@ -88,16 +88,20 @@ class Checkpoint:
         self._clock = clock
         self._wishes = threading.RLock()  # a signal handler may wish while its thread meets a wish
         self._pause: str | None = None
+        self.firm = False  # the wish to pause
         self._abort = False
 
-    def pause(self, reason: str = "the operator asked for a pause") -> None:
-        """Rest at the next checkpoint."""
+    def pause(self, reason: str = "the operator asked for a pause", *, firm: bool = False) -> None:
+        """Rest at the next checkpoint; a `firm` wish, as after a stop, is not withdrawn."""
         with self._wishes:
             self._pause = reason
+            self.firm = self.firm or firm
 
     def withdraw_pause(self) -> bool:
-        """Do not rest at the next checkpoint; False when nobody wanted it."""
+        """Do not rest at the next checkpoint; False when nobody wanted it, or the wish is firm."""
         with self._wishes:
+            if self.firm:
+                return False
             wanted, self._pause = self._pause is not None, None
         return wanted
 
@@ -135,7 +139,7 @@ class Checkpoint:
     def _meet_wishes(self, where: str) -> None:
         self._meet_abort()
         with self._wishes:
-            reason, self._pause = self._pause, None
+            reason, self._pause, self.firm = self._pause, None, False
         if reason is None:
             return
         with self._rest(PAUSED, reason):
@@ -148,7 +152,7 @@ class Checkpoint:
         with self._wishes:
             abort, self._abort = self._abort, False  # met once: the way home is still to come
             if abort:
-                self._pause = None  # it is not for the way home
+                self._pause, self.firm = None, False  # it is not for the way home
         if abort:
             raise OperatorAborted("the operator ended the procedure")
 

@@ -23,7 +23,7 @@ class Problem:
 
     `unfinished` if the only problem is that the run did not reach its end, or that a file of its report is to
     be made anew; `beside` if nothing written by the run is affected: its folder was renamed, or a file added;
-    `out_of_reach` if it is an input outside the run whose whole folder is not there, as on another computer.
+    `out_of_reach` if it is an input outside the run whose folder is not there or not open to us.
     """
 
     file: str
@@ -58,10 +58,16 @@ def against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) ->
             if sha256_of(folder / name) != recorded:
                 yield Problem(name, "changed")
         except (FileNotFoundError, ValueError):  # the second for a name that no file can have
-            gone = PurePosixPath(name).is_absolute() and not os.path.lexists(PurePosixPath(name).parent)
+            gone = _is_out_of_reach(name)
             yield Problem(name, "missing", unfinished=is_made_anew(name), out_of_reach=gone)
         except OSError as error:
-            yield Problem(name, why_unread(error))
+            yield Problem(name, why_unread(error), out_of_reach=_is_out_of_reach(name))
+
+
+def _is_out_of_reach(name: str) -> bool:
+    """Whether it is a file elsewhere whose folder is not there, or may not be entered."""
+    path = PurePosixPath(name)
+    return path.is_absolute() and not os.access(path.parent, os.X_OK)
 
 
 def wrong_name(name: str) -> str:

@@ -137,7 +137,8 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     elif chain.lines:
         problems += _some(folder, chain, [name for name in files if os.path.lexists(folder / name)])
     found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
-    return Inspection(folder, chain, records, found, tuple(one.file for one in problems if one.out_of_reach))
+    out_of_reach = dict.fromkeys(one.file for one in problems if one.out_of_reach)
+    return Inspection(folder, chain, records, found, tuple(out_of_reach))
 
 
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:

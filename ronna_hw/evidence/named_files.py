@@ -10,6 +10,7 @@ from ronna_hw.evidence.journal_reading import Entry, Line
 REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
+WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
 NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
 BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # the first line of each program that has the run
 
@@ -33,9 +34,13 @@ def closed_files(lines: Sequence[Line]) -> dict[str, str]:
 
 
 def lasting_files(lines: Sequence[Line]) -> dict[str, str]:
-    """Files of a run that goes on which must still be as the journal says, with their hashes."""
+    """Files of a run that goes on which must still be as the journal says, with their hashes.
+
+    Without what results were made from: who goes on compares what it says.
+    """
     lasting = {name: sha256 for name, sha256 in closed_files(lines).items() if name.startswith(LASTING)}
-    return lasting | begun_with(lines)
+    apart = {WITH_PORTS, *made_from(lines)}
+    return {name: sha256 for name, sha256 in (lasting | begun_with(lines)).items() if name not in apart}
 
 
 def superseded_in(lines: Iterable[Line]) -> frozenset[str]:

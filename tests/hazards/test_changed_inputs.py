@@ -85,7 +85,9 @@ def engine(cell: ClinicalCell) -> Engine:
         *(mounted_guide(), checked_tool(), checked_paths(cell), *coarse(), positioning.STEP),
     )
     assert engine.setting.clinical is not None
-    engine.checkpoint.guards.append(UnchangedInputs(engine, engine.setting.clinical))
+    inputs = UnchangedInputs(engine, engine.setting.clinical)
+    engine.checkpoint.guards.append(inputs)
+    engine.recorders.append(inputs)
     while str(engine.upcoming) != POSITIONING:
         engine.run_to(engine.upcoming)
     return engine
@@ -160,12 +162,14 @@ def test_files_that_were_only_touched_or_copied_count_as_unchanged(engine: Engin
 
 
 @pytest.mark.hazard(1)
+@pytest.mark.parametrize("goes_on", [True, False], ids=["before a step", "before the end"])
 def test_a_comment_written_into_the_plan_is_a_finding_and_the_run_is_whole(
-    cell: ClinicalCell, engine: Engine
+    cell: ClinicalCell, engine: Engine, goes_on: bool
 ) -> None:
     with plan_of(engine).open("a") as plan_file:
         plan_file.write("# agreed with the surgeon\n")
-    engine.run_step(engine.order.find(POSITIONING))
+    if goes_on:
+        engine.run_step(engine.order.find(POSITIONING))
     engine.close("left")
     assert [entry for entry, _ in cell.entries("voided", "finding")] == ["finding"]
     assert inspected(engine.case.folder).changes == ()

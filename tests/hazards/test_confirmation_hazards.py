@@ -199,12 +199,13 @@ def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_bef
 
 
 @pytest.mark.hazard(36)
+@pytest.mark.parametrize("when", ["before", "meanwhile"])
 def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before_does_not_count(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
+    keyboard: int, monkeypatch: pytest.MonkeyPatch, when: str
 ) -> None:
     said: list[str] = []
-    faults: dict[str, str] = {}
-    typed = iter((b"resume\n", b"abort\n"))
+    faults = {"arm": "the arm is in fault (EKI-010), emergency stop: pressed"} if when == "before" else {}
+    typed = iter((b"abort\n",) if when == "before" else (b"resume\n", b"abort\n"))
 
     def at_prompt(_words: str) -> None:
         os.write(keyboard, next(typed))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import sys
 import termios
@@ -49,6 +50,12 @@ class Alarms:
         return {} if self._engine is None else self._engine.faults.in_short
 
 
+def forget_typed() -> None:
+    """What was typed at the terminal and not read yet is lost."""
+    with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+
+
 def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str]]:
     """Wait at a terminal for a line, the end of time or an alarm: whether there is a line, and what to tell.
 
@@ -58,7 +65,7 @@ def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str
         left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
         ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
         if news := alarms.new():
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            forget_typed()
             sys.stderr.write("\n")  # the prompt is still there
         if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
             return bool(ready), news

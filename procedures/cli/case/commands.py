@@ -143,6 +143,8 @@ def _stop(_engine: Engine, _argument: str, say: Say) -> None:
 def _resume(engine: Engine, _argument: str, say: Say) -> None:
     withdrawn = engine.checkpoint.withdraw_pause()
     state = "the pause is withdrawn" if withdrawn else "nothing is paused"
+    if engine.checkpoint.firm:
+        state = "the arm was stopped: that is asked about when the next step begins"
     faults = tuple(engine.faults.described.values())
     say("; ".join((state, *(faults or ("next or to continues",)))))
 

@@ -7,6 +7,7 @@ import importlib
 import shlex
 import shutil
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from procedures.cli.case.simulated_case import SimulatedCase
 from procedures.cli.case.who_answers import operator_of
 from procedures.composition.procedure import Procedure, Resumption
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
-from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.interruption import ENDING_SIGNALS, interruption_deferred
 from ronna_hw.host.open_files import require_open_files
@@ -90,8 +91,10 @@ def opened_engine(
         alarms = Alarms()
         operator = operator_of(request, watcher, answers, resumption, alarms)
         if watcher.pilot is not None:
-            operator = watcher.pilot.operator(operator, script_at_pause=watcher.at_pause is None)
-        away = None
+            # The same terminal as in `operator_of`.
+            at_terminal = on_terminal(sys.stdin) and (watcher.at_pause is not None or on_terminal(sys.stderr))
+            operator = watcher.pilot.operator(operator, script_at_pause=not at_terminal)
+        away, simulated = None, None
         if file is not None:
             leaving = resumption is not None and resumption.only_leaving
             last = stack.enter_context(held_theatre(file, folder, only_leaving=leaving))
@@ -135,6 +138,8 @@ def opened_engine(
             opening={**request_hash(folder), "seed": request.seed},
             left_away=away,
         )
+        if simulated is not None:
+            simulated.taken_up()
         alarms.attach(engine)
         outcome, ended_by = "failed", None
         try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import termios
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -12,7 +11,7 @@ from types import MappingProxyType
 
 from typer import style
 
-from procedures.cli.case.alarms import Alarms, awaited
+from procedures.cli.case.alarms import Alarms, awaited, forget_typed
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
 from procedures.operator.question import YES, Operator, Question, words
@@ -262,7 +261,7 @@ def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, 
     """
     news = alarms.new()
     if news or not ahead:
-        termios.tcflush(sys.stdin, termios.TCIFLUSH)
+        forget_typed()
     while True:
         for said in news:
             _say(said)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import shlex
 import sys
-import termios
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.alarms import Alarms, awaited
+from procedures.cli.case.alarms import Alarms, awaited, forget_typed
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
 from procedures.engine.errors import UnknownStep
@@ -68,10 +67,13 @@ class Prompt:
         self._meanwhile = meanwhile
         self._piped = piped
         self._engine: Engine | None = None
+        self._alarms = Alarms(TO_CONTINUE)
         self.input_ended = False
 
     def attach(self, engine: Engine) -> None:
         """From now on a pause is about this engine."""
+        if engine is not self._engine:
+            self._alarms.attach(engine)
         self._engine = engine
 
     def follow(self, engine: Engine) -> bool:
@@ -103,7 +105,7 @@ class Prompt:
     def ask(self, question: Question) -> str:
         """A pause: `resume`, `abort`, or what moves nothing. The end of the input ends the case."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
-            termios.tcflush(sys.stdin, termios.TCIFLUSH)
+            forget_typed()
         self._say(f"{question.subject}; {question.value}")
         self._say(AT_PAUSE_CHOICES)
         while (line := self._line(PAUSED)) is not None:
@@ -153,6 +155,7 @@ class Prompt:
         for fault in faults.values():
             if fault not in str(error):
                 self._say(fault)
+        self._alarms.new()  # are said with this
         self._say(f"{HELD}; {self._way_on}")
 
     @property
@@ -183,17 +186,16 @@ class Prompt:
             return line or None
 
     def _await_line(self, words: str, write: WritePrompt) -> None:
-        """Show the prompt until a line was typed, and what comes to be in fault meanwhile."""
-        alarms = Alarms(TO_CONTINUE)
-        if self._engine is not None:
-            alarms.attach(self._engine)
-        alarms.new()  # what is in fault already was said
-        is_typed = False
+        """Show the prompt until a line was typed, and first what has come to be in fault."""
+        is_typed, news = False, self._alarms.new()
+        if news:
+            forget_typed()
+            words = words or self._words  # it was shown before
         while not is_typed:
-            write(words)
-            is_typed, news = awaited(alarms)
             for said in news:
                 self._say(said)
+            write(words)
+            is_typed, news = awaited(self._alarms)
             is_typed = is_typed and not news
 
 

@@ -11,9 +11,11 @@ from typing import Self
 from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
+from ronna_hw.evidence.named_files import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, command
 from ronna_hw.host.control_port import ControlPortSilent
 from ronna_hw.host.finite_command import await_end
+from ronna_hw.records import write_whole
 from ronna_hw.simulation import NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
@@ -32,6 +34,8 @@ class SimulatedCase:
         on_controller_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
+        self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
+        self._former = self._file.read_bytes() if goes_on and self._file.exists() else None
         scene = request.choice.theatre_arguments()
         more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
         if request.measure_targets:
@@ -78,6 +82,10 @@ class SimulatedCase:
                 raise
             raise CommandRefused(NAME, child.messages[-1], child.process.returncode or EXIT_FAILED) from error
 
+    def taken_up(self) -> None:
+        """The run's journal names the theatre as it is now; without that it is left as it was."""
+        self._former = None
+
     def __enter__(self) -> Self:
         return self
 
@@ -94,6 +102,8 @@ class SimulatedCase:
         halted = isinstance(error, ControlPortSilent) and child.alive
         gone = bool(child.ready) and (halted or not child.alive)
         self.theatre.end()
+        if self._former is not None:
+            write_whole(self._file, self._former)
         if gone and error is not None:  # what the procedure met is only the consequence
             words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
             raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error

@@ -110,7 +110,7 @@ class Desk:
     def stopped(self) -> bool:
         """Whether somebody at the console stopped the arm, and nobody in its seat has answered since."""
         with self._changed:
-            return self._stopped and not self._gone
+            return self._stopped
 
     @property
     def waits(self) -> bool:
@@ -223,7 +223,7 @@ class Desk:
         seated = self._seat.held_by(session)
         who = self._seat.holder if seated else f"someone outside the operator's seat (session {session})"
         self._stopped = True
-        engine.checkpoint.pause(f"{who} stopped the arm")
+        engine.checkpoint.pause(f"{who} stopped the arm", firm=True)
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 

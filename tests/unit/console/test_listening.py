@@ -78,6 +78,10 @@ class Served:
             await send({"type": "websocket.accept"})
             while message["type"] != "websocket.disconnect":
                 message = await receive()
+        elif scope["path"] == "/whole":
+            length = (b"content-length", str(SENT_BYTES).encode())
+            await send({"type": "http.response.start", "status": 200, "headers": [length]})
+            await send({"type": "http.response.body", "body": bytes(SENT_BYTES)})
         else:
             await send({"type": "http.response.start", "status": 200, "headers": []})
             for _ in range(SENT_BYTES // 100_000):
@@ -238,6 +242,23 @@ def test_an_answer_that_is_not_read_is_given_up_after_its_time_limit(monkeypatch
             writer.transport.abort()
 
     asyncio.run(stay())
+
+
+def test_an_answer_in_one_piece_is_left_to_a_slow_reader(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+
+    async def taken() -> int:
+        async with Served().serving() as console:
+            reader, writer = await console.connected(console.asked("/whole", console.sessions.viewer_token))
+            await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), 10.0)
+            stranger = await console.connected(b"")
+            await _ended(stranger[0])  # has come later, and its time is up
+            answer = await asyncio.wait_for(reader.readexactly(SENT_BYTES), 60.0)
+            for one in (writer, stranger[1]):
+                one.transport.abort()
+            return len(answer)
+
+    assert asyncio.run(taken()) == SENT_BYTES
 
 
 def test_an_open_socket_outlasts_the_request_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:

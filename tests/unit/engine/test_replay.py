@@ -74,7 +74,7 @@ class Recorded:
         cell.opened = RecordingTheatre(cell.theatre, taped(cell.arm, tape), cell.stereo, cell.tracker)  # type: ignore[arg-type]
         cell.workcell = cell.make_workcell()
         self.engine = cell.engine(self.order)
-        self.tape, self.engine._recorders = tape, (tape,)
+        self.tape, self.engine.recorders = tape, [tape]
 
     def run(self, *steps: str) -> None:
         for name in steps:
@@ -265,7 +265,7 @@ def test_reads_by_a_precondition_do_not_consume_recorded_answers_of_its_step(tmp
     image, localization, *others = recorded.order.steps
     order = replace(recorded.order, steps=(image, replace(localization, preconditions=at_home), *others))
     recorded.engine = recorded.cell.engine(order)
-    recorded.engine._recorders = (recorded.tape,)
+    recorded.engine.recorders = [recorded.tape]
     recorded.run(*CASE[:2])
     assert {one.verdict for one in recorded.replayed(order)} == {EQUAL}
 

@@ -15,10 +15,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Outcome
-from procedures.journal.journal import Entry
+from procedures.journal.journal import Entry, Journal
 from procedures.results.result import StepResult
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
+from ronna_hw.evidence.named_files import WITH_PORTS
 from ronna_hw.evidence.seal import input_hashes, theatre_files
 
 CT, TOOL = "case/ct/slice-1.dcm", "theatre/frame.rom"
@@ -128,6 +130,44 @@ def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up
     assert inspected(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
     with pytest.raises(RunChanged):
         read_left_run(run)
+
+
+def test_a_theatre_file_with_the_ports_of_a_program_that_never_took_the_run_up_is_no_change(
+    run: Path,
+) -> None:
+    (run / WITH_PORTS).write_text("port = 1")
+    cell = RecordingCell(run)
+    inputs = input_hashes(run, theatre_files(run))
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name, inputs=inputs)
+    (run / WITH_PORTS).write_text("port = 2")
+    assert inspected(run).changes == ()
+
+
+def test_a_plan_written_again_in_a_resumed_run_is_no_change_after_a_kill(run: Path, engine: Engine) -> None:
+    engine.close("left")
+    chain = read_chain(run / JOURNAL_FILE)
+    (run / CT).write_text("the same, with a comment")
+    record = next(line["record"] for line in chain.lines if line["entry"] == Entry.RESULT)
+    journal = Journal.taken_up(run, chain)
+    journal.write(Entry.RESTARTED, 0.0, inputs=dict(input_hashes(run, theatre_files(run))))
+    again = dict(input_hashes(run, [run / CT]))
+    journal.write(Entry.FINDING, 0.0, text="written again", record=record, inputs=again)
+    assert inspected(run).changes == ()
+    (run / CT).write_text("another")
+    assert f"{CT}: changed since results were made from it" in map(str, inspected(run).problems)
+
+
+@pytest.mark.parametrize("in_place", [None, "a file"], ids=["nothing", "a file"])
+def test_an_input_below_what_is_no_folder_is_out_of_reach(run: Path, in_place: str | None) -> None:
+    elsewhere = run.with_name("patient")
+    if in_place is not None:
+        elsewhere.write_text(in_place)
+    cell = RecordingCell(run)
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name)
+    cell.journal.write(
+        Entry.CLOSED, 0.0, outcome="done", files={}, inputs={f"{elsewhere}/plan.toml": "0" * 64}
+    )
+    assert inspected(run).out_of_reach == (f"{elsewhere}/plan.toml",)
 
 
 def test_a_theatre_file_that_was_added_is_no_input_of_who_takes_the_run_up(run: Path) -> None:

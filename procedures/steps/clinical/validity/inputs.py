@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
@@ -68,6 +69,16 @@ class UnchangedInputs:
                 note_same_content(self._engine, path, stored.record)
             self._seen[path] = stamps
         return None
+
+    def close(self) -> None:
+        """As a recorder of the run: what was written again after the last look."""
+        for path, model in self._inputs.items():
+            stored = self._engine.case.find(model, None)
+            if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
+                continue
+            if not _changed(stored.result, path):
+                with suppress(RonnaError):  # the journal cannot be written: closing goes on
+                    note_same_content(self._engine, path, stored.record)
 
 
 def note_same_content(engine: Engine, path: Path, record: Record) -> None:

@@ -12,6 +12,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
+from procedures.cli.case.commands import COMMANDS
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.cli.console.desk import Desk, Wish
 from procedures.cli.console.pilot import Pilot
@@ -258,6 +259,24 @@ def test_a_script_does_not_continue_a_case_that_a_person_stopped(
     assert stand.give("answer", **given) == ""
     eventually(lambda: answers == ["continue"])
     assert not stand.desk.stopped
+
+
+@pytest.mark.hazard(32)
+def test_a_console_that_ends_before_its_stop_is_met_leaves_no_script_to_continue(tmp_path: Path) -> None:
+    stand = Stand(tmp_path)
+    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    stand.give("stop", BEN)
+    stand.desk.leave()
+    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "abort"
+
+
+@pytest.mark.hazard(32)
+def test_a_stop_between_steps_is_not_withdrawn_by_a_line_of_a_script(stand: Stand) -> None:
+    stand.give("stop", BEN)
+    said: list[str] = []
+    COMMANDS["resume"].work(stand.engine, "", said.append)
+    assert said[0].startswith("the arm was stopped: that is asked about when the next step begins")
+    assert stand.engine.checkpoint.wanted
 
 
 @pytest.mark.hazard(32)
