@@ -10,6 +10,7 @@ from typing import Self
 
 from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.evidence.named_files import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, command
@@ -35,7 +36,8 @@ class SimulatedCase:
     ) -> None:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
         self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
-        self._former = self._file.read_bytes() if goes_on and self._file.exists() else None
+        left = goes_on and self._file.exists()
+        self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if left else None
         scene = request.choice.theatre_arguments()
         more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
         if request.measure_targets:
