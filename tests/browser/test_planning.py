@@ -40,6 +40,12 @@ from procedures.planning.plan.lock import held_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]
+CENTRE_OF = """
+which => {
+  const box = document.querySelector(which)?.getBoundingClientRect();
+  return box?.width ? [box.x + box.width / 2, box.y + box.height / 2] : null;
+}
+"""  # in one go: the picture is drawn anew whenever something moves
 
 
 @pytest.fixture(scope="module")
@@ -149,10 +155,8 @@ def test_an_end_can_be_dragged_and_the_whole_drag_undone_or_set_from_the_keyboar
     page.add_init_script(NO_WEBGL)
     enter_planner(page, opened(plan)["url"])
     page.get_by_label("crosshair to the target").click()
-    handle = page.locator(f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']")
-    handle.wait_for(state="attached")
-    box = handle.bounding_box()
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    handle = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"
+    x, y = page.wait_for_function(CENTRE_OF, arg=handle).json_value()
     page.mouse.move(x, y)
     page.mouse.down()
     page.mouse.move(x + 30, y, steps=3)
