@@ -135,9 +135,8 @@ class Guard:
             await _refuse(send, 401, "This key belongs to another run, or is truncated.")
             return
         if (session := self._sessions.find(cookie)) is not None:
-            self._trust(
-                scope.get("client"), session.role
-            )  # one too many is as a stranger until its next request
+            # One too many stays a stranger until its next request.
+            self._trust(scope.get("client"), session.role)
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
         if self._scheme == "https":
             kept += "; Secure"

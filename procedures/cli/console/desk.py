@@ -249,6 +249,8 @@ class Desk:
             if wrong := [why for one in order.readings if (why := misread(one, question.plausible_mm))]:
                 return "; ".join(wrong)
             standing.readings = order.readings
+        if question.topic is Topic.PAUSE:
+            self._stopped = False
         self._settle(order.answer, Signature(self._seat.holder, order.session, standing.shown))
         return ""
 
@@ -304,7 +306,6 @@ class Desk:
             finally:
                 self._standing = None
         if standing.signature is not None:
-            self._stopped = self._stopped and question.topic is not Topic.PAUSE
             question.signed(standing.signature)
         if standing.readings is not None:
             question.read(standing.readings)
