@@ -17,9 +17,9 @@ from procedures.guards import (
     standing_guards,
 )
 from procedures.recovery.moved_cart import MovedCart
+from procedures.steps.clinical.confirmation import void_moved
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
-from procedures.steps.clinical.validity.moved_head import void_moved
 from ronna_hw.config import TheatreFile
 
 

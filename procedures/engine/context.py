@@ -96,8 +96,8 @@ class StepSupport(Protocol):
         """Have an instrument taken out, if one may be in the guide."""
         ...
 
-    def find(self, text: str) -> None:
-        """Record something that the operator should know and that stops nothing."""
+    def find(self, text: str, targets: Sequence[str] = ()) -> None:
+        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
         ...
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
@@ -139,14 +139,9 @@ class StepContext:
         self._read[stored.record.identifier] = stored.record
         return stored
 
-    def is_last_trajectory(self) -> bool:
-        """Whether this step has been done for every other trajectory that remains; those results are read."""
-        others = [StepKey(self.key.name, name) for name in self.remaining if name != self.trajectory]
-        if not all(map(self._case.stands, others)):
-            return False
-        for other in others:
-            self._read_from_case(self.spec.result, other.trajectory)
-        return True
+    def done_for(self, model: type[StepResult]) -> tuple[str, ...]:
+        """The trajectories with a standing result of a step of each trajectory; none is read by that."""
+        return tuple(name for name in self.trajectories if self._case.stands(StepKey(model.kind, name)))
 
     @property
     def read(self) -> tuple[Record, ...]:
@@ -233,9 +228,9 @@ class StepContext:
         """Watch the patient meanwhile, as during a motion, while the arm rests."""
         return self._support.checkpoint.watching(what, False)
 
-    def find(self, text: str) -> None:
-        """Record something that the operator should know and that stops nothing."""
-        self._support.find(text)
+    def find(self, text: str, targets: Sequence[str] = ()) -> None:
+        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
+        self._support.find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
         """Identifier of the record of a valid result; as `result`."""

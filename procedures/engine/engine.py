@@ -204,8 +204,10 @@ class Engine:
         """As `hands.have_instrument_out`."""
         have_instrument_out(self.setting, self._journal, self.ask)
 
-    def find(self, text: str, **more: JournalValue) -> None:
-        """Record something that the operator should know and that stops nothing."""
+    def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
+        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
+        if targets:
+            more["targets"] = list(targets)
         self._write(Entry.FINDING, text=text, **more)
         self.events.publish(Advisory(text=text))
         _log.warning("finding", text=self._logged(text))

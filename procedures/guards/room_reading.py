@@ -8,7 +8,7 @@ import numpy as np
 
 from procedures.engine.case_memory import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.room_watch import RoomLook, RoomReading, RoomWatch
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock
@@ -21,22 +21,30 @@ FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 
 LEAST_SHARE = 0.5  # of the frames that must show what is averaged
 
 
-def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -> RoomReading:
-    """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
-    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
+def read_room(
+    workcell: Workcell, clock: Clock, robot_from_tracker: Transform, count: int = FRAMES
+) -> RoomReading:
+    """Read so many frames of the tracker while the arm rests. Raises what the tracker raises."""
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
     return room_reading(workcell, frames, robot_from_tracker)
 
 
 def check_now(
-    room: RoomWatch, workcell: Workcell, clock: Clock, memory: CaseMemory, void: Callable[[RonnaError], None]
-) -> list[str]:
-    """As `RoomWatch.check`, of a look now; what has moved ends the watch, and `void` what no longer holds."""
-    try:
-        return room.check(read_room(workcell, clock, room.robot_from_tracker), clock.now_s())
-    except (BaseShifted, PatientMoved) as moved:
-        void(moved)  # first: as long as that is not written, the watch goes on
+    room: RoomWatch,
+    workcell: Workcell,
+    clock: Clock,
+    memory: CaseMemory,
+    void: Callable[[RonnaError], None],
+    count: int = FRAMES,
+) -> RoomLook:
+    """Look now and compare; raises as `RoomWatch.check`. A movement ends the watch, and `void`s first."""
+    look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
+    if isinstance(look.moved, BaseShifted | PatientMoved):
+        void(look.moved)  # first: as long as that is not written, the watch goes on
         memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-        raise
+    if look.moved is not None:
+        raise look.moved
+    return look
 
 
 def room_reading(
@@ -53,4 +61,6 @@ def room_reading(
         frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
     frame = robot_from_tracker.inverse() @ by_arm if seen is None else seen
     markers = frame.apply(workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool])
-    return RoomReading(workcell.flange_pose(joints), frame_mm, spheres, markers)
+    return RoomReading(
+        workcell.flange_pose(joints), frame_mm, spheres, markers, len(frames), workcell.arrived_home
+    )

@@ -16,6 +16,12 @@ from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
+from procedures.guards.stability import (
+    BASE_NOTICEABLE_MM,
+    BASE_SETTLED_NOTICEABLE_MM,
+    CAREFUL_FRAMES,
+    HEAD_NOTICEABLE_MM,
+)
 from procedures.registration.shift import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 from ronna_hw.text.beyond import beyond
@@ -23,8 +29,8 @@ from ronna_hw.text.counting import counted
 
 Array = NDArray[np.float64]
 
-# Half of the 1.7 mm that must be noticed. In the same pose the tracker's noise is all there is: 0.18 mm at
-# most in 300 simulated pairs of readings.
+# Half of the 1.7 mm that must be noticed at any rest of the arm. In the same pose the frame is displaced by
+# backlash: 0.52 mm at most in 800 simulated pairs that were reached from different sides.
 BASE_LIMIT_MM = 0.85
 # In another pose of the same orientation arm and tracker err differently: 0.96 mm at most in 360 pairs.
 OTHER_POSE_LIMIT_MM = 1.3
@@ -45,13 +51,56 @@ class RoomReading:
 
     `robot_from_flange` is the arm's pose, by its calibration or else nominal, `frame_mm` (3,) the frame by
     the tracker minus the frame by the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are
-    strays and `markers_mm` (k, 3) the markers of the frame, tracker frame.
+    strays and `markers_mm` (k, 3) the markers of the frame, tracker frame. `frames` of the tracker were
+    averaged. `arrived` says from which side each joint came to rest, where that is known.
     """
 
     robot_from_flange: Transform
     frame_mm: Array | None
     spheres_mm: Array
     markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
+    frames: int = 1
+    arrived: tuple[int, ...] | None = None
+
+    @property
+    def careful(self) -> bool:
+        """Whether it was averaged for as long as a look before or after a target must be."""
+        return self.frames >= CAREFUL_FRAMES
+
+    @property
+    def head_limit_mm(self) -> float:
+        """Rms of the spheres from which on the head has moved."""
+        return HEAD_NOTICEABLE_MM if self.careful else PATIENT_LIMIT_MM
+
+
+@dataclass(frozen=True)
+class BaseShift:
+    """Way of the frame on the arm (3,) mm against an earlier reading, and from where on it has moved.
+
+    `exact` says that the arm stands in the very pose of that reading.
+    """
+
+    way_mm: Array
+    limit_mm: float
+    exact: bool
+
+    @property
+    def moved_mm(self) -> float:
+        """Length of the way."""
+        return float(np.linalg.norm(self.way_mm))
+
+
+@dataclass(frozen=True)
+class RoomLook:
+    """A reading compared: how far head and base are from their places, None where that was not seen.
+
+    `findings` say what could not be compared; `moved` is what has moved, or what keeps that from being told.
+    """
+
+    head_mm: float | None
+    base: BaseShift | None
+    findings: tuple[str, ...] = ()
+    moved: BaseShifted | PatientMoved | PatientUnseen | None = None
 
 
 @dataclass
@@ -116,6 +165,15 @@ class RoomWatch:
         """Whether the arm is expected to hide the head in its present pose."""
         return self.approach is not None and self.approach.arm_hides_head()
 
+    def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
+        """Compare a reading with those before and keep it unless something has moved."""
+        head, base = shift_of(self.spheres_mm, reading.spheres_mm), self.base_shift(reading)
+        head_mm = None if head is None else head.rms_mm
+        try:
+            return RoomLook(head_mm, base, tuple(self.check(reading, now_s)))
+        except (BaseShifted, PatientMoved, PatientUnseen) as moved:
+            return RoomLook(head_mm, base, moved=moved)
+
     def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
         """Compare a reading with those before and keep it; returns what could not be compared, in words.
 
@@ -123,7 +181,7 @@ class RoomWatch:
         it is in no known place.
         """
         findings: list[str] = []
-        base_mm = self.base_shift_mm(reading)
+        base = self.base_shift(reading)
         if reading.frame_mm is None:
             findings.append("the tracker does not see the frame on the arm in this pose")
         head = shift_of(self.spheres_mm, reading.spheres_mm)
@@ -131,40 +189,47 @@ class RoomWatch:
         if head is None:
             findings.append("the tracker sees fewer than three known spheres in this pose")
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
-        reference = self._reference(reading)
-        same = reference is not None and _same_pose(reading.robot_from_flange, reference.robot_from_flange)
-        limit_mm = BASE_LIMIT_MM if same else OTHER_POSE_LIMIT_MM
-        if base_mm is not None and float(np.linalg.norm(base_mm)) >= limit_mm:
-            raise _base_shifted(base_mm, head_mm, limit_mm)
+        apart_mm = math.inf
+        if head is not None and head_mm is not None and base is not None:
+            apart_mm = _apart_from_base_mm(head, head_mm, base.way_mm)
+        tracker_alone = apart_mm < reading.head_limit_mm  # arm and head agree
+        if base is not None and base.moved_mm >= (BASE_LIMIT_MM if tracker_alone else base.limit_mm):
+            raise _base_shifted(base, head_mm)
         few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
-            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=base_mm is not None)
+            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=base is not None)
         if head is None and (strange := self._strange(reading)):
             raise PatientUnseen(
                 f"the tracker sees {counted(strange, 'sphere')} near the head at no known position",
                 expected="at least three known spheres in place",
             )
-        if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
-            if base_mm is None or not same or _apart_from_base_mm(head, head_mm, base_mm) >= PATIENT_LIMIT_MM:
-                apart = base_mm is not None and (same or float(np.linalg.norm(head_mm)) >= limit_mm)
-                alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, PATIENT_LIMIT_MM)
+        limit_mm = reading.head_limit_mm
+        if head is not None and head_mm is not None and head.rms_mm >= limit_mm:
+            same = base is not None and base.exact
+            if base is None or not same or not tracker_alone:
+                apart = base is not None and (same or float(np.linalg.norm(head_mm)) >= base.limit_mm)
+                alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
                 if alone_mm is not None:
-                    raise _screw_moved(head, alone_mm)
-                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM, tracker_excluded=apart)
-            findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
+                    raise _screw_moved(head, alone_mm, limit_mm)
+                raise _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
+            findings.append(f"the tracker was moved by {_in_words(base.way_mm)}; arm and head agree")
         if reading.frame_mm is not None:
             self.references.append(reading)
         if head is not None:
             self.seen_s = now_s
         return findings
 
-    def base_shift_mm(self, reading: RoomReading) -> Array | None:
-        """Way of the frame (3,) since it was seen in this orientation; None where that is not known."""
-        reference = self._reference(reading)
-        if reference is None or reference.frame_mm is None or reading.frame_mm is None:
+    def base_shift(self, reading: RoomReading) -> BaseShift | None:
+        """The shift of the frame that exceeds its limit most; None where nothing can be compared."""
+        if reading.frame_mm is None:
             return None
-        return reading.frame_mm - reference.frame_mm
+        shifts = [
+            BaseShift(reading.frame_mm - one.frame_mm, limit_mm, exact)
+            for one, limit_mm, exact in self._references(reading)
+            if one.frame_mm is not None
+        ]
+        return max(shifts, key=lambda shift: shift.moved_mm / shift.limit_mm, default=None)
 
     def _strange(self, reading: RoomReading) -> int:
         """How many points near the head are in no known place: it may have moved, and the rest be hidden.
@@ -181,9 +246,11 @@ class RoomWatch:
         """Whether the arm is where, at the last reading, it hid the head from the tracker."""
         return self.hidden_from is not None and _same_pose(self.hidden_from, robot_from_flange)
 
-    def _reference(self, reading: RoomReading) -> RoomReading | None:
-        """The oldest reading from the same pose, so that a slow drift adds up; else the nearest of the same
-        orientation, the newest of those equally near.
+    def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
+        """Earlier readings to compare with, the limit that each is held to, and whether the pose is the same.
+
+        Of the same pose the oldest, so that a slow drift adds up, and the oldest of those to which the joints
+        came from the same sides; else the nearest of the same orientation, the newest of those equally near.
         """
         here = reading.robot_from_flange
         alike = [
@@ -192,9 +259,16 @@ class RoomWatch:
             if _turned_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
             and (apart_mm := _apart_mm(one.robot_from_flange, here)) <= FARTHEST_MM
         ]
-        exact = [one for one in alike if _same_pose(one[2].robot_from_flange, here)]
-        chosen = max(exact, key=lambda one: one[1]) if exact else min(alike, default=None)
-        return None if chosen is None else chosen[2]
+        exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
+        if not exact:
+            return [(min(alike)[2], OTHER_POSE_LIMIT_MM, False)] if alike else []
+        careful = [one for one in exact if one.careful] if reading.careful else []
+        settled = [one for one in careful if one.arrived is not None and one.arrived == reading.arrived]
+        return [
+            (exact[0], BASE_NOTICEABLE_MM if exact[0] in careful[:1] else BASE_LIMIT_MM, True),
+            *((one, BASE_NOTICEABLE_MM, True) for one in careful[:1]),
+            *((one, BASE_SETTLED_NOTICEABLE_MM, True) for one in settled[:1]),
+        ]
 
 
 def _same_pose(one: Transform, other: Transform) -> bool:
@@ -216,14 +290,15 @@ def _apart_from_base_mm(head: PointShift, head_mm: Array, base_mm: Array) -> flo
     return math.sqrt(turned_mm2 + float(np.sum((head_mm - base_mm) ** 2)))
 
 
-def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> BaseShifted:
+def _base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
     # The frame moves with the cart, and against the tracker; the head only against the tracker.
-    tracker = head_mm is not None and float(np.linalg.norm(head_mm - base_mm)) < BASE_LIMIT_MM / 2.0
-    way_mm = -base_mm if tracker else base_mm
+    apart_mm = math.inf if head_mm is None else float(np.linalg.norm(head_mm - base.way_mm))
+    tracker = apart_mm < min(BASE_LIMIT_MM, base.moved_mm) / 2.0
+    way_mm = -base.way_mm if tracker else base.way_mm
     shifted = BaseShifted(
         f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_in_words(way_mm)}",
-        limit=f"{limit_mm:g} mm",
-        got=f"{beyond(float(np.linalg.norm(base_mm)), limit_mm, 2)} mm",
+        limit=f"{base.limit_mm:g} mm",
+        got=f"{beyond(base.moved_mm, base.limit_mm, 2)} mm",
     )
     shifted.cart = not tracker
     return shifted
@@ -242,15 +317,15 @@ def _patient_moved(
     )
 
 
-def _screw_moved(head: PointShift, alone_mm: float) -> PatientMoved:
+def _screw_moved(head: PointShift, alone_mm: float, limit_mm: float) -> PatientMoved:
     return PatientMoved.by(
         f"one sphere has moved by {alone_mm:.1f} mm since it was localized and the other {head.points - 1} "
         "have not: its screw may be loose",
         head.rms_mm,
-        PATIENT_LIMIT_MM,
+        limit_mm,
     )
 
 
 def _in_words(way_mm: Array) -> str:
     x, y, z = way_mm.tolist()
-    return f"{np.linalg.norm(way_mm):.1f} mm (x {x:+.1f}, y {y:+.1f}, z {z:+.1f} in the robot frame)"
+    return f"{np.linalg.norm(way_mm):.2f} mm (x {x:+.2f}, y {y:+.2f}, z {z:+.2f} in the robot frame)"

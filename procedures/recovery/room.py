@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from functools import partial
 
-import numpy as np
-
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.recovery.comparison import Comparison
 from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
@@ -35,8 +34,8 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     context = engine.context(engine.order.sequence[0])
     followed = context.result_among(RegisteredRobot, partial(that_followed, trajectory=None))
     watch.follow(spheres_followed(followed))
-    reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker)
-    head, base_mm = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift_mm(reading)
+    reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
+    head, base = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
     if head is None:
         return False
     try:
@@ -54,10 +53,11 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         comparison.differs("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
     comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")
-    if base_mm is None:
+    if base is None:
         comparison.note("robot base: not compared in this pose")
     else:
-        moved_mm = np.linalg.norm(base_mm)
-        comparison.note(f"robot base: the frame on the arm within {moved_mm:.2f} mm of its recorded position")
+        comparison.note(
+            f"robot base: the frame on the arm within {base.moved_mm:.2f} mm of its recorded position"
+        )
     comparison.notes += findings
     return True

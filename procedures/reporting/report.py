@@ -240,7 +240,7 @@ def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
     """Health of the robot link, by stream, with the tool the arm carried."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = [stored.result.link for stored in reading.standing(Retreated)]
-    return [*changes, *(("guide", link) for link in retreats if link is not None)]
+    return [*changes, *(("guide", link) for link in retreats)]
 
 
 def _moment(reading: RunReading, place: int) -> str:

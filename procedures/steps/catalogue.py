@@ -6,6 +6,7 @@ from procedures.engine.order import Steps
 from procedures.steps.clinical import (
     at_target,
     cart_lock,
+    confirmation,
     correspondence,
     ct_import,
     fiducial_localization,
@@ -40,6 +41,7 @@ CLINICAL_STEPS: Steps = (
     positioning.STEP,
     at_target.STEP,
     retreat.STEP,
+    confirmation.STEP,
 )
 
 

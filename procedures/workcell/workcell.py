@@ -201,6 +201,11 @@ class Workcell:
         """Where the arm stood when the case was set up; raises PRO-001 before that."""
         return self._way_home.home_rad
 
+    @property
+    def arrived_home(self) -> tuple[int, ...] | None:
+        """From which side each joint came when the arm went home last; None while that is not known."""
+        return self._way_home.arrived
+
     def set_home(self) -> JointVector:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
         return self._way_home.set_home()

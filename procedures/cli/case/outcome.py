@@ -151,7 +151,7 @@ def _outcome(
     changed = case.find(MountedGuide, None)  # none after a move that came when every target was finished
     links = [
         *(() if changed is None else (changed.result.link,)),
-        *(one.result.link for name in names if (one := case.find(Retreated, name)) and one.result.link),
+        *(one.result.link for name in names if (one := case.find(Retreated, name)) is not None),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     measured_mm = {name: _measured_error_mm(case, name) for name in names}

@@ -149,7 +149,11 @@ def motions_of(
         kind = visit.kind
         yield from _to(setting, stands, reached, limits, around)
         stands = (visit.identifier, reached.approach_rad)
-    if kind is not None:
+        if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
+            yield from _home(setting, stands, limits, around)
+            stands = (HOME, setting.start_rad)
+            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))
+    if kind is VisitKind.LOCALIZATION:
         yield from _home(setting, stands, limits, around)
 
 

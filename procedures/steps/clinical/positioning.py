@@ -29,9 +29,8 @@ from procedures.steps.clinical.validity.room import (
     ROOM_READS,
     check_room,
     expected_sight,
-    head_hidden,
     head_must_show,
-    require_head_seen,
+    require_unmoved,
 )
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
@@ -44,7 +43,7 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
-BY_HOME = "home, where the tracker sees the head past the arm, then "
+BY_HOME = "home, where the tracker sees head and arm, then "
 UNWATCHED = "; the arm is expected to hide the head from the tracker there"
 REFUSED = (Unreachable, Singular, OutOfJointRange, NotClear)
 
@@ -72,7 +71,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     with refused_by_name(trajectory):
         approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
-    by_home = head_hidden(context)
+    by_home = not workcell.at_home
     with refused_by_name(trajectory):
         workcell.supervised.confirm(
             Topic.APPROACH,
@@ -87,12 +86,12 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             trajectory,
         )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
-    check_room(context, f"before {trajectory}")
-    workcell.start()
     if by_home:
+        check_room(context, f"before {trajectory}")
+        workcell.start()
         workcell.return_home()
-        check_room(context, f"at home, before {trajectory}")
-    require_head_seen(context, f"before {trajectory}")
+    require_unmoved(context, f"before {trajectory}")
+    workcell.start()
     with head_must_show(context):
         context.progress(0.0, f"moving over {trajectory}")
         with refused_by_name(trajectory, workcell):

@@ -15,6 +15,7 @@ from pydantic import Field
 from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.guards.stability import unnoticed_mm
 from procedures.operator.topic import Topic
 from procedures.planning.plan.model import PlannedTrajectory
 from procedures.planning.prediction.instrument_error import (
@@ -301,6 +302,7 @@ def predict_tip_error(
     at_target_mm = {
         "stereo head calibration": calibrations.stereo_head.stated_error_mm,
         "guide tip calibration": calibrations.tool_tip.stated_error_mm,
+        **unnoticed_mm(),
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad

@@ -1,4 +1,4 @@
-"""Retreat along the axis, and park after the last target. An instrument is out before."""
+"""Retreat along the axis, then park. An instrument is out before."""
 
 from __future__ import annotations
 
@@ -10,39 +10,32 @@ from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import inserted_or_just_out
 from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell.parking import park, withdraw
 
 
-class Retreated(StepResult, kind="retreat"):
-    """The guide is back where its approach began."""
+class Retreated(StepResult, kind="retreat", version=2):
+    """The guide is away from the head, and the arm home."""
 
-    parked: bool = Field(description="Whether the arm continued to its home pose.")
-    joints_rad: Numbers6 = Field(description="Measured joints at the end.")
-    link: LinkHealth | None = Field(description="Health of the robot link when it was closed.")
+    joints_rad: Numbers6 = Field(description="Measured joints at home.")
+    link: LinkHealth = Field(description="Health of the robot link when it was closed.")
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
-    """Back out along the trajectory; after the last one to the pose where the case began."""
+    """Back out along the trajectory, then to the pose where the case began."""
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
     if (on := workcell.insertion) is not None:
         context.have_instrument_out()
         withdraw(workcell, on, context.trajectory)
-    joints_rad = workcell.joints_rad()
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    if not context.is_last_trajectory():  # any may come first
-        if on is not None:  # else it was found to have moved, and the next step looks before it moves
-            check_room(context, f"after {context.trajectory}")
-        return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "away from the entry")
     reached = park(workcell)
     link = link_health(context)
     workcell.rest()
-    return Outcome(Retreated(parked=True, joints_rad=reached.joints_rad, link=link), "parked")
+    return Outcome(Retreated(joints_rad=reached.joints_rad, link=link), "parked")
 
 
 STEP = StepSpec(
@@ -52,7 +45,7 @@ STEP = StepSpec(
     run,
     asks=(Topic.RETREAT, Topic.PARK),
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide, ReachedTarget, *ROOM_READS),
+    reads=(PositionedGuide, ReachedTarget),
     moves=True,
     continues=True,
     preconditions=inserted_or_just_out,

@@ -18,7 +18,8 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import room_reading
-from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomReading, RoomWatch
+from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.stability import HEAD_NOTICEABLE_MM
 from procedures.registration.rigid_move import RigidMove, rigid_move
 from procedures.registration.shift import same_points, shift_of
 from procedures.results.errors import StepRefused
@@ -39,8 +40,6 @@ Array = NDArray[np.float64]
 # head go further is not trusted to hold it now.
 MOST_FOLLOWED_MM = 5.0  # rms over the spheres
 MOST_FOLLOWED_RAD = math.radians(2.0)
-# Of the frame on the arm, home, by the tracker and by the arm: twice what 300 simulated pairs differ at most.
-BASE_LIMIT_MM = 0.36
 AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
 STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of one place; an estimate
 
@@ -85,7 +84,8 @@ def watch_over(
     spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
     if pairs is not None:
         spheres = spheres[[room for _, room in pairs]]
-    begun = RoomReading(workcell.flange_pose(localized.joints_rad), np.zeros(3), spheres)
+    flange = workcell.flange_pose(localized.joints_rad)
+    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
     return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
 
 
@@ -162,7 +162,7 @@ def _measured(context: StepContext) -> MeasuredMove | None:
     fit = rigid_move(
         to_robot.apply(watch.spheres_mm[before]), to_robot.apply(reading.spheres_mm[after]), covariance
     )
-    if fit.rms_mm < PATIENT_LIMIT_MM:
+    if fit.rms_mm < HEAD_NOTICEABLE_MM:
         return None
     now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
     now[before] = reading.spheres_mm[after]
@@ -181,19 +181,18 @@ def _measured(context: StepContext) -> MeasuredMove | None:
 
 
 def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
-    shift_mm = watch.base_shift_mm(reading)
-    if shift_mm is None:
+    base = watch.base_shift(reading)
+    if base is None:
         raise PatientUnseen(
             "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
         )
-    base_mm = float(np.linalg.norm(shift_mm))
-    if base_mm > BASE_LIMIT_MM:
+    if base.moved_mm >= base.limit_mm:
         raise BaseShifted(
             "the cart or the tracker was moved: the movement of the head cannot be measured",
-            limit=f"{BASE_LIMIT_MM:g} mm",
-            got=f"{beyond(base_mm, BASE_LIMIT_MM, 2)} mm",
+            limit=f"{base.limit_mm:g} mm",
+            got=f"{beyond(base.moved_mm, base.limit_mm, 2)} mm",
         )
-    return base_mm
+    return base.moved_mm
 
 
 def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
@@ -224,6 +223,6 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
     )
     if context.choose(question) != FOLLOW:
         raise PatientMoved.by(
-            "the head has moved, and the registration was not updated", move.fit.rms_mm, PATIENT_LIMIT_MM
+            "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")

@@ -9,8 +9,9 @@ from functools import partial
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import PatientUnseen
-from procedures.guards.room_reading import check_now
-from procedures.guards.room_watch import Approach, RoomWatch
+from procedures.guards.room_reading import FRAMES, check_now
+from procedures.guards.room_watch import Approach, RoomLook, RoomWatch
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.sight.tracker import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
@@ -22,34 +23,37 @@ from ronna_hw.devices.readings import JointVector
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
 
-def check_room(context: StepContext, where: str) -> None:
+def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLook:
     """Read the tracker and compare with the global localization and the readings since.
 
     The arm rests meanwhile. What is not seen is a finding. Raises PRO-019 and PRO-020; then the localization
     is superseded, or the registrations that may follow the move, and all that descends from them.
     """
-    from procedures.steps.clinical.validity.moved_head import void_moved  # as in `_watch`
+    from procedures.steps.clinical.confirmation import void_moved  # as in `room_watch`
 
     setting, void = context.setting, partial(void_moved, context)
-    for finding in check_now(_watch(context), setting.workcell, setting.clock, setting.memory, void):
+    look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
+    for finding in look.findings:
         context.find(f"{where}: {finding}")
+    return look
 
 
-def require_head_seen(context: StepContext, where: str) -> None:
-    """Refuse to go to a head that the last reading, from the arm's present pose, did not show; PRO-022."""
-    if head_hidden(context):
+def require_unmoved(context: StepContext, where: str) -> None:
+    """Look carefully, with the arm home, before a guide goes to the head.
+
+    Raises PRO-022 where head or base cannot be compared, and as `check_room`.
+    """
+    look = check_room(context, where, CAREFUL_FRAMES)
+    if look.head_mm is None:
         raise PatientUnseen(
             f"{where}, the tracker does not see the head",
             expected="at least three known spheres in view",
         )
-
-
-def head_hidden(context: StepContext) -> bool:
-    """Whether the tracker's last reading saw too little of the head past the arm in its present pose."""
-    watch, workcell = context.setting.memory.find(RoomWatch), context.workcell
-    if watch is None or watch.hidden_from is None:
-        return False
-    return watch.hides_head(workcell.flange_pose(workcell.joints_rad()))
+    if look.base is None:
+        raise PatientUnseen(
+            f"{where}, the tracker does not see the frame on the arm: the cart may have moved",
+            expected="the frame on the arm in view, with the arm home",
+        )
 
 
 @dataclass(frozen=True)
@@ -72,7 +76,7 @@ class ExpectedSight:
 
 def expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
     """Of the standing localization's spheres, past the guide; the watch knows it from here on."""
-    watch = _watch(context)
+    watch = room_watch(context)
     expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
     watch.approach = Approach(expected.hidden_now)
     return expected
@@ -93,7 +97,7 @@ def head_must_show(context: StepContext) -> Iterator[None]:
         approach.under_way = False
 
 
-def _watch(context: StepContext) -> RoomWatch:
+def room_watch(context: StepContext) -> RoomWatch:
     """The watch over the standing localization; a new one begins with that.
 
     Where the registration has followed a move of the head, its spheres are watched where they are since.

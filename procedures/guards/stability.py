@@ -1,0 +1,106 @@
+"""What must stay still in a case: how it is seen, and the smallest change that would be noticed.
+
+Before and after each target the arm is home, where the tracker sees everything and the arm stands as it did
+before: only there is a change noticed that is small enough to matter at a target. What moves between two such
+looks is found by the second, and then concerns every target worked at since the first. What neither would
+notice is a share of the predicted error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from procedures.results.result import Values
+
+if TYPE_CHECKING:
+    from procedures.guards.room_watch import BaseShift
+
+CAREFUL_FRAMES = 60  # of the tracker, at home: a second of the usual 60 Hz
+# Rms of the spheres over that many frames: 0.085 mm at most in 400 simulated pairs of readings of three.
+HEAD_NOTICEABLE_MM = 0.15
+# The frame on the arm, home, between tracker and arm: up to 0.26 mm of backlash and 0.06 mm of noise. The arm
+# was jogged to its home, and nobody knows from which side each joint came.
+BASE_NOTICEABLE_MM = 0.36
+# The same where all joints came from the side that they came from before: 0.06 mm at most in 400 pairs.
+BASE_SETTLED_NOTICEABLE_MM = 0.15
+GUIDE_NOTICEABLE_MM = 0.05  # on its gauge: one that is off by more is not the one whose tip was calibrated
+
+
+class Subject(StrEnum):
+    """Something that must be as it was."""
+
+    HEAD = "head"
+    BASE = "cart and tracker"
+    GUIDE = "guide"
+
+
+@dataclass(frozen=True)
+class Watched:
+    """How one subject is seen, and the smallest displacement that a look before or after a target reveals."""
+
+    subject: Subject
+    seen_by: str
+    noticeable_mm: float
+
+    @property
+    def unnoticed_rms_mm(self) -> float:
+        """Rms of a displacement of which every size up to the smallest noticeable one is equally likely."""
+        return self.noticeable_mm / math.sqrt(3.0)
+
+    @property
+    def source(self) -> str:
+        """Its name in an error budget."""
+        return f"unnoticed movement: {self.subject}"
+
+
+WATCHED = (
+    Watched(Subject.HEAD, "the spheres on it, by the tracker", HEAD_NOTICEABLE_MM),
+    Watched(Subject.BASE, "the frame on the arm, by tracker and arm", BASE_NOTICEABLE_MM),
+    Watched(Subject.GUIDE, "dials of the gauge", GUIDE_NOTICEABLE_MM),
+)
+
+
+class SeenUnchanged(Values):
+    """One subject at a look after a target."""
+
+    subject: Subject = Field(description="Head, cart and tracker, or guide.")
+    moved_mm: float | None = Field(description="How far it was from its place; none if it was not seen.")
+    noticeable_mm: float = Field(description="Smallest displacement that is taken for a change.")
+    differs: bool = Field(default=False, description="Whether it has changed otherwise, such as by a tilt.")
+
+    @classmethod
+    def head(cls, moved_mm: float | None) -> SeenUnchanged:
+        """The head, by the rms of its spheres."""
+        return cls(subject=Subject.HEAD, moved_mm=moved_mm, noticeable_mm=HEAD_NOTICEABLE_MM)
+
+    @classmethod
+    def base(cls, shift: BaseShift | None) -> SeenUnchanged:
+        """Cart and tracker, by the frame on the arm."""
+        moved_mm, limit_mm = (None, BASE_NOTICEABLE_MM) if shift is None else (shift.moved_mm, shift.limit_mm)
+        return cls(subject=Subject.BASE, moved_mm=moved_mm, noticeable_mm=limit_mm)
+
+    @classmethod
+    def guide(cls, off_mm: float | None, *, differs: bool = False) -> SeenUnchanged:
+        """The guide, on its gauge."""
+        return cls(subject=Subject.GUIDE, moved_mm=off_mm, noticeable_mm=GUIDE_NOTICEABLE_MM, differs=differs)
+
+    @property
+    def unchanged(self) -> bool:
+        """Whether it was seen, and in its place."""
+        return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
+
+    def __str__(self) -> str:
+        """One phrase for the operator."""
+        if self.moved_mm is None:
+            return f"{self.subject} not seen"
+        return f"{self.subject} within {self.moved_mm:.2f} mm"
+
+
+def unnoticed_mm() -> dict[str, float]:
+    """Rms error by source of what no look would notice, for the prediction at a target."""
+    return {one.source: one.unnoticed_rms_mm for one in WATCHED}

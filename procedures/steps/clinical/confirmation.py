@@ -1,0 +1,146 @@
+"""Look again after a target: are head, base and guide as they were before the guide went there?
+
+What has moved since the look before is found here. Nobody knows when it did: every target worked at since is
+in doubt, and said to be. What no longer holds leads nothing to another target.
+"""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import ToolUnchecked
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_reading import read_room
+from procedures.guards.room_watch import RoomLook, RoomWatch
+from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.paths.surroundings import READS
+from procedures.steps.clinical.positioning import REFUSED
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool, read_on_gauge
+from procedures.steps.clinical.validity.followed_move import MOST_FOLLOWED_MM
+from procedures.steps.clinical.validity.room import ROOM_READS, room_watch
+from procedures.steps.conditions import away_from_head, carries
+from procedures.workcell import MountedTool
+from ronna_hw.errors import RonnaError
+
+
+class ConfirmedTarget(StepResult, kind="confirmation"):
+    """What a look after a target showed of everything that had to stay still."""
+
+    seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
+    in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")
+
+
+def run(context: StepContext) -> Outcome[ConfirmedTarget]:
+    """Read the guide on its gauge, then look at head and base from home.
+
+    Raises PRO-019 and PRO-020 where targets remain that cannot follow what has moved.
+    """
+    for model in context.spec.reads:
+        context.result(model)
+    context.workcell.check_mounted(MountedTool.GUIDE)
+    remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
+    guide = _guide(context, remain)
+    look = _room(context, remain)
+    seen = (SeenUnchanged.head(look.head_mm), SeenUnchanged.base(look.base), guide)
+    in_doubt = () if all(one.unchanged for one in seen) else unconfirmed(context)
+    return Outcome(
+        ConfirmedTarget(seen=seen, in_doubt=in_doubt),
+        summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),
+    )
+
+
+def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
+    """The guide on its gauge. One that has changed is not led to what remains before it was checked again."""
+    try:
+        found = read_on_gauge(context)
+    except REFUSED as problem:
+        doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
+        return SeenUnchanged.guide(None)
+    if found.differs:
+        off = f"{found.off_mm:.2f} mm and {found.tilt_deg:.2f} deg"
+        reason = f"the guide is {off} from its record after {context.trajectory}"
+        doubt(context, reason)
+        if remain:
+            context.void(CheckedTool, ToolUnchecked(reason))
+    return SeenUnchanged.guide(found.off_mm, differs=found.differs)
+
+
+def _room(context: StepContext, remain: bool) -> RoomLook:
+    """Head and base by the tracker. What hangs on one that has moved is void, where targets remain."""
+    setting, where = context.setting, f"after {context.trajectory}"
+    watch = room_watch(context)
+    reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
+    look = watch.compare(reading, setting.clock.now_s())
+    if isinstance(look.moved, BaseShifted | PatientMoved) and remain:
+        void_moved(context, look.moved)
+        setting.memory.drop(RoomWatch)
+        if not context.stands(GlobalLocalization):
+            raise look.moved
+    elif look.moved is not None:
+        doubt(context, f"{where}: {look.moved.summary}")
+    else:
+        for finding in look.findings:
+            context.find(f"{where}: {finding}")
+        unseen = {"head": look.head_mm is None, "frame on the arm": look.base is None}
+        for subject in (name for name, hidden in unseen.items() if hidden):
+            doubt(context, f"{where} the tracker does not see the {subject}: it may have moved meanwhile")
+    return look
+
+
+def unconfirmed(context: StepContext) -> tuple[str, ...]:
+    """The targets worked at since the last look that showed nothing."""
+    confirmed = context.done_for(ConfirmedTarget)
+    return tuple(name for name in context.done_for(ReachedTarget) if name not in confirmed)
+
+
+def doubt(context: StepContext, reason: str) -> None:
+    """Record a finding on each of the unconfirmed targets."""
+    if targets := unconfirmed(context):
+        context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
+
+
+def void_moved(context: StepContext, moved: RonnaError) -> None:
+    """Void the registrations that may follow a small move, with the guide mounted; else the localization.
+
+    A cart that has moved was not locked. Nobody knows when something moved: unconfirmed targets are in doubt.
+    """
+    doubt(context, moved.summary)
+    may_follow = (
+        isinstance(moved, PatientMoved)
+        and moved.moved_mm <= MOST_FOLLOWED_MM
+        and context.workcell.tool is MountedTool.GUIDE
+        and context.stands(RegisteredRobot)
+    )
+    if may_follow:
+        context.void_each(RegisteredRobot, moved)
+    elif isinstance(moved, BaseShifted) and moved.cart and context.stands(LockedCart):
+        context.void(LockedCart, moved)
+    else:
+        context.void(GlobalLocalization, moved)
+
+
+def _at_home(context: StepContext) -> tuple[str, ...]:
+    return (*carries(MountedTool.GUIDE)(context), *away_from_head(context))
+
+
+STEP = StepSpec(
+    ConfirmedTarget,
+    "Look again at head, cart and guide",
+    Phase.OPERATION,
+    run,
+    asks=(Topic.TOOL_CHECK, Topic.INSTRUMENT_OUT, Topic.PARK),
+    scope=Scope.TRAJECTORY,
+    reads=(ReachedTarget, Retreated, MountedGuide, *ROOM_READS, *READS),
+    moves=True,
+    preconditions=_at_home,
+)
