@@ -63,6 +63,19 @@ class RunFolder:
         return _as(model, self.records)
 
 
+def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
+    """Targets that may be off by more than was predicted, and why. Work done anew at one begins anew."""
+    doubts: dict[str, tuple[str, ...]] = {}
+    for line in journal:
+        _, _, worked_at = str(line.get("step", "")).partition("at_target:")
+        if line["entry"] == Entry.RESULT and worked_at:
+            doubts.pop(worked_at, None)
+        elif line["entry"] == Entry.FINDING and isinstance(targets := line.get("targets"), list):
+            for name in map(str, targets):
+                doubts[name] = (*doubts.get(name, ()), str(line.get("text")))
+    return doubts
+
+
 def read_run(folder: Path) -> RunFolder:
     """Read a run; raises PRO-033 for one that was changed."""
     return run_of(inspected(folder).require_unchanged())

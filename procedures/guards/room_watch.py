@@ -94,7 +94,7 @@ class BaseShift:
 class RoomLook:
     """A reading compared: how far head and base are from their places, None where that was not seen.
 
-    `findings` say what could not be compared; `moved` is what has moved, or what keeps that from being told.
+    `moved` is what has moved, or what keeps that from being told; `findings` are what stops nothing.
     """
 
     head_mm: float | None
@@ -175,19 +175,15 @@ class RoomWatch:
             return RoomLook(head_mm, base, moved=moved)
 
     def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
-        """Compare a reading with those before and keep it; returns what could not be compared, in words.
+        """Compare a reading with those before and keep it; returns findings, in words.
 
         Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has, PRO-022 when a sphere near
         it is in no known place.
         """
         findings: list[str] = []
         base = self.base_shift(reading)
-        if reading.frame_mm is None:
-            findings.append("the tracker does not see the frame on the arm in this pose")
         head = shift_of(self.spheres_mm, reading.spheres_mm)
         self.hidden_from = reading.robot_from_flange if head is None else None
-        if head is None:
-            findings.append("the tracker sees fewer than three known spheres in this pose")
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         apart_mm = math.inf
         if head is not None and head_mm is not None and base is not None:

@@ -9,12 +9,14 @@ notice is a share of the predicted error.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from procedures.journal.journal import Entry, Line, theatre_time_s
 from procedures.results.result import Values
 
 if TYPE_CHECKING:
@@ -37,32 +39,79 @@ class Subject(StrEnum):
     HEAD = "head"
     BASE = "cart and tracker"
     GUIDE = "guide"
+    CAMERAS = "cameras"
+    INPUTS = "CT, plan and records"
+    CLOCK = "clock"
 
 
 @dataclass(frozen=True)
 class Watched:
-    """How one subject is seen, and the smallest displacement that a look before or after a target reveals."""
+    """How one subject is seen, by which steps, the smallest change noticed, and the results that hang on it.
+
+    Without `looked_at` it is seen before every step and motion. `noticeable_mm` is None where the change is
+    no displacement of the guide against the head.
+    """
 
     subject: Subject
     seen_by: str
-    noticeable_mm: float
+    notices: str
+    hangs: tuple[str, ...]
+    looked_at: tuple[str, ...] = ()
+    noticeable_mm: float | None = None
 
     @property
     def unnoticed_rms_mm(self) -> float:
         """Rms of a displacement of which every size up to the smallest noticeable one is equally likely."""
-        return self.noticeable_mm / math.sqrt(3.0)
-
-    @property
-    def source(self) -> str:
-        """Its name in an error budget."""
-        return f"unnoticed movement: {self.subject}"
+        return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
 
 
 WATCHED = (
-    Watched(Subject.HEAD, "the spheres on it, by the tracker", HEAD_NOTICEABLE_MM),
-    Watched(Subject.BASE, "the frame on the arm, by tracker and arm", BASE_NOTICEABLE_MM),
-    Watched(Subject.GUIDE, "dials of the gauge", GUIDE_NOTICEABLE_MM),
+    Watched(
+        Subject.HEAD,
+        "the spheres on it, by the tracker",
+        f"{HEAD_NOTICEABLE_MM:g} mm rms",
+        ("global_localization", "registration"),
+        ("global_localization", "tool_check", "positioning", "confirmation"),
+        HEAD_NOTICEABLE_MM,
+    ),
+    Watched(
+        Subject.BASE,
+        "the frame on the arm, by tracker and arm",
+        f"{BASE_NOTICEABLE_MM:g} mm, {BASE_SETTLED_NOTICEABLE_MM:g} mm from the second look on",
+        ("cart_lock", "global_localization"),
+        ("global_localization", "tool_check", "positioning", "confirmation"),
+        BASE_NOTICEABLE_MM,
+    ),
+    Watched(
+        Subject.GUIDE,
+        "dials of the gauge",
+        f"{GUIDE_NOTICEABLE_MM:g} mm at its end",
+        ("tool_check",),
+        ("tool_check", "confirmation"),
+        GUIDE_NOTICEABLE_MM,
+    ),
+    Watched(
+        Subject.CAMERAS,
+        "rays that meet and spheres of the right size",
+        "as the stereo head's record states",
+        ("relocalization",),
+        ("relocalization",),
+    ),
+    Watched(Subject.INPUTS, "their content", "any byte", ("ct_import", "plan_check", "cart_lock")),
+    Watched(Subject.CLOCK, "the monotonic clock", "a step of 1 s", ()),
 )
+
+
+def last_seen_s(journal: Iterable[Line]) -> dict[Subject, float]:
+    """Theatre time at which each subject was last seen to be as it was, according to a journal."""
+    seen_s: dict[Subject, float] = {}
+    for line in journal:
+        step = str(line.get("step", "")).partition(":")[0]
+        for one in WATCHED:
+            looked = line["entry"] == Entry.RESULT and step in one.looked_at
+            if looked or (not one.looked_at and line["entry"] in (Entry.INTENT, Entry.MOTION)):
+                seen_s[one.subject] = theatre_time_s(line)
+    return seen_s
 
 
 class SeenUnchanged(Values):
@@ -103,4 +152,4 @@ class SeenUnchanged(Values):
 
 def unnoticed_mm() -> dict[str, float]:
     """Rms error by source of what no look would notice, for the prediction at a target."""
-    return {one.source: one.unnoticed_rms_mm for one in WATCHED}
+    return {f"unnoticed change: {one.subject}": one.unnoticed_rms_mm for one in WATCHED if one.noticeable_mm}

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
 from procedures.reporting.outcome import RunError
@@ -16,7 +17,7 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 @dataclass(frozen=True)
 class Ending:
-    """`word` is one of done, failed, refused, aborted, interrupted, left, killed, not begun.
+    """`word` is one of done, in doubt, failed, refused, aborted, interrupted, left, killed, not begun.
 
     `list` and `show` say running for killed while a program holds the run.
     """
@@ -48,7 +49,12 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     if outcome == "done" and error is not None:  # computed after the steps
         return Ending("failed", f"Every step was done, but {error.what}", error.code, instrument_in)
     if outcome == "done":
-        return Ending("done", f"Every step was done{_after(journal)}.", instrument_in=instrument_in)
+        doubts = targets_in_doubt(journal)
+        sentence = f"Every step was done{_after(journal)}."
+        if doubts:
+            why = "; ".join(dict.fromkeys(one for each in doubts.values() for one in each))
+            sentence = f"Every step was done, but not every target is confirmed: {why}."
+        return Ending("in doubt" if doubts else "done", sentence, instrument_in=instrument_in)
     step = "" if last is None else str(last.get("step", ""))
     if outcome == "left":
         after = f" after {step}" if step else " before its first step"

@@ -77,12 +77,15 @@ class RunOutcome(Values):
 class FinishedRun(RunOutcome):
     """A run that reached the end of its case."""
 
-    outcome: Literal["done"] = "done"
+    outcome: Literal["done", "in doubt"] = "done"
     markers: int = Field(description="Found in the CT.")
     ct: CtOutcome | None
     registration: RegistrationOutcome
     targets: tuple[TargetOutcome, ...]
     left_out: dict[str, str] = Field(default={}, description="Trajectories that were left out, and why.")
+    in_doubt: dict[str, tuple[str, ...]] = Field(
+        default={}, description="Targets that may be off by more than was predicted, and why."
+    )
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
     late_cycles: int = Field(description="Late or lost cycles, over all streams of the robot link.")

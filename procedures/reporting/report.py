@@ -12,6 +12,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from procedures.engine.run_folder import targets_in_doubt
+from procedures.guards.stability import WATCHED, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.calibration.result_file import figures_if_readable
@@ -38,6 +40,7 @@ from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -110,6 +113,10 @@ def write_report(
         "tools": reading.standing(MountedGuide),
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
+        "in_doubt": targets_in_doubt(reading.run.journal),
+        "confirmed": reading.standing(ConfirmedTarget),
+        "watched": WATCHED,
+        "last_seen_s": last_seen_s(reading.run.journal),
         "links": (links := _links(reading)),
         "link_counters": link_counters(reading.log),
         "questions": questions(reading.run.journal),

@@ -21,6 +21,7 @@ from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.errors import RefusedError
 from ronna_hw.text.printable import without_controls
 
 if TYPE_CHECKING:
@@ -82,11 +83,17 @@ def _write_lines(events: Sequence[Event]) -> None:
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
-    """Print the table of target errors, or the whole object as JSON."""
+    """Print the table of target errors, or the whole object as JSON. Exits with 3 for targets in doubt."""
     if as_json:
-        nothing = set() if outcome.left_out else {"left_out"}
-        print_json(outcome.model_dump(mode="json", exclude=nothing))
-        return
+        empty = {name for name in ("left_out", "in_doubt") if not getattr(outcome, name)}
+        print_json(outcome.model_dump(mode="json", exclude=empty))
+    else:
+        _show_table(outcome)
+    if outcome.in_doubt:
+        raise SystemExit(RefusedError.exit_code)
+
+
+def _show_table(outcome: FinishedRun) -> None:
     mean_mm, largest_mm = outcome.mean_application_error_mm, outcome.max_application_error_mm
     known = mean_mm is not None
     print_table(
@@ -105,6 +112,8 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
     )
     for name, reason in outcome.left_out.items():
         say(f"without {name}: {reason}")
+    for reason in dict.fromkeys(one for reasons in outcome.in_doubt.values() for one in reasons):
+        say(f"NOT CONFIRMED: {reason}")
     if known:
         sys.stdout.write(
             f"mean {mean_mm:.3f} mm, largest {largest_mm:.3f} mm; "

@@ -16,6 +16,7 @@ from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.composition.procedure import Resumption
+from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line
 from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
@@ -156,8 +157,10 @@ def _outcome(
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     measured_mm = {name: _measured_error_mm(case, name) for name in names}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
+    in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
     return FinishedRun(
         run=case.folder.name,
+        outcome="in doubt" if in_doubt else "done",
         seed=request.seed,
         strategy=request.strategy,
         markers=len(case.get(LocalizedFiducials).result.markers),
@@ -176,6 +179,7 @@ def _outcome(
             for name in names
         ),
         left_out=left_out,
+        in_doubt=in_doubt,
         mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
         max_application_error_mm=max(errors_mm.values(), default=None),
         late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),
