@@ -62,5 +62,5 @@ def room_reading(
     frame = robot_from_tracker.inverse() @ by_arm if seen is None else seen
     markers = frame.apply(workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool])
     return RoomReading(
-        workcell.flange_pose(joints), frame_mm, spheres, markers, len(frames), workcell.arrived_home
+        workcell.flange_pose(joints), frame_mm, spheres, markers, len(frames), workcell.settled_home
     )

@@ -18,7 +18,6 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
 from procedures.guards.stability import (
     BASE_NOTICEABLE_MM,
-    BASE_SETTLED_NOTICEABLE_MM,
     CAREFUL_FRAMES,
     HEAD_NOTICEABLE_MM,
 )
@@ -52,7 +51,7 @@ class RoomReading:
     `robot_from_flange` is the arm's pose, by its calibration or else nominal, `frame_mm` (3,) the frame by
     the tracker minus the frame by the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are
     strays and `markers_mm` (k, 3) the markers of the frame, tracker frame. `frames` of the tracker were
-    averaged. `arrived` says from which side each joint came to rest, where that is known.
+    averaged. `settled` says that every joint came to rest from the same side as ever, at home.
     """
 
     robot_from_flange: Transform
@@ -60,12 +59,17 @@ class RoomReading:
     spheres_mm: Array
     markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
     frames: int = 1
-    arrived: tuple[int, ...] | None = None
+    settled: bool = False
 
     @property
     def careful(self) -> bool:
         """Whether it was averaged for as long as a look before or after a target must be."""
         return self.frames >= CAREFUL_FRAMES
+
+    @property
+    def comparable(self) -> bool:
+        """Whether a frame on the arm in the same pose may differ by noise only."""
+        return self.careful and self.settled
 
     @property
     def head_limit_mm(self) -> float:
@@ -97,6 +101,7 @@ class RoomLook:
     `moved` is what has moved, or what keeps that from being told; `findings` are what stops nothing.
     """
 
+    reading: RoomReading
     head_mm: float | None
     base: BaseShift | None
     findings: tuple[str, ...] = ()
@@ -136,6 +141,13 @@ class RoomWatch:
         if not np.array_equal(wanted, self.spheres_mm):
             self.spheres_mm = wanted
 
+    def refer(self, frame_mm: Array | None) -> None:
+        """Take in how the frame was seen before a restart, with the arm home and every joint settled."""
+        home = self.references[0].robot_from_flange
+        if frame_mm is not None:
+            nothing = np.empty((0, 3))
+            self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
+
     def unseen_s(self, now_s: float) -> float:
         """Theatre time since the head was seen, or since the operator went on without."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
@@ -170,9 +182,9 @@ class RoomWatch:
         head, base = shift_of(self.spheres_mm, reading.spheres_mm), self.base_shift(reading)
         head_mm = None if head is None else head.rms_mm
         try:
-            return RoomLook(head_mm, base, tuple(self.check(reading, now_s)))
+            return RoomLook(reading, head_mm, base, tuple(self.check(reading, now_s)))
         except (BaseShifted, PatientMoved, PatientUnseen) as moved:
-            return RoomLook(head_mm, base, moved=moved)
+            return RoomLook(reading, head_mm, base, moved=moved)
 
     def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
         """Compare a reading with those before and keep it; returns findings, in words.
@@ -217,7 +229,7 @@ class RoomWatch:
         return findings
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """The shift of the frame that exceeds its limit most; None where nothing can be compared."""
+        """The shift beyond its limit, or else that with the narrowest; None where nothing can be compared."""
         if reading.frame_mm is None:
             return None
         shifts = [
@@ -225,7 +237,7 @@ class RoomWatch:
             for one, limit_mm, exact in self._references(reading)
             if one.frame_mm is not None
         ]
-        return max(shifts, key=lambda shift: shift.moved_mm / shift.limit_mm, default=None)
+        return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
     def _strange(self, reading: RoomReading) -> int:
         """How many points near the head are in no known place: it may have moved, and the rest be hidden.
@@ -245,8 +257,8 @@ class RoomWatch:
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
         """Earlier readings to compare with, the limit that each is held to, and whether the pose is the same.
 
-        Of the same pose the oldest, so that a slow drift adds up, and the oldest of those to which the joints
-        came from the same sides; else the nearest of the same orientation, the newest of those equally near.
+        Of the same pose the oldest, so that a slow drift adds up, and the oldest of those that may differ by
+        noise only; else the nearest of the same orientation, the newest of those equally near.
         """
         here = reading.robot_from_flange
         alike = [
@@ -258,13 +270,8 @@ class RoomWatch:
         exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
         if not exact:
             return [(min(alike)[2], OTHER_POSE_LIMIT_MM, False)] if alike else []
-        careful = [one for one in exact if one.careful] if reading.careful else []
-        settled = [one for one in careful if one.arrived is not None and one.arrived == reading.arrived]
-        return [
-            (exact[0], BASE_NOTICEABLE_MM if exact[0] in careful[:1] else BASE_LIMIT_MM, True),
-            *((one, BASE_NOTICEABLE_MM, True) for one in careful[:1]),
-            *((one, BASE_SETTLED_NOTICEABLE_MM, True) for one in settled[:1]),
-        ]
+        settled = [one for one in exact if one.comparable] if reading.comparable else []
+        return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
 def _same_pose(one: Transform, other: Transform) -> bool:

@@ -18,6 +18,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
+from procedures.steps.clinical.validity.room import frame_at_home
 from procedures.workcell import MountedTool
 
 
@@ -34,6 +35,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     context = engine.context(engine.order.sequence[0])
     followed = context.result_among(RegisteredRobot, partial(that_followed, trajectory=None))
     watch.follow(spheres_followed(followed))
+    watch.refer(frame_at_home(context))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
     head, base = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
     if head is None:

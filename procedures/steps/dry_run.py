@@ -23,7 +23,8 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_check import APPROACHES, ARRIVING, CheckedTool
+from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.motion_facts import facts_from
 from ronna_hw.arm.angles import radians6
@@ -83,7 +84,7 @@ def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     )
     robot_from_ct = case.get(Correspondence).result.robot_from_ct.transform
     around = scene.with_guide(robot_from_ct, workcell.flange_from(MountedTool.GUIDE), None)
-    there = workcell.settling(radians6(*workcell.tools.guide.gauge.joints_deg), ARRIVING)
+    there = workcell.settling(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
     motions = (*[there] * APPROACHES, replace(workcell.returning_home(), otherwise=()))
     facts = facts_from(
         workcell.home_rad,

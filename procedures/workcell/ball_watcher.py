@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.relocalization.errors import PairNotUsable
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell.search import refusal, settled_around
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
@@ -27,7 +28,6 @@ from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
-SAME_SIDE = (1,) * 6  # every pose is taken from the same side in every joint: backlash is then the same
 STAND_RADIUS_MM = 90.0  # what carries the ball is taken for a post as thick as a head
 STAND_BELOW_MM = 16.0  # from the ball's centre to the top of that post
 STAND_LENGTH_MM = 400.0
@@ -64,7 +64,7 @@ class BallWatcher:
         seen = self.take(planned)
         return None if seen is None else self._observation(seen, planned.orientation)
 
-    def take(self, planned: PlannedLook, arriving: Sequence[int] = SAME_SIDE) -> Look | None:
+    def take(self, planned: PlannedLook, arriving: Sequence[int] = ONE_SIDE) -> Look | None:
         """The same as it was seen, with each joint arriving in its direction."""
         pose = moved_to(planned, self.ball_mm).pose
 
@@ -144,7 +144,7 @@ class BallWatcher:
     def _joints(self, pose: Transform, near: JointVector) -> JointVector:
         return self.workcell.joints_at(pose, near)
 
-    def _settle(self, joints: JointVector, arriving: Sequence[int] = SAME_SIDE) -> None:
+    def _settle(self, joints: JointVector, arriving: Sequence[int] = ONE_SIDE) -> None:
         self.workcell.settle(joints, arriving, from_afar=True)
 
 

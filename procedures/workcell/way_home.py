@@ -28,7 +28,7 @@ class WayHome:
         self._move = move
         self._home_rad: JointVector | None = None
         self._trail = trail
-        self.arrived: tuple[int, ...] | None = None  # from which side each joint came home last; 0: it stayed
+        self.settled = False  # whether every joint came home from the same side as ever
 
     def take_up(self, home_rad: JointVector) -> None:
         """Restore where home was."""
@@ -62,10 +62,10 @@ class WayHome:
         return self._home_rad is not None and stands_at(self._joints_rad(), self._home_rad, AT_HOME_RAD)
 
     def go(self) -> ArmReading:
-        """A joint move home."""
-        self.arrived, began_rad = None, self._joints_rad()
+        """A joint move home, each joint arriving from the same side: small changes then show there."""
+        self.settled = False
         reached = self._move(MotionName.HOME, self.home_rad)
-        self.arrived = tuple(map(_side, began_rad, self.home_rad))
+        self.settled = True
         return reached
 
     def past(self, motion: CellMotion, carry_out: Callable[[CellMotion], ArmReading]) -> ArmReading:
@@ -86,8 +86,3 @@ class WayHome:
             for joints_rad in self.back_rad:
                 self._move(MotionName.BACK, joints_rad)
             return self.go()
-
-
-def _side(from_rad: float, to_rad: float) -> int:
-    way_rad = to_rad - from_rad
-    return 0 if abs(way_rad) < AT_HOME_RAD else (1 if way_rad > 0.0 else -1)

@@ -7,13 +7,13 @@ is in it, nothing moves at all.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
+from procedures.strategies.approach import ONE_SIDE, before_arriving
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
@@ -41,8 +41,6 @@ from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
 
 D = TypeVar("D")
-# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
-APPROACH_RAD = math.radians(0.2)
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 
 
@@ -78,7 +76,7 @@ class Workcell:
         self._way_home = WayHome(
             self.joints_rad,
             lambda: self._log.history.trail,
-            lambda what, to_rad: self.supervised.carry_out(self._joint_motion(what, JointMove(to_rad))),
+            lambda what, to_rad: self.supervised.carry_out(self._joint_motion(what, *_legs(what, to_rad))),
         )
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
@@ -202,9 +200,9 @@ class Workcell:
         return self._way_home.home_rad
 
     @property
-    def arrived_home(self) -> tuple[int, ...] | None:
-        """From which side each joint came when the arm went home last; None while that is not known."""
-        return self._way_home.arrived
+    def settled_home(self) -> bool:
+        """Whether the arm went home last with every joint arriving from the same side as ever."""
+        return self._way_home.settled
 
     def set_home(self) -> JointVector:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
@@ -258,13 +256,12 @@ class Workcell:
         onto = JointMove(joints_rad)
         if arriving is None:
             return self._joint_motion(MotionName.STEP, onto)
-        A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
-        back = JointMove((A[0], A[1], A[2], A[3], A[4], A[5]))
+        back = JointMove(before_arriving(joints_rad, arriving))
         return self._joint_motion(MotionName.SETTLE, back, onto, by_home=from_afar)
 
     def returning_home(self) -> CellMotion:
         """All that `return_home` does."""
-        home = self._joint_motion(MotionName.HOME, JointMove(self.home_rad))
+        home = self._joint_motion(MotionName.HOME, *_legs(MotionName.HOME, self.home_rad))
         back = tuple(JointMove(joints_rad) for joints_rad in self._way_home.back_rad)
         return replace(home, otherwise=back and (*back, *home.legs), detour="back the way the arm came")
 
@@ -341,6 +338,7 @@ class Workcell:
         device = self._devices[role]
         device.recover(by)
         if device is self._arm:
+            self._way_home.settled = False  # somebody may have jogged it
             self.supervised.begin_anew()
             if self.insertion is None:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
@@ -402,3 +400,9 @@ class Workcell:
                 f"{what}: the guide is held in front of the entry of {self.insertion.trajectory}",
                 expected=f"a retreat along {self.insertion.trajectory}",
             )
+
+
+def _legs(what: MotionName, to_rad: JointVector) -> tuple[JointMove, ...]:
+    if what is not MotionName.HOME:
+        return (JointMove(to_rad),)
+    return (JointMove(before_arriving(to_rad, ONE_SIDE)), JointMove(to_rad))

@@ -11,6 +11,7 @@ from typing import Any
 
 from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.planning.theatre.scene import PlanningScene
+from procedures.strategies.approach import ONE_SIDE, before_arriving
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
@@ -189,7 +190,10 @@ def _home(
     setting: ArmSetting, stands: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = stands
-    yield Motion(start, HOME, plan_joint_move(setting.kinematics, joints, setting.start_rad, limits), around)
+    arm, home_rad = setting.kinematics, setting.start_rad
+    back_rad = before_arriving(home_rad, ONE_SIDE)
+    yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)
+    yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, clear=True)
 
 
 def _collision_in_words(motion: Motion, bad: Closest, standoff_mm: float | None = None) -> str:

@@ -23,8 +23,9 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room
+from procedures.workcell.ball_watcher import in_free_room
 from procedures.workcell.tracker_look import average_pose, frames_at_rest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -139,7 +140,7 @@ class _Turning:
         """One look, settled onto from the same side; a pose that cannot be used is counted."""
         workcell = self.context.workcell
         try:
-            workcell.settle(joints, SAME_SIDE, from_afar=True)
+            workcell.settle(joints, ONE_SIDE, from_afar=True)
         except (LimitError, NotClear) as error:
             if workcell.arm.observe().state is not Lifecycle.ACTIVE:
                 raise  # not refused before it began: tripped

@@ -19,8 +19,9 @@ from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import SPARE, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import SAME_SIDE, BallWatcher
+from procedures.workcell.ball_watcher import BallWatcher
 
 BALL = "ball"
 TILT_RAD = float(np.radians(25.0))
@@ -64,7 +65,7 @@ class StandBall:
         for planned in plan:
             if len(looks) == self.count:
                 break
-            seen = watcher.take(planned, SAME_SIDE)
+            seen = watcher.take(planned, ONE_SIDE)
             context.progress(len(looks) / self.count, "measuring the stand's ball")
             if seen is None or seen.point is None:
                 continue

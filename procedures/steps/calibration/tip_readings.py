@@ -24,8 +24,9 @@ from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tools.exchange import exchange_for
 from procedures.steps.conditions import exchangeable
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room, stand_under
+from procedures.workcell.ball_watcher import in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS
 
@@ -111,8 +112,8 @@ class _Reading:
         over = self.observed.looks[look]
         there, back = (self._pose(over, away_mm) for away_mm in (0.0, HOVER_MM))
         hover_rad = workcell.joints_at(back, over.joints_rad)
-        workcell.settle(hover_rad, SAME_SIDE, from_afar=True)
-        workcell.settle(workcell.joints_at(there, over.joints_rad), SAME_SIDE)
+        workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
+        workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
         workcell.hold()  # hands raise the divot: only a motion that is asked for leads on
         workcell.instrument.goes_in(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
@@ -127,7 +128,7 @@ class _Reading:
         require_plausible(dials_mm)
         joints = workcell.joints_rad()
         self.context.have_instrument_out()
-        workcell.settle(hover_rad, SAME_SIDE)
+        workcell.settle(hover_rad, ONE_SIDE)
         return DivotReading(
             look=look,
             joints_rad=joints,

@@ -21,6 +21,7 @@ from pydantic import Field, model_validator
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.relocalization.head_watch import check_head
 from procedures.results.errors import GateFailed
 from procedures.results.result import Matrix3, Numbers6, StepResult
@@ -31,6 +32,7 @@ from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import REMOUNTED, carries
+from procedures.strategies.approach import ONE_SIDE
 from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
@@ -41,7 +43,6 @@ from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
-ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which does not matter
 SMALL_STEPS = "and the small steps over each sphere, or in search of one that is not seen"
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
@@ -63,6 +64,10 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
+    frame_at_home_mm: Numbers3 | None = Field(
+        default=None,
+        description="The frame on the arm before, home: by the tracker minus by the arm, robot frame.",
+    )
 
     @model_validator(mode="after")
     def _one_entry_for_each_sphere(self) -> Self:
@@ -92,8 +97,15 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    check_room(context, "before the spheres are localized again")
-    workcell.start(cameras=True)
+    where, frame_mm = "before the spheres are localized again", None
+    if workcell.at_home:  # what moves from here on shows when the arm is home again
+        check_room(context, where)
+        workcell.start(cameras=True)
+        workcell.return_home()
+        frame_mm = check_room(context, where, CAREFUL_FRAMES).reading.frame_mm
+    else:
+        check_room(context, where)
+        workcell.start(cameras=True)
     centring = Centring(
         workcell,
         arriving=arriving(context, paths),
@@ -137,6 +149,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
             joints_rad=tuple(sphere.joints_rad for sphere in spheres),
             coarse_offset_mm=np.mean(offsets_mm, axis=0).tolist(),
             left_out=tuple(left_out),
+            frame_at_home_mm=None if frame_mm is None else tuple(frame_mm.tolist()),
         ),
         summary=(
             f"{len(spheres)} spheres, largest final residual "

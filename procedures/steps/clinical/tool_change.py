@@ -6,6 +6,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
@@ -52,6 +53,7 @@ def _park(context: StepContext) -> None:
     surround_stereo_head(context, workcell.joints_rad())
     check_room(context, "before the arm parks")
     park(workcell, "park the arm for the tool exchange")
+    check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 
 STEP = StepSpec(

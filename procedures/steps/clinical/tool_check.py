@@ -30,6 +30,7 @@ from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolBesideGauge
 from procedures.steps.reading_age import require_recent
+from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.parking import park
 from ronna_hw.arm.angles import radians6
@@ -39,7 +40,6 @@ from ronna_hw.wire.room_tasks import GAUGE
 
 # 0.1 degrees move the end of an instrument 100 mm long by 0.17 mm.
 TILT_LIMIT_DEG = 0.1
-ARRIVING = (1, 1, 1, 1, 1, 1)  # each joint from below, as when the gauge was set to zero
 # An arm of the usual repeatability, 0.015 mm per axis, comes 0.05 mm beside itself in 1 approach of 100. The
 # mean of three, with what changer, dials and the record of twelve add, is that far off in 4 of 1,000; then
 # three more are read.
@@ -155,7 +155,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     gauge_rad = radians6(*guide.gauge.joints_deg)
     workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None), gauge_rad)
     workcell.start()
-    there = [workcell.settling(gauge_rad, ARRIVING, from_afar=True)]
+    there = [workcell.settling(gauge_rad, ONE_SIDE, from_afar=True)]
     workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)
     task = Task(
@@ -168,7 +168,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     readings: list[tuple[float, ...]] = []
     for number in range(2 * APPROACHES):
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
-        reached = workcell.settle(gauge_rad, ARRIVING, from_afar=number == 0)
+        reached = workcell.settle(gauge_rad, ONE_SIDE, from_afar=number == 0)
         workcell.hold()  # a hand pushes the mandrel in: only a motion that is asked for leads on
         workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))

@@ -61,10 +61,10 @@ class TrackedCase:
         self._arm = TrueArm(truth.arm, self.seed)
         self._optics = Optics(truth.tracker, self.seed, SPECTRA.volumes)
         self.tracker_from_robot = inverse(matrix_of(truth.tracker.robot_from_tracker))
-        self._flange_from_marker = matrix_of(truth.mount.flange_from_tool_true) @ matrix_of(
+        self.flange_from_marker = matrix_of(truth.mount.flange_from_tool_true) @ matrix_of(
             truth.mount.tool_from_marker_true
         )
-        self._body_mm = np.array(truth.tracker.tools[0].markers_mm)
+        self.body_mm = np.array(truth.tracker.tools[0].markers_mm)
         robot_from_ct = matrix_of(truth.head.robot_from_ct)
         self.spheres_mm = apply(robot_from_ct, [each.centre_ct_mm for each in truth.head.fiducials])
         theatre = parse_theatre(theatre_content(truth, ENDPOINTS, "host:", {}, 1.0))
@@ -109,8 +109,8 @@ class TrackedCase:
         """The watch after a global localization at home."""
         spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
         flange = self.kinematics.flange_pose(self.home_rad)
-        robot_from_tracker = self._frame_by_arm(flange) @ frame.inverse()
-        reading = RoomReading(flange, np.zeros(3), spheres)
+        robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
+        reading = RoomReading(flange, np.zeros(3), spheres, frames=GLOBAL_FRAMES)
         return RoomWatch("trial", robot_from_tracker, spheres, [reading])
 
     def reading(
@@ -120,8 +120,8 @@ class TrackedCase:
         spheres, frame = self._seen(joints, head_mm, cart_mm, FRAMES)
         flange, _ = self._at(joints)
         seen = watch.robot_from_tracker @ frame
-        way_mm = seen.translation_mm - self._frame_by_arm(flange).translation_mm
-        return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm))
+        way_mm = seen.translation_mm - self.frame_by_arm(flange).translation_mm
+        return RoomReading(flange, way_mm, spheres, frame.apply(self.body_mm), FRAMES)
 
     def measured(self, spheres_mm: Array) -> Array:
         """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""
@@ -143,7 +143,7 @@ class TrackedCase:
         on_guide = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
         noise_mm = np.zeros((9, 9))
         noise_mm[:6, :6] = self._noise_mm(
-            flange @ self._flange_from_marker, self._body_mm, (np.zeros(3), end_mm)
+            flange @ self.flange_from_marker, self.body_mm, (np.zeros(3), end_mm)
         )
         guide_frame = flange @ on_guide @ matrix_of(GUIDE_FRAME_IN_TIP)
         noise_mm[6:, 6:] = self._noise_mm(guide_frame, np.array(GUIDE_FRAME_MARKERS_MM), (np.zeros(3),))
@@ -172,10 +172,10 @@ class TrackedCase:
         self, joints: JointVector, head_mm: Array, cart_mm: Array, frames: int
     ) -> tuple[Array, Transform]:
         flange = matrix_from(cart_mm, np.eye(3)) @ self._at(joints)[1]
-        markers = apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        markers = apply(self.tracker_from_robot @ flange @ self.flange_from_marker, self.body_mm)
         spheres = apply(self.tracker_from_robot, self.spheres_mm + head_mm)
         points = self._measured(np.vstack([markers, spheres]), frames)
-        fit = fit_rigid_body(self._body_mm, points[: len(markers)])
+        fit = fit_rigid_body(self.body_mm, points[: len(markers)])
         pose = matrix_from(fit.translation_mm, fit.rotation)
         return points[len(markers) :], Transform.from_matrix(Frame.TRACKER, Frame.MARKER, pose)
 
@@ -186,10 +186,19 @@ class TrackedCase:
         return self._poses[joints]
 
     def _measured(self, points_mm: Array, frames: int) -> Array:
-        sight = self._optics.sight(points_mm)
-        return sight.measured(self.generator.standard_normal(points_mm.shape) / math.sqrt(frames))
+        return self.averaged(points_mm, frames, self.generator)
 
-    def _frame_by_arm(self, flange: Transform) -> Transform:
+    def averaged(self, points_mm: Array, frames: int, generator: np.random.Generator) -> Array:
+        """Points (n, 3) in the tracker frame as the mean of so many frames has them."""
+        sight = self._optics.sight(points_mm)
+        return sight.measured(generator.standard_normal(points_mm.shape) / math.sqrt(frames))
+
+    def at_rest(self, joints: JointVector, sides: Sequence[int], motion: int) -> Array:
+        """True flange (4, 4) at rest after a motion in which each joint came from that side."""
+        return self._arm.at_rest(joints, sides, motion)
+
+    def frame_by_arm(self, flange: Transform) -> Transform:
+        """Pose of the frame on the mount by the arm."""
         records = self.records
         tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         return flange @ tool @ records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)

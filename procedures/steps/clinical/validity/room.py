@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import PatientUnseen
@@ -19,6 +23,11 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
+
+if TYPE_CHECKING:
+    from procedures.steps.clinical.relocalization import Relocalization
+
+Array = NDArray[np.float64]
 
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
@@ -110,7 +119,19 @@ def room_watch(context: StepContext) -> RoomWatch:
     watch = context.setting.memory.find(RoomWatch)
     if watch is None or watch.localization != name:
         watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
+        watch.refer(frame_at_home(context))
         context.setting.memory.keep(watch)
     followed = partial(that_followed, trajectory=context.key.trajectory)
     watch.follow(spheres_followed(context.result_among(RegisteredRobot, followed)))
     return watch
+
+
+def frame_at_home(context: StepContext) -> Array | None:
+    """How the tracker saw the frame on the arm at home before the spheres were localized again (3,) mm."""
+    from procedures.steps.clinical.relocalization import Relocalization  # which checks the room
+
+    def first(made: Sequence[Relocalization]) -> Relocalization | None:
+        return next((one for one in made if one.frame_at_home_mm is not None), None)
+
+    found = context.result_among(Relocalization, first)
+    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)
