@@ -31,6 +31,7 @@ EXIT_LINK_LOST = 5
 EXIT_SAFETY_STOP = 6
 EXIT_ABORTED = 7
 EXIT_RECOVERY_NEEDED = 8
+EXIT_UNCONFIRMED = 9  # of verify: intact as far as can be said
 EXIT_INTERRUPTED = 130
 
 LAST_BYTES_KEPT = 64  # enough for a whole short telegram, short enough for one line of hex

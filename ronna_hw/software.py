@@ -72,6 +72,7 @@ def _commit(checkout: Path) -> str | None:
             capture_output=True,
             text=True,
             timeout=GIT_LIMIT_S,
+            start_new_session=True,  # Ctrl-C is not for it
             check=True,
         )
     except (OSError, subprocess.SubprocessError):

@@ -26,6 +26,7 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.host.interruption import children_uninterrupted, describe_exit
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
@@ -35,6 +36,7 @@ GIVE_OUR_ADDRESS = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
     "controller's RSI interface; check that the cable is connected and the interface is up."
 )
+SEE_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
 
 Condition = Callable[[LinkState], bool]
 Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
@@ -67,13 +69,15 @@ class LinkClient:
         self._stops = 0
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            pass_fds=(self._memory_fd, self._event_fd),
-        )
+        with children_uninterrupted():
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                start_new_session=True,
+                pass_fds=(self._memory_fd, self._event_fd),
+            )
         self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
         try:
             self._begin(timeout_s)
@@ -214,7 +218,7 @@ class LinkClient:
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
         except LinkProcessDied as error:
-            raise LinkNotStarted(str(error.what)) from None
+            raise LinkNotStarted(error.what, action=SEE_WHAT_ENDS_IT) from None
         where = f"udp://{self._settings.host}:{self._settings.port}"
         if state is None:
             raise LinkNotStarted(
@@ -250,4 +254,5 @@ class LinkClient:
     def _last_words(self) -> str:
         stream = self._process.stderr
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
-        return text.splitlines()[-1] if text else f"exit code {self._process.returncode}"
+        code = self._process.wait()
+        return text.splitlines()[-1] if text and code >= 0 else describe_exit(code)

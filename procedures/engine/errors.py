@@ -10,6 +10,7 @@ from ronna_hw.errors import (
     RefusedError,
     RonnaError,
 )
+from ronna_hw.host.interruption import describe_exit
 
 
 class UnknownStep(RonnaError):
@@ -34,7 +35,8 @@ class CommandRefused(RonnaError):
     action = "Correct that, then start again."
 
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
-        super().__init__(f"{name} failed: {' '.join(messages.split()).rstrip('.')}")
+        words = messages.split() if exit_code >= 0 else [describe_exit(exit_code), *messages.split()]
+        super().__init__(f"{name} failed: {' '.join(words).rstrip('.')}")
         self.exit_code = exit_code if exit_code > 0 else EXIT_FAILED
 
 

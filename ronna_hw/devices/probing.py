@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import socket
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ronna_hw.clock import Clock, HostClock
@@ -34,7 +34,8 @@ class Diagnostic:
     """One line: what was checked, whether it is OK, what was observed, what to do.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
-    JSON that it belongs to, such as `lines` or `cameras`.
+    JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied,
+    by endpoint; None where nothing did.
     """
 
     subject: str
@@ -43,6 +44,7 @@ class Diagnostic:
     advice: str = ""
     section: str = ""
     document: Mapping[str, Any] | None = None
+    serials: Mapping[str, str | None] = field(default_factory=dict)
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:

@@ -41,6 +41,8 @@ APART = (
     BESIDE,
     f".{RAW_FOLDER}{PARTIAL}",
 )  # folders derived from the run at any time, and not part of it
+FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
+OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
 CHUNK_BYTES = 1 << 20
 LARGEST_FILE_BYTES = 4_000_000_000  # twice the tape of readings at its largest
 
@@ -88,11 +90,15 @@ def sha256_of(path: Path) -> str:
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
     """Every file of a run by its name there, without journal, seal and exports.
 
-    Also folders that are deeper than any run goes, or may not be read: nothing below them is listed.
+    Also folders that are deeper than any run goes or may not be read, below which nothing is listed, and
+    empty ones that no run makes.
     """
-    for path, is_folder, entered in sorted(walk(folder, without=APART)):
+    found = sorted(walk(folder, without=APART))
+    parents = {one.path.parent for one in found}
+    for path, is_folder, entered in found:
         name = path.relative_to(folder).as_posix()
-        if not (is_folder and entered) and name not in (JOURNAL_FILE, SEAL_FILE):
+        expected = is_folder and entered and (path in parents or name in OWN_FOLDERS)
+        if not expected and name not in (JOURNAL_FILE, SEAL_FILE):
             yield name, path
 
 

@@ -19,6 +19,7 @@ from typing import IO, Any
 
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.host.descendants import descendants_of, kill_all
+from ronna_hw.host.interruption import describe_exit
 from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
 from ronna_hw.logs import logger
 
@@ -112,7 +113,9 @@ class ChildProcess:
             if line is None:
                 self.process.wait()
                 self._readers[1].join(timeout=1.0)
-                words = " / ".join(self._messages) or f"exit code {self.process.returncode}"
+                code = self.process.returncode
+                ended = [describe_exit(code)] if code < 0 or not self._messages else []
+                words = " / ".join((*ended, *self._messages))
                 self.stop()
                 raise ChildNotReady(f"{self.name} ended before it was ready: {words}")
             if line.startswith("READY "):

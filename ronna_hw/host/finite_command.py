@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 
 from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, TOO_SLOW, ChildNotReady
+from ronna_hw.host.interruption import children_uninterrupted
 from ronna_hw.host.processor_use import ProcessorUse
 
 LOOK_AGAIN_S = 0.1  # host time
@@ -14,9 +15,16 @@ LOOK_AGAIN_S = 0.1  # host time
 
 def finished_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, whatever its exit code, as `await_end`."""
-    with subprocess.Popen(
-        arguments, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
+    with children_uninterrupted():
+        process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    with process:
         output, messages = await_end(name, process, limit_s)
     return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
 

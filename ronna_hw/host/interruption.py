@@ -1,4 +1,8 @@
-"""The signals that end a program: work that they must not cut short, and work that they may always end."""
+"""The signals that end a program: work that they must not cut short, and work that they may always end.
+
+A terminal sends Ctrl-C to its whole foreground group. What it means is decided by the program, not by the
+processes that it started, so these never see it.
+"""
 
 from __future__ import annotations
 
@@ -43,6 +47,29 @@ def interruptible() -> Iterator[None]:
 
     with _handled_by(interrupt):
         yield
+
+
+@contextmanager
+def children_uninterrupted() -> Iterator[None]:
+    """Start processes that never receive SIGINT, from their first moment on: they inherit it blocked.
+
+    A session of their own, which hides the terminal's other signals, begins only after the fork.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def describe_exit(code: int) -> str:
+    """How a process ended: the name of the signal that killed it, or its exit code."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"killed by {signal.Signals(-code).name}"
+    except ValueError:  # a real-time signal
+        return f"killed by signal {-code}"
 
 
 @contextmanager

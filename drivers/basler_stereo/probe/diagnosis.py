@@ -47,7 +47,8 @@ def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expe
         "seen": seen,
         "cause": advice,
     }
-    return Diagnostic(f"camera {camera.endpoint}", well, seen, advice, SECTION, document)
+    serials = {str(camera.endpoint): camera.identity.serial if camera.identity else None}
+    return Diagnostic(f"camera {camera.endpoint}", well, seen, advice, SECTION, document, serials)
 
 
 def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
@@ -59,7 +60,9 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
         if doubled
         else ""
     )
-    return Diagnostic(f"cameras on {interface.name}", True, ", ".join(map(_shown, found)), advice)
+    shown = ", ".join(map(_shown, found))
+    by_endpoint = {f"gev://{each.address}": each.serial for each in found}
+    return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)
 
 
 def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:

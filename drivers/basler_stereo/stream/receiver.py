@@ -24,6 +24,7 @@ from drivers.basler_stereo.stream.receiver_orders import (
     Order,
     send_order,
 )
+from ronna_hw.host.interruption import children_uninterrupted, describe_exit
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
@@ -36,11 +37,12 @@ class ReceiverProcess:
     def __init__(self) -> None:
         self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._numbers = itertools.count(1)
-        with theirs:
+        with theirs, children_uninterrupted():
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", RECEIVER_MODULE, str(theirs.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
+                start_new_session=True,
                 pass_fds=(theirs.fileno(),),
             )
 
@@ -64,21 +66,29 @@ class ReceiverProcess:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with theirs:
                 order = OpenStream(number, payload_bytes, packet_bytes, resend)
-                self._tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
-            return StreamReceiver(self._tell, number, FrameSlots(memory, payload_bytes), ours)
+                self.tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
+            return StreamReceiver(self, number, FrameSlots(memory, payload_bytes), ours)
         finally:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
         """Send keep-alives to a camera; returns the number for ending them. Raises GEV-017."""
         number = next(self._numbers)
-        self._tell(KeepAlive(number, period_s), control.fileno())
+        self.tell(KeepAlive(number, period_s), control.fileno())
         return number
 
     def end_keep_alive(self, number: int) -> None:
         """Stop the keep-alives."""
         with contextlib.suppress(ReceiverEnded):
-            self._tell(EndKeepAlive(number))
+            self.tell(EndKeepAlive(number))
+
+    def ended(self, got: OSError | None = None) -> ReceiverEnded:
+        """The error for a process that no longer answers, with how it ended."""
+        try:
+            how = describe_exit(self._process.wait(LOOK_UP_S))  # its end follows that of its channels
+        except subprocess.TimeoutExpired:
+            how = str(got or "its channel is closed")
+        return ReceiverEnded("the receiver process has ended", got=how)
 
     def close(self) -> None:
         """End the process, within two seconds."""
@@ -89,20 +99,21 @@ class ReceiverProcess:
             self._process.kill()
             self._process.wait()
 
-    def _tell(self, order: Order, *descriptors: int) -> None:
+    def tell(self, order: Order, *descriptors: int) -> None:
+        """Send it an order. Raises GEV-017."""
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
-            raise ReceiverEnded("the receiver process has ended", got=str(error)) from error
+            raise self.ended(error) from error
 
 
 class StreamReceiver:
     """The frames of one stream, fetched from shared memory in the order of their completion."""
 
     def __init__(
-        self, tell: Callable[[Order], None], number: int, slots: FrameSlots, notes: socket.socket
+        self, process: ReceiverProcess, number: int, slots: FrameSlots, notes: socket.socket
     ) -> None:
-        self._tell = tell
+        self._process = process
         self._number = number
         self._slots = slots
         self._notes = notes
@@ -120,7 +131,7 @@ class StreamReceiver:
 
     def expect(self, block_id: int, patience_s: float) -> None:
         """A block was triggered; request it if it has not begun after `patience_s`."""
-        self._tell(ExpectBlock(self._number, block_id, patience_s))
+        self._process.tell(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
         """The oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
@@ -145,14 +156,14 @@ class StreamReceiver:
     def close(self) -> None:
         """Stop receiving the stream."""
         with contextlib.suppress(ReceiverEnded):
-            self._tell(CloseStream(self._number))
+            self._process.tell(CloseStream(self._number))
         self._notes.close()
 
     def _next_note(self) -> bytes:
         try:
             note = self._notes.recv(NOTE_BYTES)
         except OSError as error:
-            raise ReceiverEnded("the receiver process has ended", got=str(error)) from error
+            raise self._process.ended(error) from error
         if not note:
-            raise ReceiverEnded("the receiver process has ended")
+            raise self._process.ended()
         return note

@@ -1,7 +1,8 @@
 """The receiver process: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
 
 Started only by the driver. It receives both cameras' streams, so that a stalled driver loses no packets. The
-channel FD carries orders; when it closes, the driver is gone.
+channel FD carries orders; when it closes, the driver is gone. It never sees Ctrl-C: the driver started it in
+a session of its own with SIGINT blocked.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
-import signal
 import socket
 import sys
 
@@ -26,8 +26,6 @@ def main(arguments: list[str]) -> int:
     except (IndexError, ValueError, OSError) as error:
         print(f"this process is started by the driver only: {error}", file=sys.stderr)  # noqa: T201
         return EXIT_NOT_STARTED
-    # Ctrl-C reaches the whole process group; the driver decides what to do
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):  # superuser only; otherwise a busy computer loses more packets
         os.nice(NICENESS)
     gc.freeze()

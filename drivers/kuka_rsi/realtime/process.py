@@ -2,6 +2,7 @@
 
 Standard input carries one line of settings and nothing else: when it closes, the parent is gone. Orders and
 state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output.
+It never sees Ctrl-C: the driver starts it in a session of its own with SIGINT blocked.
 """
 
 from __future__ import annotations
@@ -76,8 +77,6 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
 
     signal.signal(PARENT_DEATH_SIGNAL, parent_died)
     signal.signal(signal.SIGTERM, terminated)
-    # An interrupt on the terminal goes to the whole group; the parent decides what to do.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal_on_parent_death()
     if os.getppid() != parent_pid:
         loop.responder.parent_gone = True

@@ -82,7 +82,8 @@ class SimulatedCase:
         except ChildNotReady as error:
             if not child.messages:
                 raise
-            raise CommandRefused(NAME, child.messages[-1], child.process.returncode or EXIT_FAILED) from error
+            code = EXIT_FAILED if error.limit else child.process.returncode  # the former: ended by us
+            raise CommandRefused(NAME, child.messages[-1], code) from error
 
     def taken_up(self) -> None:
         """The run's journal names the theatre as it is now; without that it is left as it was."""

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 
+from procedures.cli.doctor.camera_serials import camera_endpoint
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_use import TOOL
 from procedures.relocalization.triangulation import check_serial
@@ -50,7 +51,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
-            yield from _matching(subject, device, identity.serial, calibrations, ToolRecords.of(theatre))
+            yield from _matching(name, device, identity.serial, calibrations, theatre)
         refused = _refusal(device.configure)
         if refused is not None:
             yield refusal(f"{subject}configured", refused)
@@ -70,12 +71,13 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 
 
 def _matching(
-    subject: str, device: Device, serial: str, calibrations: Calibrations, tools: ToolRecords
+    name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
     """Whether the records are of this very device, and the right tool is mounted."""
+    subject = f"{name}: "
     if isinstance(device, OpticalTracker):
         tracked = device.tools
-        refused = _refusal(partial(tools.check_frames, calibrations, tracked))
+        refused = _refusal(partial(ToolRecords.of(theatre).check_frames, calibrations, tracked))
         yield _checked(f"{subject}frames named in records", ", ".join(tracked), refused)
     if isinstance(device, StereoPair):
         for side, record, serial in zip(
@@ -85,7 +87,8 @@ def _matching(
             strict=True,
         ):
             refused = _refusal(partial(check_serial, record, serial))
-            yield _checked(f"{subject}calibration of the {side} camera", serial, refused)
+            checked = _checked(f"{subject}calibration of the {side} camera", serial, refused)
+            yield replace(checked, serials={camera_endpoint(theatre.devices[name], side): serial})
     if isinstance(device, RobotArm):
         kinematics = device.kinematics
         arm = calibrations.arm

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
+from procedures.cli.doctor.camera_serials import advise_on_serials
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
-from procedures.cli.doctor.mistyped_serial import mistyped_serials
 from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
 from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diagnostics
 from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
@@ -178,7 +178,7 @@ def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Prog
         return (refusal(f"device {name}", error),)
     if name != STEREO or theatre.calibration is None:
         return found
-    return mistyped_serials(found, config, theatre.calibration.stereo_head)
+    return advise_on_serials(found, config, theatre.calibration.stereo_head)
 
 
 def _advance(progress: Progress, number: int, looks: int, share: float) -> None:

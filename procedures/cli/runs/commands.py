@@ -101,7 +101,11 @@ def acknowledge_command(
 
 
 def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
-    """Find every file of a run that was changed, removed or added; exit code 3 if there is one."""
+    """Find every file of a run that was changed, removed or added.
+
+    Exit codes: 0 intact, 3 something differs, 9 intact as far as can be said: the run was killed and resumed,
+    and what had no seal in between could have been changed.
+    """
     from procedures.cli.runs.verify import verify
 
     verify(run_folder, as_json=as_json)

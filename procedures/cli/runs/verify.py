@@ -7,7 +7,7 @@ from pathlib import Path
 
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from ronna_hw.command_line.terminal import print_json, say
-from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of, unchecked_folders
 from ronna_hw.evidence.unsealed import unsealed_sentences
@@ -16,7 +16,10 @@ from ronna_hw.text.printable import printable
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Print what is changed, missing or added; ends with exit code 3 when anything is."""
+    """Print what is changed, missing or added; ends with exit code 3 when anything is.
+
+    It ends with 9 when nothing is, but files lay unsealed after a kill: a change then would not show.
+    """
     found = inspected(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
     not_vouched_for = list(unsealed_sentences(found.chain.lines))
@@ -39,8 +42,10 @@ def verify(folder: Path, *, as_json: bool) -> None:
         for problem in problems:
             say(str(problem))
         if not problems:
-            since = ", or as they lay when it was resumed" if not_vouched_for else ""
-            say(f"{folder.resolve().name}: intact, {checked} files are as the run left them{since}")
+            intact, since = "intact", ""
+            if not_vouched_for:
+                intact, since = "intact as far as can be said", ", or as they lay when it was resumed"
+            say(f"{folder.resolve().name}: {intact}, {checked} files are as the run left them{since}")
         for sentence in not_vouched_for:
             say(sentence)
         if absent := found.out_of_reach:
@@ -52,3 +57,5 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(f"{missing}; {WRITES_ALL}")
     if problems:
         raise SystemExit(EXIT_REFUSED)
+    if not_vouched_for:
+        raise SystemExit(EXIT_UNCONFIRMED)

@@ -16,10 +16,13 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.host.interruption import children_uninterrupted, describe_exit
+
 PROCESS = "procedures.imaging.dicom.decoder_process"
 LIMIT_S = (
     30.0  # host time for one slice, the first with the imports; its processor time has a limit of its own
 )
+END_LIMIT_S = 1.0  # for a decoder that has stopped answering
 PIPE_BYTES = 1 << 16
 
 
@@ -55,8 +58,11 @@ class FrameDecoder:
             kind, shape = np.dtype(header["type"]), tuple(header["shape"])
             pixels = self._bytes(kind.itemsize * math.prod(shape), deadline_s)
         except (OSError, EOFError, ValueError) as problem:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(END_LIMIT_S)
+            ended = "no answer" if process.returncode is None else describe_exit(process.returncode)
             self.close()
-            raise NotDecoded("its decoder gave up") from problem
+            raise NotDecoded(f"its decoder gave up: {ended}") from problem
         return np.frombuffer(pixels, kind).reshape(shape)
 
     def _started(self) -> subprocess.Popen[bytes]:
@@ -64,14 +70,15 @@ class FrameDecoder:
             self._answers, theirs = os.pipe()
             self._buffer.clear()
             try:
-                self._process = subprocess.Popen(
-                    [sys.executable, "-P", "-m", PROCESS, str(theirs)],
-                    stdin=subprocess.PIPE,
-                    stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,  # decoders report damaged frames there
-                    pass_fds=(theirs,),
-                    start_new_session=True,
-                )
+                with children_uninterrupted():
+                    self._process = subprocess.Popen(
+                        [sys.executable, "-P", "-m", PROCESS, str(theirs)],
+                        stdin=subprocess.PIPE,
+                        stdout=subprocess.DEVNULL,
+                        stderr=subprocess.DEVNULL,  # decoders report damaged frames there
+                        pass_fds=(theirs,),
+                        start_new_session=True,
+                    )
             finally:
                 os.close(theirs)
         return self._process

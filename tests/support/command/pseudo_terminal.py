@@ -55,6 +55,14 @@ class Terminal:
     def type(self, text: str) -> None:
         os.write(self._primary, text.encode())
 
+    def pauses(self) -> bool:
+        """Whether it comes to a pause before it ends."""
+        deadline = time.monotonic() + AWAITED_S
+        while "paused> " not in self.text and self.process.poll() is None:
+            assert time.monotonic() < deadline, self.text[-2000:]
+            self._read()
+        return "paused> " in self.text
+
     def rest(self) -> int:
         deadline = time.monotonic() + AWAITED_S
         while self.process.poll() is None and time.monotonic() < deadline:

@@ -10,7 +10,7 @@ from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from ronna_hw.errors import EXIT_RECOVERY_NEEDED
+from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
 from sim.world.left_world import LEFT_WORLD_FILE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
@@ -35,7 +35,7 @@ def test_a_killed_and_resumed_case_reaches_its_target(
     changed_mm = outcome["mean_application_error_mm"] - undisturbed["mean_application_error_mm"]
     assert abs(changed_mm) <= LARGEST_CHANGE_MM
     verified = commands.run("ronna-procedure", "verify", str(killed.folder))
-    assert verified.returncode == 0, verified.stdout
+    assert verified.returncode == EXIT_UNCONFIRMED, verified.stdout
     again = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
     assert again.returncode == 0
     assert json.loads(again.stdout)["targets"] == outcome["targets"]
@@ -59,7 +59,7 @@ def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed
     assert outcome["mean_application_error_mm"] == pytest.approx(0.0, abs=LARGEST_ERROR_MM)
     measured = [name for name in (killed.folder / "records").iterdir() if "target_measurement" in name.name]
     assert bool(measured) == ("--measure-targets" in options)
-    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == 0
+    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == EXIT_UNCONFIRMED
 
 
 @pytest.mark.hazard(2)
@@ -97,7 +97,7 @@ def test_the_arm_of_a_killed_run_can_be_brought_home_and_the_run_resumed_later(
     assert_no_byte_before_acceptance(killed.folder, lines)
     whats = [line["what"] for line in lines if line["entry"] == Entry.MOTION]
     assert whats[-2:] == ["withdraw", "home"]
-    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == 0
+    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == EXIT_UNCONFIRMED
     assert taken_up(commands, killed)["outcome"] == "done"
 
 

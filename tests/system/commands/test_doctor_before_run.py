@@ -127,6 +127,7 @@ class Trouble:
     tool: int = STEREO_HEAD
     change: Change = _as_it_is
     stream_port_taken: bool = False
+    advice: str = ""  # begins with that
 
 
 TROUBLES = {
@@ -138,7 +139,9 @@ TROUBLES = {
     "arm found with another head": Trouble("CAL-020", change=_with_an_arm_found_with_another_head),
     "arm older than the head": Trouble("CAL-021", change=_with_an_arm_older_than_the_head),
     "records of other cameras": Trouble(
-        "STE-010", change=_replaced('\nserial = "21904412"', '\nserial = "21900001"')
+        "STE-010",
+        change=_replaced('\nserial = "21904412"', '\nserial = "21900001"'),
+        advice="The right camera was exchanged: 21904412 replied, the calibration record is of 21900001",
     ),
     "cameras swapped": Trouble("GEV-004", change=_swapped),
     "tools of another flange": Trouble("TOOL-003", change=lambda text: text.replace("flange =", "#", 1)),
@@ -151,7 +154,9 @@ TROUBLES = {
     "no banner": Trouble("CFG-004", exit_code=EXIT_REFUSED, change=_replaced("banner = ", 'banner = "" # ')),
     "guide mounted": Trouble("PRO-009", tool=GUIDE),
     "nothing mounted": Trouble("PRO-009", tool=NOTHING),
-    "camera unplugged": Trouble("GEV-001", fault="camera unplug left"),
+    "camera unplugged": Trouble(
+        "GEV-001", fault="camera unplug left", advice="The left camera 21904411 was not found"
+    ),
     "camera seized": Trouble("GEV-005", fault="camera seize left"),
     "tracker without power": Trouble("NDI-002", fault="tracker power off"),
     "tracker faulty": Trouble("NDI-020", fault="tracker alert 2"),
@@ -166,7 +171,11 @@ TROUBLES = {
     "another tracker": Trouble("NDI-004", change=_optioned("tracker", 'expected_model = "vicra"')),
     "tracker's option misspelt": Trouble("NDI-010", change=_optioned("tracker", 'expected_modell = "vega"')),
     "cameras of another model": Trouble("GEV-002", change=_optioned("stereo", 'expected_model = "acA1300"')),
-    "another camera": Trouble("GEV-003", change=_replaced('left_serial = "2', 'left_serial = "3')),
+    "another camera": Trouble(
+        "GEV-003",
+        change=_replaced('left_serial = "2', 'left_serial = "3'),
+        advice='left_serial = "31904411" is probably mistyped: camera 21904411 replied',
+    ),
     "cameras' option misspelt": Trouble("GEV-016", change=_replaced("left_serial = ", "left_seriall = ")),
     "no such driver": Trouble("DEV-002", change=_replaced('"basler_stereo"', '"basler"')),
     "controller of another cycle": Trouble("EKI-005", change=_optioned("robot.master", "cycle_ms = 12")),
@@ -307,3 +316,4 @@ def test_the_doctor_predicts_each_refusal_of_set_up(name: str, room: Room, tmp_p
     else:
         assert trouble.code in said, said
     assert done.returncode == trouble.exit_code
+    assert any(one["advice"].startswith(trouble.advice) for one in report["findings"] if not one["well"])

@@ -25,7 +25,7 @@ from spoilt_runs import files_in, with_another_byte
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.seal import SEAL_FILE
+from ronna_hw.evidence.seal import OWN_FOLDERS, SEAL_FILE
 from ronna_hw.records import canonical_json
 
 
@@ -43,6 +43,20 @@ def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
         assert path.relative_to(finished).as_posix() in {one.file for one in inspected(finished).problems}
         with pytest.raises(RunChanged, match="PRO-033"):
             inspected(finished).require_whole()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("name", ["empty", "records/empty", "theatre/a/b"])
+def test_an_added_folder_is_named_although_it_is_empty(run: Path, name: str) -> None:
+    (run / name).mkdir(parents=True)
+    (problem,) = inspected(run).problems
+    assert str(problem) == f"{name}: added: not part of the run"
+
+
+def test_a_folder_that_a_run_made_and_never_filled_is_part_of_it(run: Path) -> None:
+    for name in sorted(OWN_FOLDERS):
+        (run / name).mkdir(exist_ok=True)
+    assert inspected(run).problems == ()
 
 
 @pytest.mark.hazard(39)

@@ -13,6 +13,7 @@ from procedures.cli.runs.report import make_report
 from procedures.engine.closing import close_run
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.compared_files import Problem
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
@@ -203,6 +204,17 @@ def test_verify_names_what_a_later_session_sealed_as_it_lay(
     assert told_by_verify(run) == [sentence]
 
 
+@pytest.mark.hazard(39)
+def test_taking_up_a_run_without_seal_and_last_line_makes_it_intact_only_as_far_as_can_be_said(
+    run: Path,
+) -> None:
+    (run / SEAL_FILE).unlink()
+    without_last_lines(run, 1)
+    assert in_this_process(ronna_procedure, "verify", run).returncode == EXIT_REFUSED
+    gone_home(run)
+    assert in_this_process(ronna_procedure, "verify", run).returncode == EXIT_UNCONFIRMED
+
+
 def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> None:
     files = {"log.jsonl": 9, "bytes/a": 1, "bytes/b": 2, "theatre/world.json": 3}
     (sentence,) = unsealed_sentences(({"entry": Entry.RESTARTED, UNSEALED: files},))
@@ -212,8 +224,12 @@ def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> 
 def told_by_verify(run: Path) -> list[str]:
     verified = in_this_process(ronna_procedure, "verify", run, "--json")
     said = json.loads(verified.stdout)
-    assert (verified.returncode, said["whole"]) == (0, True), said
-    shown = in_this_process(ronna_procedure, "verify", run).stdout.splitlines()
-    assert shown[1:] == said["not_vouched_for"]
-    assert shown[0].endswith("as they lay when it was resumed") == bool(shown[1:])
+    code = EXIT_UNCONFIRMED if said["not_vouched_for"] else EXIT_DONE
+    assert (verified.returncode, said["whole"]) == (code, True), said
+    shown = in_this_process(ronna_procedure, "verify", run)
+    assert shown.returncode == code
+    first, *sentences = shown.stdout.splitlines()
+    assert sentences == said["not_vouched_for"]
+    assert ("intact as far as can be said" in first) == bool(sentences)
+    assert first.endswith("as they lay when it was resumed") == bool(sentences)
     return list(said["not_vouched_for"])

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import signal
 import socket
+import subprocess
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
@@ -71,6 +73,25 @@ def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None
             arm.configure()
     assert caught.value.code == "RSI-001"
     assert state_of(arm) is Lifecycle.CONNECTED
+    arm.configure()
+
+
+@pytest.mark.hazard(30)
+def test_configure_names_the_signal_that_killed_the_real_time_process(
+    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Killed(subprocess.Popen[bytes]):
+        def __init__(self, *arguments: Any, **options: Any) -> None:
+            super().__init__(*arguments, **options)
+            self.send_signal(signal.SIGKILL)
+
+    arm = make_arm()
+    arm.connect()
+    monkeypatch.setattr(subprocess, "Popen", Killed)
+    with pytest.raises(LinkNotStarted, match="killed by SIGKILL") as caught:
+        arm.configure()
+    assert "port" not in caught.value.advice
+    monkeypatch.undo()
     arm.configure()
 
 
