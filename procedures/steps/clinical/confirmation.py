@@ -50,6 +50,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.check_mounted(MountedTool.GUIDE)
     remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
     guide = _guide(context, remain)
+    context.workcell.rest()  # it may have been the last target
     look = _room(context, remain)
     seen = (SeenUnchanged.head(look.head_mm), SeenUnchanged.base(look.base), guide)
     in_doubt = () if all(one.unchanged for one in seen) else unconfirmed(context)
