@@ -149,7 +149,7 @@ REFERENCE_MOVED = Branch(
     "the patient's reference has moved: head, cart or tracker",
     "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
     "guide moves and while it is at its target",
-    ("relocalization", "tool_change", "positioning", "at_target", "retreat"),
+    ("relocalization", "tool_change", "positioning", "at_target", "retreat", "confirmation"),
     "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
     "the tracker localizes again. After a small move with the guide mounted, only the registrations "
     "are void, and may follow the move",
@@ -179,7 +179,7 @@ CART_UNLOCKED = Branch(
 CART_MOVED = Branch(
     "the cart or the tracker has moved; whatever depends on its position is void",
     "the frame on the arm according to tracker and arm, as above",
-    ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat"),
+    ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat", "confirmation"),
     "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
     "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
     "goes home and the case ends",
@@ -305,7 +305,7 @@ GUIDE_PUSHED = Branch(
 INSTRUMENT_INSIDE = Branch(
     "the arm must move while an instrument is, or may be, in the guide: also after a restart",
     "the journal, which records an insertion before it begins",
-    ("tool_check", "at_target", "retreat"),
+    ("tool_check", "at_target", "retreat", "confirmation"),
     "nothing moves until the operator has confirmed that it is out",
     Ending.ASK,
     (NotConfirmed,),

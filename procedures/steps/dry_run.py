@@ -13,6 +13,7 @@ from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting
 from procedures.engine.step import StepKey
 from procedures.planning.path_check.motions import BACK, HOME, LINE, MOVE
+from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -45,7 +46,7 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
     if stored is None:
         return None
     workcell = setting.workcell
-    if key.name == CheckedTool.kind:
+    if key.name in (CheckedTool.kind, ConfirmedTarget.kind):
         lines = _over_the_gauge(case, setting)
         return lines if workcell.at_home else ("the arm is not home; from home it would", *lines)
     paths = stored.result
@@ -77,7 +78,7 @@ class _PlannedArm:
 
 
 def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """The motions of the tool check, from home: another tool may be mounted and no path be recorded."""
+    """The motions over the gauge, from home: another tool may be mounted and no path be recorded."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result

@@ -134,7 +134,7 @@ def test_a_tracker_moved_during_the_way_in_is_distinguished_from_a_moved_head(tm
         return move(*words, **more)
 
     cell.arm.move_linear = pushed_meanwhile  # type: ignore[method-assign]
-    with pytest.raises(BaseShifted, match=r"PRO-019: the tracker was moved by 2\.0 mm.*during the motion"):
+    with pytest.raises(BaseShifted, match=r"PRO-019: the tracker was moved by 2\.00 mm.*during the motion"):
         positioned(engine)
     assert cell.entries("voided") == [("voided", "global_localization")]
 

@@ -50,6 +50,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.check_mounted(MountedTool.GUIDE)
     remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
     guide = _guide(context, remain)
+    context.workcell.rest()  # it may have been the last target
     look = _room(context, remain)
     seen = (SeenUnchanged.head(look.head_mm), SeenUnchanged.base(look.base), guide)
     in_doubt = () if all(one.unchanged for one in seen) else unconfirmed(context)
@@ -64,6 +65,8 @@ def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
     try:
         found = read_on_gauge(context)
     except REFUSED as problem:
+        if not context.workcell.at_home:  # it was reached, and the way back is not clear
+            raise
         doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
         return SeenUnchanged.guide(None)
     if found.differs:

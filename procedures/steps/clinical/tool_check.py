@@ -69,10 +69,13 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
 
     Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
     """
+    from procedures.steps.clinical.confirmation import doubt  # which reads the gauge as this step does
+
     try:
         return _checked(context)
     except ToolBesideGauge as problem:
         context.find(problem.summary)
+        doubt(context, problem.summary)  # targets that it served before a restart or a fault
         tip = context.workcell.calibrations.tool_tip
         question = TOOL_BESIDE_GAUGE.question(
             "the guide differs from its record: mount it again",

@@ -194,7 +194,7 @@ def _results(cell: ClinicalCell) -> list[StepResult]:
             pushed_mm=0.1,
             done_before=("drill",),
         ),
-        Retreated(parked=True, joints_rad=HOME_RAD, link=health),
+        Retreated(joints_rad=HOME_RAD, link=health),
     ]
 
 

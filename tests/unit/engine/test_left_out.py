@@ -12,13 +12,14 @@ from procedures.results.result import StepResult
 
 
 def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) -> Engine:
-    """Three trajectories; fits leave out some. `lasts` collects which took themselves for the last."""
+    """Three trajectories; fits leave out some. `lasts` collects which found none remaining after them."""
 
     def fit(context: StepContext) -> Outcome[StepResult]:
         return Outcome(Fit(not_for=(context.trajectory,) if context.trajectory in left_out else ()))
 
     def back(context: StepContext) -> Outcome[StepResult]:
-        if lasts is not None and context.is_last_trajectory():
+        remain = set(context.remaining) - set(context.done_for(Back)) - {context.trajectory}
+        if lasts is not None and not remain:
             lasts.append(context.trajectory)
         return Outcome(Back())
 

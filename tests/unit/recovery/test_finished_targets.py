@@ -49,13 +49,14 @@ from procedures.reporting.second_reading import second_reading
 from procedures.reporting.target_table import target_rows
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.branches import HOLD
-from procedures.steps.clinical import at_target, path_check, positioning, retreat
+from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
@@ -207,14 +208,16 @@ def rolling(cell: ClinicalCell, target: str, at: int) -> Engine:
         *(checked_paths(cell), checked_plan(), localized_fiducials(), *coarse(), mounted_guide()),
         *(checked_tool(), done_later(locked_cart())),
         done_later(registered_robot(), LockedCart, scope=Scope.LOCALIZATION),
-        *(positioning.STEP, at_target.STEP, retreat.STEP),
+        *(positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP),
     )
     engine.goes_on = MovedCart(engine).agreed_to_go_on
     engine.checkpoint.guards.append(Rolls(engine, cell.arm, target, at))
     return engine
 
 
-BOTH_FINISHED = 5  # motions: over the first target, along its axis and back; over the second, along its axis
+AT_ONE = 2  # motions: over a target and along its axis
+LOOKED_AFTER = 2 + 2 * APPROACHES + 1  # back and home; three times onto the gauge; home
+BOTH_FINISHED = AT_ONE + LOOKED_AFTER + AT_ONE
 
 
 @pytest.mark.branch("CART_MOVED")

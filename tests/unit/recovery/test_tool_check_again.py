@@ -34,7 +34,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.recovery import inputs, recover, taking_up
 from procedures.results.errors import StepRefused
-from procedures.steps.clinical import at_target, positioning, retreat, tool_check
+from procedures.steps.clinical import at_target, confirmation, positioning, retreat, tool_check
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
@@ -52,8 +52,6 @@ def a_room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
     monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
     monkeypatch.setattr(at_target, "DWELL_S", 0.0)
-    for step in (positioning, retreat, tool_check):
-        monkeypatch.setattr(step, "check_room", lambda _context, _where: None)
 
 
 @pytest.fixture
@@ -73,7 +71,7 @@ def operation(cell: ClinicalCell, *trajectories: str) -> CaseOrder:
         given(checked_paths(cell)),
         replace(given(registered_robot()), scope=Scope.LOCALIZATION),
         done_later(mounted_guide()),
-        *(tool_check.STEP, positioning.STEP, at_target.STEP, retreat.STEP),
+        *(tool_check.STEP, positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP),
     ]
     return order_of(steps, trajectories or (FIRST, LAST))
 
@@ -121,7 +119,10 @@ def test_positioning_is_refused_before_the_new_check(cell: ClinicalCell) -> None
 def test_the_restart_question_announces_the_repeated_tool_check(cell: ClinicalCell) -> None:
     again, _ = restarted(cell, operation(cell, FIRST), f"positioning:{FIRST}")
     said = again.operator.asked[0].value.split("\n")
-    assert f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in said
+    assert (
+        f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}, "
+        f"confirmation:{FIRST}"
+    ) in said
     assert any("tool_check is repeated" in line for line in said)
 
 
@@ -141,17 +142,29 @@ def test_the_retreat_from_a_finished_target_comes_before_the_check_and_its_work_
     engine.run_to()
     since = steps_done(again)[steps_done(again).index(f"at_target:{FIRST}") + 1 :]
     assert since == [
-        *(f"retreat:{FIRST}", "tool_check"),
-        *(f"{step}:{LAST}" for step in ("positioning", "at_target", "retreat")),
+        *(f"retreat:{FIRST}", "tool_check"),  # which is the look at the guide after that target
+        *(f"{step}:{LAST}" for step in ("positioning", "at_target", "retreat", "confirmation")),
     ]
     assert engine.over
 
 
-def test_nothing_is_checked_once_every_target_is_finished(cell: ClinicalCell) -> None:
+def test_a_guide_found_bent_after_a_restart_puts_the_finished_target_in_doubt(cell: ClinicalCell) -> None:
+    again, engine = restarted(cell, operation(cell), f"at_target:{FIRST}")
+    again.room.dials_mm = (1.0, 0.0, 0.0, 1.0, 0.0)
+    with pytest.raises(ToolBesideGauge):
+        engine.run_to()
+    found = [line for line in read_journal(again.folder / JOURNAL_FILE) if line["entry"] == Entry.FINDING]
+    (said,) = (str(line["text"]) for line in found if line.get("targets") == [FIRST])
+    assert said.startswith(f"{FIRST} in doubt: the guide is not as it was when its tip was calibrated")
+
+
+def test_once_every_target_is_finished_the_guide_is_only_read_after_the_last(cell: ClinicalCell) -> None:
     again, engine = restarted(cell, operation(cell, FIRST), f"at_target:{FIRST}")
     engine.run_to()
     assert engine.over
-    assert gauge_readings(again) == 0
+    assert steps_done(again)[-2:] == [f"retreat:{FIRST}", f"confirmation:{FIRST}"]
+    assert steps_done(again).count("tool_check") == 1  # before the restart
+    assert gauge_readings(again) == tool_check.APPROACHES
 
 
 def fault(cell: ClinicalCell, engine: Engine) -> None:
@@ -221,7 +234,7 @@ def mounts(cell: ClinicalCell, topic: Topic, number: int) -> None:
 def test_a_guide_found_off_before_it_goes_to_the_head_is_checked_again(
     cell: ClinicalCell, guarded: Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(positioning, "check_room", lambda *_: setattr(cell.arm, "mounted", 0))
+    monkeypatch.setattr(positioning, "require_unmoved", lambda *_: setattr(cell.arm, "mounted", 0))
     with pytest.raises(ToolUnchecked, match="no tool instead of the guide"):
         guarded.run_step(guarded.order.find(f"positioning:{FIRST}"))
     cell.arm.mounted = GUIDE

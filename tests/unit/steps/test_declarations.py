@@ -28,6 +28,7 @@ from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Us
 from procedures.engine.order import Steps
 from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec
+from procedures.guards.stability import SeenUnchanged
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
@@ -48,6 +49,7 @@ from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
@@ -159,7 +161,11 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
             ),
             pushed_mm=0.01,
         ),
-        Retreated(parked=True, joints_rad=HOME_RAD, link=LINK),
+        Retreated(joints_rad=HOME_RAD, link=LINK),
+        ConfirmedTarget(
+            seen=(SeenUnchanged.head(0.1 + 0.2), SeenUnchanged.base(None), SeenUnchanged.guide(0.01)),
+            in_doubt=("T1",),
+        ),
         BallPlace(ball_mm=(1.0, 2.0, 1 / 3), others_mm=((0.0, 0.0, 0.0),)),
         ObservedBall(observed=observed, remarks=("a remark",)),
         VisitedBaseline(calibration=SERIES, looks=(look,)),

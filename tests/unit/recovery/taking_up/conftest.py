@@ -9,16 +9,13 @@ from clinical_case import ClinicalCell
 from prepared_results import checked_plan
 
 from procedures.recovery import inputs, taking_up
-from procedures.steps.clinical import positioning, retreat
 from procedures.workcell import MountedTool
 
 
 @pytest.fixture(autouse=True)
 def room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The tracker has its own tests; here every comparison with the room finds what was recorded."""
+    """The tracker has its own tests; here the comparison with the room finds what was recorded."""
     monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
-    for step in (positioning, retreat):
-        monkeypatch.setattr(step, "check_room", lambda _context, _where: None, raising=False)
 
 
 @pytest.fixture

@@ -45,6 +45,7 @@ from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
@@ -190,9 +191,10 @@ def test_an_arm_off_its_position_is_not_at_the_target(cell: ClinicalCell) -> Non
 @pytest.mark.hazard(24)
 def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
     run(begin(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
-    (_, over), (_, _), (kind, back) = cell.arm.motions
+    (_, over), (_, _), (kind, back), (_, home) = cell.arm.motions
     assert kind == "line"
     assert back == pytest.approx(over, abs=1e-6)
+    assert home == HOME_RAD
     assert cell.workcell.insertion is None
 
 
@@ -200,19 +202,13 @@ TARGETING = ("positioning", "at_target", "retreat")
 
 
 @pytest.mark.parametrize("order", [(FIRST, LAST), (LAST, FIRST)])
-def test_the_arm_parks_after_the_last_target_in_either_order(
-    cell: ClinicalCell, order: tuple[str, str]
-) -> None:
+def test_the_arm_parks_after_each_target_in_either_order(cell: ClinicalCell, order: tuple[str, str]) -> None:
     engine = begin(cell)
-    run(engine, *(f"{name}:{order[0]}" for name in TARGETING))
-    assert not cell.case.get(Retreated, order[0]).result.parked
-    assert cell.arm.state is Lifecycle.ACTIVE
-    run(engine, *(f"{name}:{order[1]}" for name in TARGETING))
-    last = cell.case.get(Retreated, order[1]).result
-    assert last.parked
-    assert last.link is not None
-    assert cell.arm.joints_rad == HOME_RAD
-    assert cell.arm.state is Lifecycle.CONFIGURED
+    for trajectory in order:
+        run(engine, *(f"{name}:{trajectory}" for name in TARGETING))
+        assert cell.case.get(Retreated, trajectory).result.joints_rad == HOME_RAD
+        assert cell.arm.joints_rad == HOME_RAD
+        assert cell.arm.state is Lifecycle.CONFIGURED
     assert engine.machine.state == "finished"
 
 
@@ -305,13 +301,16 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
     cell: ClinicalCell,
 ) -> None:
     engine = begin(cell)
-    A1, *others = cell.arm.joints_rad
-    cell.arm.joints_rad = (A1 + 0.1, *others)
-    cell.arm.blocked = lambda _start, target: target != cell.workcell.home_rad
+
+    def block_the_line(_start: JointVector, _target: JointVector) -> bool:
+        cell.arm.failing = NotClear("the way is not clear")
+        return False  # the way over the entry is
+
+    cell.arm.blocked = block_the_line
     with pytest.raises(NotReachable, match=r"the way is not clear.*; the arm has moved") as refused:
         run(engine, f"positioning:{FIRST}")
     assert refused.value.advice.startswith("The arm is on its way: send it home.")
-    assert cell.workcell.at_home
+    assert not cell.workcell.at_home
 
 
 def after_a_fault(cell: ClinicalCell) -> Engine:
@@ -386,13 +385,13 @@ def test_an_approach_is_confirmed_once(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(12)
-def test_if_the_arm_hides_the_head_it_returns_home_and_the_head_is_checked_there(
+def test_an_arm_that_is_elsewhere_returns_home_and_the_head_is_checked_there_before_a_target(
     cell: ClinicalCell,
 ) -> None:
     engine = begin(cell)
-    run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.1, *others)
     cell.tracker.spheres_mm = SPHERES_MM[:2]  # the arm hides the others
-    run(engine, f"retreat:{FIRST}")
     been = len(cell.arm.motions)
 
     def seen_again(_start: JointVector, _target: JointVector) -> bool:
@@ -403,4 +402,4 @@ def test_if_the_arm_hides_the_head_it_returns_home_and_the_head_is_checked_there
     with pytest.raises(PatientMoved):
         run(engine, f"positioning:{LAST}")
     assert cell.arm.motions[been:] == [("joints", HOME_RAD)]
-    assert cell.operator.asked[-1].subject.startswith("move home, where the tracker sees the head")
+    assert cell.operator.asked[-1].subject.startswith("move home, where the tracker sees head and arm")

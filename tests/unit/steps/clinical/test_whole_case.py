@@ -36,6 +36,7 @@ from procedures.workcell.cell_motion import MotionName
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
+AT_EACH_TARGET = ("positioning", "at_target", "retreat", "confirmation")
 MARGIN_MM = 4.0  # NOS on an uncalibrated arm predicts 2.1 mm
 PLAN = plan(margin_mm=MARGIN_MM)
 GIVEN = (  # CT and tracker
@@ -127,7 +128,7 @@ def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed
     done = [step for _, step in once.entries("result")]
     assert done[8:] == [
         *("path_check", "relocalization", "registration", "tool_change", "tool_check"),
-        *(f"{name}:{one}" for one in TRAJECTORIES for name in ("positioning", "at_target", "retreat")),
+        *(f"{name}:{one}" for one in TRAJECTORIES for name in AT_EACH_TARGET),
     ]
 
 
