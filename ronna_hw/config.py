@@ -146,6 +146,10 @@ class Calibrations(Strict):
         return {name: record for name, record in found.items() if record is not None}
 
 
+Recline = Annotated[float, Field(ge=-45.0, le=90.0)]
+HeadTurn = Annotated[float, Field(gt=0.0, le=60.0)]
+
+
 class WatchPatient(StrEnum):
     """During which motions the tracker monitors the patient's spheres."""
 
@@ -192,6 +196,15 @@ class ProcedureSettings(Strict):
     watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,
         description="Motions in which the tracker watches the spheres on the head; a shift stops the arm.",
+    )
+    recline_deg: tuple[Recline, Recline] = Field(
+        default=(0.0, 60.0),
+        description="Least and largest angle by which the table raises the upper body from lying flat.",
+    )
+    head_turn_deg: HeadTurn = Field(
+        default=30.0,
+        description="How far the clamp may turn or tilt the head beyond that, with what the arm's base is "
+        "off level; a match in which it lies otherwise is refused.",
     )
 
 

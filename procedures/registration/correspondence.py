@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,14 @@ class MatchStatus(StrEnum):
     AMBIGUOUS = "AMBIGUOUS"
     TOO_FEW = "TOO_FEW"
     INCONSISTENT = "INCONSISTENT"
+
+
+class PosePrior(Protocol):
+    """Evidence about the pose physical <- image that is independent of the distances."""
+
+    def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
+        """Why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if it is not."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -49,9 +58,13 @@ class Prior:
                 action="Give an angle in radians: math.radians(degrees).",
             )
 
-    def allows(self, rotation: Array) -> bool:
-        """Whether a rotation (3, 3) is within the tolerance."""
-        return turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation) <= self.tolerance_rad
+    def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
+        """The rotation's excess over the tolerance; empty if it is within."""
+        turned_rad = turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation)
+        if turned_rad <= self.tolerance_rad:
+            return ""
+        limit_deg = math.degrees(self.tolerance_rad)
+        return f"{math.degrees(turned_rad):.0f} deg from the expected orientation, limit {limit_deg:.0f} deg"
 
 
 def turn_rad(one: Array, other: Array) -> float:

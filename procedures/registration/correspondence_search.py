@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration.consistency_graph import CLIQUE_SLACK, CliqueSearch, consistency_graph
-from procedures.registration.correspondence import Match, MatchStatus, Prior
+from procedures.registration.consistency_graph import CLIQUE_SLACK, CliqueSearch, bits, consistency_graph
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.hypotheses import (
     Candidate,
     Evidence,
@@ -38,7 +38,7 @@ class CorrespondenceSearch:
     physical: Array
     evidence: Evidence
     expected: int | None
-    prior: Prior | None
+    prior: PosePrior | None
 
     def answer(self) -> Match:
         """Search near the largest cliques first; consider all of them only if none of those passes."""
@@ -52,7 +52,7 @@ class CorrespondenceSearch:
             if not cliques:
                 break
             held, failed = self._evaluate(cliques)
-            allowed = [one for one in held if self.prior is None or self.prior.allows(one.rotation)]
+            allowed = [one for one in held if not self._objection(one)]
             outside_prior = outside_prior or len(allowed) < len(held)
             nearest = held if outside_prior else failed or held
             ranked = sorted(allowed, key=_by_score)
@@ -97,7 +97,7 @@ class CorrespondenceSearch:
                 over_full = self.expected is not None and size == self.expected + 1
                 if one.passed:
                     held.append(one)
-                    if not over_full and (self.prior is None or self.prior.allows(one.rotation)):
+                    if not over_full and not self._objection(one):
                         best = max(best, one.score_nats)
                 else:
                     failed.append(one)
@@ -110,6 +110,13 @@ class CorrespondenceSearch:
                     waiting.setdefault(size - 1, []).append(child)
                     drops[child] = max(drops.get(child, 0), drops[parent] + 1)
         return held, failed
+
+    def _objection(self, one: Candidate) -> str:
+        """Why the prior excludes it; empty if it does not."""
+        if self.prior is None:
+            return ""
+        paired = [node % len(self.physical) for node in bits(one.nodes)]
+        return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
 
     def _carries_a_bad_pair(self, one: Candidate) -> bool:
         """Whether some pair may cost more than it earns, so that the set without it must be examined.
@@ -175,7 +182,9 @@ class CorrespondenceSearch:
         """Why no pairing passes, with the nearest miss."""
         miss = max(nearest, key=lambda one: (one.size, one.score_nats))
         if outside_prior:
-            reason = "the points agree only in an orientation that the prior excludes"
+            reason = (
+                f"the points agree only in an orientation that the prior excludes: {self._objection(miss)}"
+            )
         elif any(one.passed_mirrored for one in nearest if one.size == miss.size):
             reason = _mirror_reason(miss)
         elif miss.on_a_line:

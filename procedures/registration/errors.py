@@ -96,3 +96,13 @@ class LayoutNotFound(RefusedError):
         "Check that the scan and the layout belong together and that the layout is in mm; without "
         "--layout every sphere is listed."
     )
+
+
+class HeadElsewhere(RefusedError):
+    """A touched point of the head is not where the match has it, or no point tells it from a mirror image."""
+
+    code = "REG-013"
+    action = (
+        "The CT may be mirrored: compare left and right, front and back of the patient with the CT and its "
+        "export. Do not continue with this CT before that is clear."
+    )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.correspondence import Match, MatchStatus, Prior
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior, Prior
 from procedures.registration.correspondence_search import CorrespondenceSearch
 from procedures.registration.errors import BadParameter, BadPoints
 from procedures.registration.hypotheses import Evidence
@@ -29,14 +29,14 @@ def match(
     sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
     sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
     expected: int | None = None,
-    prior: Prior | Rotation | None = None,
+    prior: PosePrior | Rotation | None = None,
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3), in mm, order unknown, outliers in both.
 
     A sigma is one standard deviation, common to all axes or one per axis; pairing is isotropic and uses the
     rms of the three. `expected` is the planned number of pairs; UNIQUE then means exactly that many. `prior`
-    is an approximate rotation physical <- image (bare: 60 degrees tolerance). Raises REG-001 and REG-007
-    (both ValueError); too few points are an answer, not an error.
+    is an approximate rotation physical <- image (bare: 60 degrees tolerance), or other evidence. Raises
+    REG-001 and REG-007 (both ValueError); too few points are an answer, not an error.
     """
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
     for name, points in (("image", image), ("physical", physical)):
@@ -44,8 +44,7 @@ def match(
             raise BadPoints(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
     evidence = evidence_of(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
-    checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
-    search = CorrespondenceSearch(image, physical, evidence, expected, checked_prior)
+    search = CorrespondenceSearch(image, physical, evidence, expected, checked_prior(prior))
     fewest, seen = expected or FEWEST_PAIRS, min(len(image), len(physical))
     counts = f"{len(image)} image and {len(physical)} physical points, {fewest} needed"
     if seen < FEWEST_PAIRS:
@@ -53,6 +52,11 @@ def match(
     if seen < fewest:
         return search.too_few(counts)
     return search.answer()
+
+
+def checked_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
+    """The prior as given to `match`, a bare rotation with the default tolerance. Raises REG-007."""
+    return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
 def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:

@@ -7,21 +7,35 @@ between noisy points; points without a counterpart in the template are ignored o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
+from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior
 from procedures.registration.hypotheses import as_hypothesis, evaluate
-from procedures.registration.matching import evidence_of, match
+from procedures.registration.matching import checked_prior, evidence_of, match
 from procedures.registration.points import checked_points
 
 Array = NDArray[np.float64]
 Sigma = float | Sequence[float] | NDArray[np.float64]
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
+
+
+@dataclass(frozen=True)
+class _OfTemplate:
+    """A prior of the image, applied to the template as found in the image."""
+
+    prior: PosePrior
+    image_from_template: RigidTransform
+
+    def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
+        """The prior's objection to the pose physical <- image that follows from physical <- template."""
+        turned = rotation @ self.image_from_template.rotation.as_matrix().T
+        moved_mm = translation_mm - turned @ self.image_from_template.translation
+        return self.prior.objection(turned, moved_mm, physical_mm)
 
 
 def match_by_template(
@@ -32,7 +46,7 @@ def match_by_template(
     sigma_image_mm: Sigma,
     sigma_physical_mm: Sigma,
     sigma_template_mm: float = TEMPLATE_SIGMA_MM,
-    prior: Prior | Rotation | None = None,
+    prior: PosePrior | Rotation | None = None,
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
 
@@ -42,13 +56,12 @@ def match_by_template(
     """
     template = checked_points(template_mm, "template")
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
-    known = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
+    known = checked_prior(prior)
     in_ct = _found(template, image, sigma_template_mm, sigma_image_mm, None)
     if in_ct.transform is None or in_ct.status is not MatchStatus.UNIQUE:
         return _failed(in_ct, "image", image, physical)
-    # What is known about the image's orientation is transferred to the template as found in the image.
-    turned = known and replace(known, rotation=known.rotation * in_ct.transform.rotation)
-    in_room = _found(template, physical, sigma_template_mm, sigma_physical_mm, turned)
+    of_template = known and _OfTemplate(known, in_ct.transform)
+    in_room = _found(template, physical, sigma_template_mm, sigma_physical_mm, of_template)
     if in_room.status is not MatchStatus.UNIQUE:
         return _failed(in_room, "physical", image, physical)
     in_image, in_physical = in_ct.pairs[:, 1], in_room.pairs[:, 1]
@@ -70,7 +83,7 @@ def match_by_template(
 
 
 def _found(
-    template: Array, points: Array, sigma_template_mm: float, sigma_mm: Sigma, prior: Prior | None
+    template: Array, points: Array, sigma_template_mm: float, sigma_mm: Sigma, prior: PosePrior | None
 ) -> Match:
     return match(
         template,

@@ -14,3 +14,4 @@ CART_LOCK = "cart_lock"  # apply its brakes
 CART_PUSH = "cart_push"  # lean on the locked cart from each side
 DIALS = "dials"  # of the calibration stand: raise the divot to the tip, read its x, y and z
 GAUGE = "gauge"  # read it: the arm's joints at it in deg, and the height between its dials in mm
+TOUCH = "touch"  # the head with a pointer, in a direction from its middle, LPS; x, y, z in $ROBROOT are read

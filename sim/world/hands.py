@@ -27,11 +27,13 @@ from ronna_hw.wire.room_tasks import (
     INSERT,
     OUT,
     SKIN,
+    TOUCH,
 )
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, inverse
+from sim.world.rigid import Matrix, apply, inverse, matrix_of
+from sim.world.room_shift import ShiftedRoom
 from sim.world.stand import read_dials
 from sim.world.true_guide import TrueGuide, calibrated_tip
 from sim.world.truth import append_sample, sample_instrument
@@ -41,11 +43,13 @@ Readings = tuple[float, ...]
 STOP, DIAL = "depth stop", "gauge"  # keys of the noise
 SCALE_MM = 0.05  # divisions of the depth stop's scale: a vernier
 DIAL_MM = 0.001  # of the gauge: a digital one
+POINTER_MM = 2.0  # per axis, one standard deviation: where a person sets a pointer on skin
 
 
 NUMBERS = {  # how many a task needs, and what they are; the others need none
     DEPTH_STOP: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
+    TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
 }
 
 
@@ -100,6 +104,7 @@ class Hands:
             OUT: nothing,
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
+            TOUCH: lambda: self._touch(numbers),
         }
         if task not in tasks:
             raise NoSuchTask(task, tasks)
@@ -152,6 +157,14 @@ class Hands:
             0.0, scene.hands.gauge_mm, len(there)
         )
         return tuple(_on_scale(float(value), DIAL_MM) for value in read)
+
+    def _touch(self, direction: Sequence[float]) -> Readings:
+        """Where the pointer is that touches the patient's head on that side, in the robot frame."""
+        head, seed = self._world.scene.head, self._world.scene.seed
+        skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
+        place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
+        place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)
+        return tuple(_on_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
         """Where the correct mandrel's end was, with the arm there, when the gauge was zeroed."""

@@ -31,7 +31,7 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.spheres.coarse_match import coarse_match
+from procedures.steps.clinical.spheres.coarse_match import coarse_match, room_prior
 from procedures.steps.conditions import away_from_head
 from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker
@@ -147,8 +147,9 @@ def _beside(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> BesideProposal | None:
     """Position of the cart, from its own match; None, with a finding, where that is not unique."""
-    image = context.result(LocalizedFiducials).centres_mm
-    found = coarse_match(context.result(CheckedPlan), image, robot_from_tracker.apply(look.spheres_mm))
+    image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
+    prior = room_prior(plan, context.setting.settings, robot_from_tracker)
+    found = coarse_match(plan, image, robot_from_tracker.apply(look.spheres_mm), prior)
     if found.transform is None:
         context.find(f"the cart cannot be compared with its proposed position: {found.reason}")
         return None

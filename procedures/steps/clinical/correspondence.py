@@ -3,25 +3,42 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
+from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.registration import match
+from procedures.operator.room import Task
 from procedures.registration.correspondence import Match, MatchStatus
+from procedures.registration.errors import HeadElsewhere
+from procedures.registration.handedness import LEAST_APART_MM, telling_landmark
+from procedures.registration.room_prior import RoomPrior
 from procedures.registration.verification import TwoWayTable, verify_two_way
-from procedures.results.result import FramedPose, StepResult
+from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.spheres.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM, coarse_match
+from procedures.steps.clinical.spheres.coarse_match import coarse_match, matched, mirror_images, room_prior
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.conditions import localizable
+from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.room_tasks import TOUCH
 
 Array = NDArray[np.float64]
+
+FARTHEST_MM = 3000.0  # of a head from the arm's base
+
+
+class TouchedLandmark(Values):
+    """A point of the head that was touched, as a mirrored CT would have fitted as well."""
+
+    landmark: str = Field(description="Which point.")
+    touched_mm: Numbers3 = Field(description="As read, robot frame.")
+    off_mm: float = Field(description="Distance from where the match has it.")
+    mirrored_mm: float = Field(description="Distance of the nearest mirror image from there.")
 
 
 class Correspondence(StepResult, kind="correspondence"):
@@ -36,6 +53,9 @@ class Correspondence(StepResult, kind="correspondence"):
     left_out: tuple[LeftOutSphere, ...] = Field(
         default=(), description="Implanted spheres that are not where the others predict."
     )
+    touched: TouchedLandmark | None = Field(
+        default=None, description="None where distances, gravity and sight exclude a mirrored CT."
+    )
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
@@ -47,9 +67,13 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     room = context.result(GlobalLocalization)
     plan = context.result(CheckedPlan)
     image, physical = localization.centres_mm, room.points_mm
-    found, left_out = _agreed_rest(context, coarse_match(plan, image, physical), image, physical)
+    prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
+    found = coarse_match(plan, image, physical, prior)
+    found, left_out = _agreed_rest(context, found, image, physical, prior)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
+    mirrored = mirror_images(image[pairs[:, 0]], physical[pairs[:, 1]], prior)
+    touched = _touch_if_mirrored(context, transform, mirrored, prior)
     table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
     residuals = np.linalg.norm(physical[pairs[:, 1]] - transform.apply(image[pairs[:, 0]]), axis=1)
     return Outcome(
@@ -61,19 +85,66 @@ def run(context: StepContext) -> Outcome[Correspondence]:
             margin_nats=found.margin_nats if np.isfinite(found.margin_nats) else None,
             two_way=table,
             left_out=left_out,
+            touched=touched,
         ),
         summary=f"{len(pairs)} pairs, largest residual {residuals.max():.2f} mm"
-        + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
+        + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out)
+        + (f"; the {touched.landmark} is {touched.off_mm:.0f} mm from where it has it" if touched else ""),
     )
 
 
+def _touch_if_mirrored(
+    context: StepContext, matched: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
+) -> TouchedLandmark | None:
+    """Have a point of the head touched where a mirrored CT would fit as well. Raises REG-013."""
+    landmark = telling_landmark(matched, mirrored, prior)
+    if landmark is None:
+        return None
+    if landmark.apart_mm < LEAST_APART_MM:
+        raise HeadElsewhere(
+            "the spheres fit a mirrored CT as well, and no point of the head tells which it is",
+            limit=f"{LEAST_APART_MM:g} mm between the {landmark.name} and its mirror image",
+            got=f"{landmark.apart_mm:.1f} mm",
+            action="Add a sphere outside the plane of the others, and scan again.",
+        )
+    context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
+    x_mm, y_mm, z_mm = context.have_done(
+        Task(
+            TOUCH,
+            f"the spheres fit a mirrored CT as well: touch the {landmark.name} with the pointer and read its "
+            "position in the frame of the arm's base ($ROBROOT)",
+            numbers=landmark.direction,
+            reads=("x in mm", "y in mm", "z in mm"),
+            plausible_mm=(-FARTHEST_MM, FARTHEST_MM),
+        )
+    )
+    off_mm = float(np.linalg.norm(landmark.matched_mm - (x_mm, y_mm, z_mm)))
+    if off_mm > landmark.limit_mm:
+        raise HeadElsewhere(
+            f"the {landmark.name} is not where the match has it",
+            expected=_place(landmark.matched_mm),
+            limit=f"{landmark.limit_mm:.0f} mm",
+            got=f"{_place((x_mm, y_mm, z_mm))}, {off_mm:.0f} mm away",
+        )
+    return TouchedLandmark(
+        landmark=landmark.name,
+        touched_mm=(x_mm, y_mm, z_mm),
+        off_mm=off_mm,
+        mirrored_mm=landmark.apart_mm,
+    )
+
+
+def _place(point_mm: ArrayLike) -> str:
+    return "({:.0f}, {:.0f}, {:.0f}) mm".format(*np.asarray(point_mm))
+
+
 def _agreed_rest(
-    context: StepContext, found: Match, image: Array, physical: Array
+    context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
     """The match as it is; or of fewer spheres than were implanted, which is unique, when agreed to."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
-    rest = match(image, physical, sigma_image_mm=SIGMA_CT_MM, sigma_physical_mm=SIGMA_TRACKER_MM)
+    rest = matched(image, physical, prior)
     if rest.transform is None or rest.status is not MatchStatus.UNIQUE or len(rest.pairs) < FEWEST_SPHERES:
         return found, ()
     places = rest.transform.apply(image)

@@ -52,6 +52,7 @@ ROBOT_FROM_CT = SCENE.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
 CENTRES_CT_MM = np.array([fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials])
 SPHERES_MM = ROBOT_FROM_CT.apply(CENTRES_CT_MM)
 A1, A2, A3, A4, A5, A6 = (math.radians(angle) for angle in SCENE.arm.home_deg)
+TRACKER_MM: Numbers3 = SCENE.tracker.robot_from_tracker.translation_mm
 HOME_RAD: JointVector = (A1, A2, A3, A4, A5, A6)
 IN_VIEW_MM = 12.0  # of the tool centre: what lies farther away is outside both pictures
 SIGMA_MM = 0.01  # per axis, of a sphere in the CT or before the stereo head
@@ -88,7 +89,7 @@ class SeeingWorkcell(Workcell):
 
 @dataclass
 class SeeingTracker(RecordingTracker):
-    """A tracker at the robot's origin that sees the frame on the arm and every sphere where they are."""
+    """A tracker above the head, its axes along the robot's, that sees the frame on the arm and every sphere where they are."""
 
     tools: tuple[str, ...] = tuple(tool.name for tool in SCENE.tracker.tools)
     cell: ClinicalCell | None = None
@@ -120,7 +121,7 @@ class SeeingTracker(RecordingTracker):
                 turn_rad=self.frame_turn_rad,
             )
             reading = ToolReading(records.tracker_frame.tool, Validity.OK, *pose, 0.1)
-        strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
+        strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in (self.spheres_mm - TRACKER_MM).tolist())
         return TrackerFrame(STAMP, Validity.OK, (reading, self._on_guide(self.cell)), strays)
 
     def _on_guide(self, cell: ClinicalCell) -> ToolReading:
@@ -150,7 +151,7 @@ def _frame_on_the_arm(
     mount_from_frame: PoseRecord | None = None,
     turn_rad: Numbers3 = (0.0, 0.0, 0.0),
 ) -> tuple[Numbers4, Numbers3]:
-    """Rotation and place of the tracked frame on the mount, or of one that is fixed to it, in mm."""
+    """Rotation and place, for the tracker, of the tracked frame on the mount or of one fixed to it, in mm."""
     tool = flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     marker = tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     if mount_from_frame is not None:
@@ -158,7 +159,7 @@ def _frame_on_the_arm(
     pose = shifted(kinematics.flange_pose(joints_rad) @ tool @ marker, shift_mm)
     turned = Rotation.from_rotvec(turn_rad) * Rotation.from_matrix(pose.rotation_matrix)
     w, qx, qy, qz = turned.as_quat(scalar_first=True).tolist()
-    x, y, z = pose.translation_mm.tolist()
+    x, y, z = (pose.translation_mm - TRACKER_MM).tolist()
     return (w, qx, qy, qz), (x, y, z)
 
 

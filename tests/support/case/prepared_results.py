@@ -6,7 +6,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from clinical_case import CENTRES_CT_MM, HOME_RAD, ROBOT_FROM_CT, SCENE, SIGMA_MM, SPHERES_MM, TRAJECTORIES
+from clinical_case import (
+    CENTRES_CT_MM,
+    HOME_RAD,
+    ROBOT_FROM_CT,
+    SCENE,
+    SIGMA_MM,
+    SPHERES_MM,
+    TRACKER_MM,
+    TRAJECTORIES,
+)
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
@@ -146,18 +155,18 @@ def locked_cart() -> LockedCart:
 
 
 def global_localization(points_mm: Array = SPHERES_MM) -> GlobalLocalization:
-    """What the tracker saw, from a place at the robot's origin."""
+    """What the tracker saw from its place above the head."""
     points = tuple(points_mm.tolist())
     return GlobalLocalization(
         frames=60,
         points_robot_mm=points,
-        points_tracker_mm=points,
+        points_tracker_mm=tuple((points_mm - TRACKER_MM).tolist()),
         spread_mm=(0.1,) * len(points),
         counts=(60,) * len(points),
         outliers=(0,) * len(points),
         rejected_strays=0,
         lost_readings=0,
-        robot_from_tracker=FramedPose.of(Transform.of(Frame.ROBOT, Frame.TRACKER)),
+        robot_from_tracker=FramedPose.of(Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)),
         joints_rad=HOME_RAD,
     )
 

@@ -70,7 +70,7 @@ def test_the_only_fit_is_refused_when_the_prior_excludes_it(random, fiducials, a
     away = Rotation.from_rotvec([0.0, np.pi / 2, 0.0]) * truth.rotation
     result = match(points, truth.apply(points), prior=away, **SIGMAS)
     assert result.status is MatchStatus.INCONSISTENT
-    assert "prior" in result.reason
+    assert "prior excludes: 90 deg" in result.reason
     assert pairs_of(result.runner_up) == {(k, k) for k in range(5)}
 
 

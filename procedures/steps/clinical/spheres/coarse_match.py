@@ -1,14 +1,20 @@
-"""Which sphere of the CT is which in the room, by what the plan says of them."""
+"""Which sphere of the CT is which in the room, by what the plan says of them and how the patient lies."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
-from procedures.planning.plan.model import FiducialKind
+from procedures.planning.plan.model import FiducialKind, PatientPosition
+from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.registration import match, match_by_template
-from procedures.registration.correspondence import Match
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior
+from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
+from procedures.registration.template import TEMPLATE_SIGMA_MM
 from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.config import ProcedureSettings
+from ronna_hw.frames import Transform
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -16,35 +22,62 @@ Array = NDArray[np.float64]
 
 SIGMA_CT_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
+# The side that is up, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
+UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
 
 
-def coarse_match(plan: CheckedPlan, image: Array, physical: Array) -> Match:
+def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
+    """What gravity, the patient's position and the tracker's sight allow of the pose robot <- CT."""
+    position: PatientPosition = plan.plan.patient_orientation
+    return RoomPrior(
+        lying_up=np.array(UP_LPS[position.value[2:]]),
+        recline_deg=settings.recline_deg,
+        tolerance_deg=settings.head_turn_deg,
+        sight=HeadSight(
+            centre_mm=np.array(plan.head.centre_mm),
+            semi_axes_mm=np.array(plan.head.semi_axes_mm),
+            eyes_mm=robot_from_tracker.apply(SENSORS_MM),
+        ),
+    )
+
+
+def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
+    """Poses by which the mirrored image of paired spheres (n, 3) fits as well, in view of the tracker."""
+    found = matched(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
+    if found.transform is None:
+        return []
+    rival = [found.runner_up.transform] if found.status is not MatchStatus.UNIQUE and found.runner_up else []
+    return [found.transform, *rival]
+
+
+def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
     """By the frame or the template, or all that were implanted.
 
     Spheres in the CT (n, 3) and in the room (m, 3), mm.
     """
+    template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
-        return match_by_template(
-            SPHERE_CENTRES_MM,
-            image,
-            physical,
-            sigma_image_mm=SIGMA_CT_MM,
-            sigma_physical_mm=SIGMA_TRACKER_MM,
-        )
-    template_mm = plan.plan.template_mm
-    if template_mm is not None and plan.implanted == len(template_mm):
-        return match_by_template(
-            template_mm,
-            image,
-            physical,
-            sigma_image_mm=SIGMA_CT_MM,
-            sigma_physical_mm=SIGMA_TRACKER_MM,
-            sigma_template_mm=IMPLANTED_SIGMA_MM,
-        )
+        template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
+    if template_mm is None or plan.implanted != len(template_mm):
+        return matched(image, physical, prior, expected=plan.implanted)
+    return match_by_template(
+        template_mm,
+        image,
+        physical,
+        sigma_image_mm=SIGMA_CT_MM,
+        sigma_physical_mm=SIGMA_TRACKER_MM,
+        sigma_template_mm=sigma_mm,
+        prior=prior,
+    )
+
+
+def matched(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
+    """By their distances and the prior alone."""
     return match(
         image,
         physical,
         sigma_image_mm=SIGMA_CT_MM,
         sigma_physical_mm=SIGMA_TRACKER_MM,
-        expected=plan.implanted,
+        expected=expected,
+        prior=prior,
     )

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
+from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SCENE, SPHERES_MM, ClinicalCell
 from numpy.typing import NDArray
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
+from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.operator.topic import Topic
@@ -19,7 +20,11 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 GHOST_MM = np.array([[400.0, 300.0, 200.0]])
-SQUARE_MM = np.array([[60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [-60.0, 0.0, 0.0], [0.0, -60.0, 0.0]])
+# On forehead and vertex: gravity allows each of its turns.
+FLAT_MM = np.array([[60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [-60.0, 0.0, 0.0], [0.0, -60.0, 0.0]])
+ABOVE_MM = np.array(SCENE.head.centre_ct_mm) + (0.0, -75.0, 75.0)
+SQUARE_CT_MM = FLAT_MM @ Rotation.from_euler("x", 45.0, degrees=True).as_matrix().T + ABOVE_MM
+SQUARE_MM = ROBOT_FROM_CT.apply(SQUARE_CT_MM)
 
 
 def match_with(cell: ClinicalCell, room_mm: Array, ct_mm: Array = CENTRES_CT_MM) -> Stored[Correspondence]:
@@ -76,7 +81,7 @@ def test_the_parents_of_the_pairing_are_spheres_room_and_plan(cell: ClinicalCell
     [
         (SPHERES_MM[:2], CENTRES_CT_MM, MatchStatus.TOO_FEW),
         (1.2 * SPHERES_MM, CENTRES_CT_MM, MatchStatus.INCONSISTENT),
-        (SQUARE_MM, SQUARE_MM, MatchStatus.AMBIGUOUS),
+        (SQUARE_MM, SQUARE_CT_MM, MatchStatus.AMBIGUOUS),
     ],
 )
 @pytest.mark.branch("AMBIGUOUS")
@@ -92,7 +97,7 @@ def test_anything_but_a_unique_answer_stops_with_its_reason(
 @pytest.mark.branch("AMBIGUOUS")
 def test_an_ambiguous_pairing_shows_both_candidates(cell: ClinicalCell) -> None:
     with pytest.raises(NoUniqueMatch) as caught:
-        match_with(cell, SQUARE_MM, SQUARE_MM)
+        match_with(cell, SQUARE_MM, SQUARE_CT_MM)
     assert caught.value.got is not None
     assert caught.value.got.count("image-physical") == 2
 

@@ -1,0 +1,98 @@
+"""Evidence of the room about a pose physical <- image: gravity, the patient's body, the line of sight.
+
+Distances do not change when an image is mirrored. The fit of a mirrored flat set is the true head reflected
+in the plane of the spheres: on the wrong side of them. Image coordinates are LPS.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+UP = np.array([0.0, 0.0, 1.0])  # in the room
+SUPERIOR = np.array([0.0, 0.0, 1.0])
+MIRROR = np.array([-1.0, 1.0, 1.0])  # left and right; any other mirror image is this one turned
+# A ray that comes this near to the head's centre, as a share of its axes, passes through the head. A head is
+# no ellipsoid: only a quarter of its radius below the surface does the ellipsoid count.
+SOLID_SHARE = 0.75
+LYING_SHARE = 0.5  # of the head's axis that is horizontal; below it the patient sits over the floor
+COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
+
+
+@dataclass(frozen=True, eq=False)
+class HeadSight:
+    """The head's ellipsoid in the image, and the tracker's sensors (n, 3) in the room, mm.
+
+    The tracker cannot have seen a sphere through the head.
+    """
+
+    centre_mm: Array
+    semi_axes_mm: Array
+    eyes_mm: Array
+
+    def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
+        """How many of the points (k, 3) the head would hide in this pose; empty if none."""
+        eyes, points = (
+            ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
+            for places in (self.eyes_mm[:, None], physical_mm)
+        )
+        ways = points - eyes
+        share = np.clip(-(ways * eyes).sum(axis=-1) / np.square(ways).sum(axis=-1), 0.0, 1.0)
+        nearest = np.linalg.norm(eyes + share[..., None] * ways, axis=-1).min(axis=0)
+        hidden = int((nearest < SOLID_SHARE).sum())
+        return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
+
+    def mirrored(self) -> HeadSight:
+        """The head of the mirrored image."""
+        return replace(self, centre_mm=self.centre_mm * MIRROR)
+
+
+@dataclass(frozen=True, eq=False)
+class RoomPrior:
+    """What gravity, the patient's body and the tracker's sight allow.
+
+    `lying_up` (3,) is the patient's side that is up when lying flat; `recline_deg` is the range by which the
+    upper body is raised from there, `tolerance_deg` how far the head may be turned or tilted beyond it. The
+    base of the arm is the origin of the room, its z axis vertical.
+    """
+
+    lying_up: Array
+    recline_deg: tuple[float, float]
+    tolerance_deg: float
+    sight: HeadSight
+
+    def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
+        """The first evidence against this pose; empty if there is none."""
+        middle_mm = rotation @ self.sight.centre_mm + translation_mm
+        seen = self.sight.objection(rotation, translation_mm, physical_mm)
+        return self.against_position(rotation, middle_mm) or seen
+
+    def against_position(self, rotation: Array, middle_mm: Array) -> str:
+        """Evidence against how the patient would lie, from the orientation and the middle of the head."""
+        return self._against_gravity(rotation) or self._in_the_body(rotation, middle_mm)
+
+    def _against_gravity(self, rotation: Array) -> str:
+        up = rotation.T @ UP
+        leans_rad = math.atan2(up @ SUPERIOR, up @ self.lying_up)
+        low_rad, high_rad = map(math.radians, self.recline_deg)
+        nearest = (low_rad, high_rad, min(max(leans_rad, low_rad), high_rad))
+        cosine = max(up @ (math.cos(one) * self.lying_up + math.sin(one) * SUPERIOR) for one in nearest)
+        off_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+        if off_deg <= self.tolerance_deg:
+            return ""
+        return (
+            f"the head would be turned {off_deg:.0f} deg beyond the planned patient position, "
+            f"limit {self.tolerance_deg:.0f} deg"
+        )
+
+    def _in_the_body(self, rotation: Array, middle_mm: Array) -> str:
+        body, base = -(rotation @ SUPERIOR)[:2], -middle_mm[:2]
+        if np.linalg.norm(body) < LYING_SHARE:
+            return ""
+        cosine = body @ base / max(np.linalg.norm(body) * np.linalg.norm(base), 1e-9)
+        return "the arm would stand where the patient's body is" if cosine > COS_BODY else ""
