@@ -89,7 +89,7 @@ class SeeingWorkcell(Workcell):
 
 @dataclass
 class SeeingTracker(RecordingTracker):
-    """A tracker above the head, its axes along the robot's, that sees the frame on the arm and every sphere where they are."""
+    """A tracker above the head, its axes along the robot's, that sees the frame on the arm and every sphere."""
 
     tools: tuple[str, ...] = tuple(tool.name for tool in SCENE.tracker.tools)
     cell: ClinicalCell | None = None
@@ -121,7 +121,9 @@ class SeeingTracker(RecordingTracker):
                 turn_rad=self.frame_turn_rad,
             )
             reading = ToolReading(records.tracker_frame.tool, Validity.OK, *pose, 0.1)
-        strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in (self.spheres_mm - TRACKER_MM).tolist())
+        strays = tuple(
+            StrayReading((x, y, z), Validity.OK) for x, y, z in (self.spheres_mm - TRACKER_MM).tolist()
+        )
         return TrackerFrame(STAMP, Validity.OK, (reading, self._on_guide(self.cell)), strays)
 
     def _on_guide(self, cell: ClinicalCell) -> ToolReading:
