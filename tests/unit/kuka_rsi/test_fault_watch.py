@@ -59,7 +59,7 @@ class Link:
         return ()
 
     def death(self) -> RonnaError:
-        return LinkProcessDied("the real-time process ended: exit code -9")
+        return LinkProcessDied("the real-time process ended: killed by SIGKILL")
 
 
 @dataclass
