@@ -101,7 +101,7 @@ def test_only_the_owner_can_read_the_run(finished: MiniRun) -> None:
 def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None:
     records = records_of(finished.folder)
     known = {record.identifier for record in records}
-    assert len(records) == 16
+    assert len(records) == 17
     for record in records:
         assert set(record.parents) <= known
         assert record.parents or record.kind in ("ct_import", "set_up")

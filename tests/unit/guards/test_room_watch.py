@@ -1,0 +1,120 @@
+"""From which displacement on a look takes head, cart or tracker for moved: less at home than on the way."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from clinical_case import SPHERES_MM
+from numpy.typing import ArrayLike
+
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_reading import FRAMES
+from procedures.guards.room_watch import BASE_LIMIT_MM, RoomReading, RoomWatch
+from procedures.guards.stability import (
+    BASE_NOTICEABLE_MM,
+    BASE_SETTLED_NOTICEABLE_MM,
+    CAREFUL_FRAMES,
+    HEAD_NOTICEABLE_MM,
+)
+from ronna_hw.frames import Frame, Transform
+
+HOME = Transform.of(Frame.ROBOT, Frame.FLANGE, translation_mm=(500.0, 0.0, 600.0))
+FROM_BELOW, FROM_ABOVE = (1,) * 6, (-1,) * 6
+
+
+def reading(
+    frame_mm: ArrayLike = (0.0, 0.0, 0.0),
+    head_mm: ArrayLike = (0.0, 0.0, 0.0),
+    *,
+    frames: int = CAREFUL_FRAMES,
+    arrived: tuple[int, ...] | None = None,
+) -> RoomReading:
+    """A reading at home, with the frame on the arm and the head so far from where they were localized."""
+    spheres_mm = np.add(SPHERES_MM, head_mm)
+    return RoomReading(HOME, np.asarray(frame_mm, dtype=float), spheres_mm, frames=frames, arrived=arrived)
+
+
+@pytest.fixture
+def watch() -> RoomWatch:
+    """Since a careful localization; nobody knows from which side the joints came home before that."""
+    return RoomWatch("1", Transform.of(Frame.ROBOT, Frame.TRACKER), SPHERES_MM.copy(), [reading()])
+
+
+@pytest.mark.hazard(12)
+def test_a_careful_look_notices_half_the_head_movement_of_a_short_one(watch: RoomWatch) -> None:
+    moved = (0.0, 1.2 * HEAD_NOTICEABLE_MM, 0.0)
+    assert watch.check(reading(head_mm=moved, frames=FRAMES)) == []
+    with pytest.raises(PatientMoved, match=r"limit 0\.15 mm, got 0\.18 mm"):
+        watch.check(reading(head_mm=moved))
+
+
+@pytest.mark.hazard(13)
+def test_a_careful_look_at_home_notices_half_the_cart_movement_of_a_short_one(watch: RoomWatch) -> None:
+    moved = (1.1 * BASE_NOTICEABLE_MM, 0.0, 0.0)
+    assert watch.check(reading(moved, frames=FRAMES)) == []
+    with pytest.raises(BaseShifted, match=r"the cart of the robot was moved by 0\.40 mm.*limit 0\.36 mm"):
+        watch.check(reading(moved))
+
+
+@pytest.mark.hazard(13)
+def test_a_careful_look_is_compared_as_a_short_one_with_what_was_read_shortly(watch: RoomWatch) -> None:
+    watch.references[:] = [reading(frames=FRAMES)]
+    looked = watch.compare(reading((0.6, 0.0, 0.0)))
+    assert looked.moved is None
+    assert looked.base is not None
+    assert looked.base.limit_mm == BASE_LIMIT_MM
+
+
+@pytest.mark.hazard(13)
+def test_joints_that_came_home_from_the_same_sides_show_a_still_smaller_movement(watch: RoomWatch) -> None:
+    watch.check(reading((0.1, 0.0, 0.0), arrived=FROM_BELOW))  # backlash, since it was jogged home
+    moved = (0.1 + 1.2 * BASE_SETTLED_NOTICEABLE_MM, 0.0, 0.0)
+    assert watch.check(reading(moved, arrived=FROM_ABOVE)) == []
+    with pytest.raises(BaseShifted, match=r"by 0\.18 mm.*limit 0\.15 mm, got 0\.18 mm"):
+        watch.check(reading(moved, arrived=FROM_BELOW))
+
+
+@pytest.mark.hazard(13)
+def test_a_drift_adds_up_over_looks_that_each_find_little(watch: RoomWatch) -> None:
+    step_mm = 0.6 * BASE_SETTLED_NOTICEABLE_MM
+    for number in (0, 1):
+        assert watch.check(reading((number * step_mm, 0.0, 0.0), arrived=FROM_BELOW)) == []
+    with pytest.raises(BaseShifted):
+        watch.check(reading((2 * step_mm, 0.0, 0.0), arrived=FROM_BELOW))
+
+
+@pytest.mark.hazard(13)
+def test_a_tracker_moved_by_little_is_a_finding_and_voids_nothing(watch: RoomWatch) -> None:
+    way = (0.0, 1.5 * BASE_NOTICEABLE_MM, 0.0)
+    looked = watch.compare(reading(way, way))
+    assert looked.moved is None
+    (finding,) = looked.findings
+    assert finding.startswith("the tracker was moved by 0.54 mm")
+    assert "arm and head agree" in finding
+
+
+@pytest.mark.hazard(13)
+def test_a_tracker_moved_by_more_than_the_limit_at_any_rest_has_moved(watch: RoomWatch) -> None:
+    way = (0.0, 1.1 * BASE_LIMIT_MM, 0.0)
+    looked = watch.compare(reading(way, way))
+    assert isinstance(looked.moved, BaseShifted)
+    assert not looked.moved.cart
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(13)
+def test_a_comparison_says_how_far_head_and_cart_are_even_when_something_has_moved(watch: RoomWatch) -> None:
+    quiet = watch.compare(reading((0.05, 0.0, 0.0), (0.0, 0.0, 0.02)))
+    assert quiet.base is not None
+    assert (quiet.head_mm, quiet.base.moved_mm) == (pytest.approx(0.02), pytest.approx(0.05))
+    assert quiet.moved is None
+    moved = watch.compare(reading(head_mm=(0.0, 0.0, 1.0)))
+    assert moved.head_mm == pytest.approx(1.0)
+    assert isinstance(moved.moved, PatientMoved)
+
+
+def test_what_is_not_seen_is_not_compared(watch: RoomWatch) -> None:
+    blind = RoomReading(HOME, None, SPHERES_MM[:2], frames=CAREFUL_FRAMES)
+    looked = watch.compare(blind)
+    assert (looked.head_mm, looked.base, looked.moved) == (None, None, None)
+    assert len(looked.findings) == 2
