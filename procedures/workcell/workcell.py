@@ -7,13 +7,13 @@ is in it, nothing moves at all.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
+from procedures.strategies.approach import APPROACH_RAD, AXIAL_SPEED_FRACTION
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
@@ -41,9 +41,6 @@ from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
 
 D = TypeVar("D")
-# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
-APPROACH_RAD = math.radians(0.2)
-AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 
 
 class Workcell:
