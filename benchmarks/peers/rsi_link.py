@@ -15,8 +15,8 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
 from drivers.kuka_rsi.stream import link_settings
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
@@ -37,15 +37,17 @@ def main() -> None:
         options = options.model_copy(update={"rehearsal_lead_us": 0})
     link = LinkClient(link_settings(parse_endpoint(endpoint), load_context(), options))
     try:
-        number = link.command(CommandKind.OPEN)
+        model = kr6_r900(options.variant)
+        limits = working_limits(model, options.speed_fraction)
+        number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
         print("READY " + json.dumps({"endpoint": endpoint, "pid": link._process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
             if "busy" in sys.argv:
-                threading.Thread(target=_swing, args=(link, options), daemon=True).start()
+                threading.Thread(target=_swing, args=(link, model, limits), daemon=True).start()
                 _never_rest()
-            _swing(link, options)
+            _swing(link, model, limits)
         while link.alive:
             link.wait(lambda state: state.phase is not Phase.RUNNING, PATIENCE_S)
     finally:
@@ -57,9 +59,7 @@ def _never_rest() -> None:
         sum(range(1000))
 
 
-def _swing(link: LinkClient, options: KukaOptions) -> None:
-    model = kr6_r900(options.variant)
-    limits = working_limits(model, options.speed_fraction)
+def _swing(link: LinkClient, model: Kr6R900, limits: MotionLimits) -> None:
     home = link.state.commanded_rad
     away: JointVector = (home[0] + SWING_RAD, *home[1:])
     while True:

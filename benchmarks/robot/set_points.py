@@ -5,6 +5,8 @@ Monitored: with a head, clamp, table and spheres around, the guide on the flange
 
 from __future__ import annotations
 
+from math import inf
+
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
 from benchmarks.contest import contest, cpu_of
@@ -69,7 +71,7 @@ def _surroundings(flange: Pose) -> Surroundings:
 
 
 def _slowed(plan: MotionPlan, around: Surroundings) -> MotionPlan:
-    return with_speed_steps(plan, sweep_path(kr6_r900(ArmVariant.SIXX), plan, around))
+    return with_speed_steps(plan, sweep_path(kr6_r900(ArmVariant.SIXX), plan, around), inf)
 
 
 def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> float:

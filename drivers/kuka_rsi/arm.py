@@ -24,6 +24,7 @@ from drivers.kuka_rsi.realtime.histogram import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -39,7 +40,7 @@ from ronna_hw.devices.readings import (
     LinkStatistics,
     ToolIdentity,
 )
-from ronna_hw.devices.robot import StopKind
+from ronna_hw.devices.robot import OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
@@ -97,6 +98,14 @@ class KukaRsiArm:
     @property
     def kinematics(self) -> Kr6R900:
         return self._kinematics
+
+    @property
+    def operating_mode(self) -> OperatingMode:
+        said = None if self._guard.state in RUNNING else self._connections.said
+        return _operating_mode(self._watch.mode if said is None else said.mode)
+
+    def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
+        return self._planner.limits(mode or self.operating_mode)
 
     @property
     def fault(self) -> RonnaError | None:
@@ -200,7 +209,7 @@ class KukaRsiArm:
         stops = link.stop_number
         self._start(timeout_s)
         try:
-            limits = self._planner.limits(self._watch.mode)
+            limits = self.limits(_operating_mode(self._watch.mode))
             verify_by_motion(self._name, link, self._kinematics, limits, stops)
         except RonnaError as error:
             self._watch.latch(error)
@@ -326,7 +335,7 @@ class KukaRsiArm:
         if start_rad is None:
             here = self.read_state()
             start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
-        return self._planner.preview(motion, start_rad, self._watch.mode)
+        return self._planner.preview(motion, start_rad, self.operating_mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
@@ -363,7 +372,7 @@ class KukaRsiArm:
         open_link = self._connections.open_link
         stops = 0 if open_link is None else open_link.stop_number  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        link, mode = self._connections.link, self._watch.mode
+        link, mode = self._connections.link, _operating_mode(self._watch.mode)
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         clear = self._planner.clear(planned, link, mode)
         return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))
@@ -380,11 +389,14 @@ class KukaRsiArm:
         eki, link = self._connections.eki, self._connections.link
         try:
             self._watch.mode = stream.start_stream(
-                eki, link, self._context, self._options, self._name, timeout_s, modes
+                eki, link, self._context, self._options, self._name, timeout_s, self._limits_in(modes)
             )
         except RonnaError as error:
             self._watch.latch(error)
             raise
+
+    def _limits_in(self, modes: tuple[OperationMode, ...]) -> dict[OperationMode, MotionLimits]:
+        return {mode: self.limits(_operating_mode(mode)) for mode in modes}
 
     def _ask(self, timeout_s: float) -> ControllerState:
         try:
@@ -392,3 +404,8 @@ class KukaRsiArm:
         except RonnaError:
             self._watch.notice()
             raise
+
+
+def _operating_mode(mode: OperationMode) -> OperatingMode:
+    """The mode as every arm knows it; a stream starts in EXT or T1 only."""
+    return OperatingMode.REDUCED_SPEED if mode is OperationMode.T1 else OperatingMode.AUTOMATIC

@@ -25,10 +25,11 @@ from drivers.kuka_rsi.realtime.losses import UNUSABLE_SHARE, WINDOW_CYCLES
 from drivers.kuka_rsi.realtime.strangers import AXES_AGREE_DEG
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.monitor import ViolationKind
+from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
+from ronna_hw.arm.violation import Violation, ViolationKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_eki import OperationMode
 
 _REFUSALS = {
     Result.REFUSED_BUSY: "another motion is running",
@@ -42,6 +43,7 @@ def error_of_fault(
     name: str,
     state: LinkState,
     options: KukaOptions,
+    mode: OperationMode,
     message: int = 0,
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
@@ -51,7 +53,7 @@ def error_of_fault(
         case Fault.NONE:
             return None
         case Fault.MONITOR:
-            return _tripped(where, state, Bodies(kr6_r900(options.variant), surroundings))
+            return _tripped(where, state, kr6_r900(options.variant), surroundings, mode)
         case Fault.SILENCE:
             said = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
@@ -117,22 +119,30 @@ def error_of_wait(
     )
 
 
-def _tripped(where: str, state: LinkState, bodies: Bodies) -> MotionTripped:
-    what = f"{where} the monitor stopped the arm: {state.violation_kind} of"
-    if state.violation_kind not in (ViolationKind.CLEARANCE, ViolationKind.ZONE_SPEED):
-        return MotionTripped(
-            f"{what} A{state.violation_axis}",
-            limit=f"{degrees(state.violation_limit):.4f} deg",
-            got=f"{degrees(state.violation_value):.4f} deg",
-        )
-    unit = "mm" if state.violation_kind == ViolationKind.CLEARANCE else "mm/s"
-    names = "its bodies"
-    if state.violation_axis < len(bodies.pairs):
-        names = "{} and {}".format(*bodies.names(bodies.pairs[state.violation_axis]))
+def _tripped(
+    where: str, state: LinkState, arm: Kr6R900, surroundings: Surroundings, mode: OperationMode
+) -> MotionTripped:
+    bodies = Bodies(arm, surroundings)
+    kind, axis = ViolationKind(state.violation_kind), state.violation_axis
+    violation = Violation(kind, axis, state.violation_value, state.violation_limit)
+    limit = violation.in_units(violation.limit)
+    if violation.of_axis:
+        who = f"A{axis}"
+    elif kind is ViolationKind.BODY_SPEED:
+        who = f"the {bodies.moving_names[axis]}" if axis < len(bodies.moving_names) else "a body"
+    else:
+        known = axis < len(bodies.pairs)
+        who = "{} and {}".format(*bodies.names(bodies.pairs[axis])) if known else "its bodies"
+    if kind is ViolationKind.SPEED:
+        share = violation.limit / arm.full_speed_rad_s[axis - 1]
+        limit += f" ({share:.0%} of full speed in {mode})"
+    elif kind is ViolationKind.BODY_SPEED:
+        limit += f" in {mode}"
+    what = ViolationKind.SPEED if kind is ViolationKind.BODY_SPEED else kind
     return MotionTripped(
-        f"{what} {names}",
-        limit=f"{state.violation_limit:.1f} {unit}",
-        got=f"{state.violation_value:.1f} {unit}",
+        f"{where} the monitor stopped the arm: {what} of {who}",
+        limit=limit,
+        got=violation.in_units(violation.value),
     )
 
 

@@ -21,7 +21,7 @@ from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
-from ronna_hw.arm.monitor import ViolationKind
+from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
@@ -193,7 +193,7 @@ class FaultWatch:
         message = latest.error if latest is not None else 0
         link = self._connections.open_link
         around = NOTHING_AROUND if link is None else link.surroundings
-        return error_of_fault(self._name, state, self._options, message, around)
+        return error_of_fault(self._name, state, self._options, self.mode, message, around)
 
 
 def _no_longer_follows(state: LinkState) -> bool:

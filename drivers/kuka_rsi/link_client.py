@@ -24,6 +24,7 @@ from drivers.kuka_rsi.realtime.link_state import (
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.interruption import children_uninterrupted, describe_exit
@@ -112,17 +113,18 @@ class LinkClient:
         plan: MotionPlan | None = None,
         stop_number: int | None = None,
         axes_rad: JointVector | None = None,
+        limits: MotionLimits | None = None,
     ) -> int:
         """Give a command; returns its number. A motion is overridden by any stop after `stop_number`.
 
-        `axes_rad` are the axes as reported by the controller, for OPEN.
+        For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
         """
         with self._lock:
             self._commands += 1
             if kind is CommandKind.OPEN:
                 self._stop_kind = StopOrder.HOLD
             seen = self._stops if stop_number is None else stop_number
-            command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad)
+            command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad, limits)
             self._mailbox.write_command(command)
             return self._commands
 

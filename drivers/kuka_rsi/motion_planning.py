@@ -14,10 +14,10 @@ from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.motion_plan import plan_motion
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.devices.motion import Motion
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.wire.kuka_eki import OperationMode
+from ronna_hw.devices.robot import OperatingMode
 
 
 class MotionPlanner:
@@ -27,37 +27,31 @@ class MotionPlanner:
         self._name = name
         self._kinematics = kinematics
         limits = working_limits(kinematics, options.speed_fraction)
-        self._limits: MotionLimits = replace(
+        self._limits = replace(
             limits,
             range_margin_rad=radians(options.range_margin_deg),
             line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
         )
         self.surroundings = Surroundings()
 
-    def limits(self, mode: OperationMode) -> MotionLimits:
-        """Motion limits in an operating mode."""
-        if mode is OperationMode.T1:
+    def limits(self, mode: OperatingMode) -> MotionLimits:
+        """Limits of every motion in an operating mode."""
+        if mode is OperatingMode.REDUCED_SPEED:
             return self._limits.at_reduced_speed(self._kinematics)
         return self._limits
 
-    def plan(self, motion: Motion, start_rad: JointVector, mode: OperationMode) -> MotionPlan:
+    def plan(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> MotionPlan:
         """The path of a motion from `start_rad`; raises the errors of `plan_motion`."""
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
-    def clear(self, plan: MotionPlan, link: LinkClient, mode: OperationMode) -> MotionPlan:
+    def clear(self, plan: MotionPlan, link: LinkClient, mode: OperatingMode) -> MotionPlan:
         """The plan with its speed limits along the path, if nothing comes too close; raises ARM-007."""
-        around = self._around(mode)
-        if around != link.surroundings:  # the real-time process reads only changes
-            link.surroundings = around
+        if self.surroundings != link.surroundings:  # the real-time process reads only changes
+            link.surroundings = self.surroundings
         path = sweep_path(self._kinematics, plan, link.surroundings)
         path.require(f"the path of {self._name}")
-        return with_speed_steps(plan, path)
+        return with_speed_steps(plan, path, self.limits(mode).body_speed_mm_s)
 
-    def preview(self, motion: Motion, start_rad: JointVector, mode: OperationMode) -> PathPreview:
+    def preview(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> PathPreview:
         """What `plan` and `clear` would make the arm do; raises the errors of `plan`."""
-        plan = self.plan(motion, start_rad, mode)
-        limits = self.limits(mode).slowed(motion.speed_fraction)
-        return preview(self._kinematics, plan, self._around(mode), limits)
-
-    def _around(self, mode: OperationMode) -> Surroundings:
-        return replace(self.surroundings, most_mm_s=self.limits(mode).body_speed_mm_s)
+        return preview_motion(self._kinematics, start_rad, motion, self.surroundings, self.limits(mode))

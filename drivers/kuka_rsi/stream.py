@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.controller_state import require_ours, require_ready
@@ -22,6 +22,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
 from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -118,7 +119,6 @@ def link_settings(
             silence_limit_s=options.silence_limit_s,
             heartbeat_limit_s=options.heartbeat_limit_s,
             settle_tolerance_deg=options.settle_tolerance_deg,
-            speed_fraction=options.speed_fraction,
             real_time_priority=options.real_time_priority,
             rehearsal_lead_us=options.rehearsal_lead_us,
             controller_host=options.controller_host,
@@ -134,13 +134,15 @@ def start_stream(
     options: KukaOptions,
     name: str,
     timeout_s: float,
-    modes: tuple[OperationMode, ...],
+    limits: Mapping[OperationMode, MotionLimits],
 ) -> OperationMode:
     """Switch the drives on, start the RSI program, answer its telegrams, wait until corrections take effect.
 
     Until then every correction is zero: what is sent before RSI_MOVECORR would take effect in one jump. In T1
-    the operator switches the drives on and presses the start key. Returns the operating mode.
+    the operator switches the drives on and presses the start key. `limits` are those of each mode in which
+    it may start; the real-time process and its monitor keep to them. Returns the operating mode.
     """
+    modes = tuple(limits)
     deadline = time.monotonic() + timeout_s
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
@@ -159,7 +161,7 @@ def start_stream(
         state = eki.status(max(rest_of(deadline), LEAST_TRY_S))
     require_ready(state, drives=True, modes=modes)
     mode = state.mode
-    number = link.command(CommandKind.OPEN, axes_rad=radians6(*state.axes_deg))
+    number = link.command(CommandKind.OPEN, axes_rad=radians6(*state.axes_deg), limits=limits[mode])
     link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     wanted = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
     if mode is OperationMode.EXT:
@@ -171,7 +173,7 @@ def start_stream(
         raise error_of_wait(name, link.state, state.axes_deg, options, timeout_s)
     if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, rest_of(deadline)) is None:
         raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
-    fault = error_of_fault(name, link.state, options)
+    fault = error_of_fault(name, link.state, options, mode)
     if fault is not None:
         raise fault
     require_ready(eki.status(max(rest_of(deadline), LEAST_TRY_S)), drives=True, modes=(mode,))

@@ -61,7 +61,10 @@ class NotReachable(RefusedError):
     """The arm cannot reach a pose of the procedure, or cannot follow the line to it."""
 
     code = "PLAN-007"
-    action = "Change the free angle, or move the cart, the head or the obstacle, and check again."
+    action = (
+        "Change the free angle, move the cart, the head or the obstacle, or widen the arm's limits in the "
+        "theatre file; then check again."
+    )
 
 
 class WrongMarkerCount(PlanError):

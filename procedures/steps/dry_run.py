@@ -31,9 +31,8 @@ from procedures.workcell.motion_facts import facts_from
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.motion.motion_plan import plan_motion
-from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.devices import Motion
 from ronna_hw.devices.readings import JointVector
 
@@ -68,13 +67,11 @@ class _PlannedArm:
     """The arm as it will be, with the guide mounted."""
 
     kinematics: Kinematics
+    limits: MotionLimits
     around: Surroundings
 
     def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        limits = working_limits(self.kinematics)
-        return preview(
-            self.kinematics, plan_motion(self.kinematics, start_rad, motion, limits), self.around, limits
-        )
+        return preview_motion(self.kinematics, start_rad, motion, self.around, self.limits)
 
 
 def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
@@ -89,7 +86,7 @@ def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     motions = (*[there] * APPROACHES, replace(workcell.returning_home(), otherwise=()))
     facts = facts_from(
         workcell.home_rad,
-        _PlannedArm(workcell.arm.kinematics, around),
+        _PlannedArm(workcell.arm.kinematics, workcell.arm.limits(), around),
         [replace(one, moves=f"the {MountedTool.GUIDE}") for one in motions],
     )
     names = ("home to the gauge", *["onto the gauge again"] * (APPROACHES - 1), "the gauge to home")

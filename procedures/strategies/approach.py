@@ -1,4 +1,4 @@
-"""The direction in which each joint arrives at a pose that is approached along the tool axis.
+"""How a pose is approached along the tool axis: its speed, and the direction in which each joint arrives.
 
 Backlash shows on the side that the joint comes from. The same arrival direction at fiducials and target makes
 it equal at all of them, so the registration removes it.
@@ -17,6 +17,7 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
 LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -12,7 +13,7 @@ from ronna_hw.devices.readings import ArmReading
 
 
 class ArmView:
-    """A `DeviceView` with its kinematics; what moves the arm are the calls of the workcell."""
+    """A `DeviceView` with its kinematics and limits; what moves the arm are the calls of the workcell."""
 
     def __init__(self, arm: RobotArm) -> None:
         self._arm = arm
@@ -21,6 +22,10 @@ class ArmView:
     def kinematics(self) -> Kinematics:
         """As `RobotArm.kinematics`."""
         return self._arm.kinematics
+
+    def limits(self) -> MotionLimits:
+        """Limits of every motion in the arm's present operating mode."""
+        return self._arm.limits()
 
     @property
     def state(self) -> Lifecycle:

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
-from procedures.strategies.approach import ONE_SIDE, before_arriving
+from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_view import ArmView
@@ -41,7 +41,6 @@ from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
 
 D = TypeVar("D")
-AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 
 
 class Workcell:

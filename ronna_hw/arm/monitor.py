@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
-from enum import StrEnum
-from math import degrees, radians
-from typing import NamedTuple
+from math import radians
 
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.violation import Violation, ViolationKind
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
@@ -27,47 +26,16 @@ RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 
-class ViolationKind(StrEnum):
-    """The limit that was exceeded; `CLEARANCE` and `ZONE_SPEED` are of two bodies, the others of an axis."""
-
-    RANGE = "range"
-    TOTAL_CORRECTION = "total correction"
-    STEP = "step"
-    ACCELERATION = "acceleration"
-    JERK = "jerk"
-    FOLLOWING_ERROR = "following error"  # a stop by the controller causes it too
-    CLEARANCE = "clearance"
-    ZONE_SPEED = "speed near the head"
-
-
-class Violation(NamedTuple):
-    """What was exceeded, on which axis (from 1), the value and its limit; angles in rad.
-
-    For `CLEARANCE` (mm) and `ZONE_SPEED` (mm/s), `axis` is the index in `Bodies.pairs`.
-    """
-
-    kind: ViolationKind
-    axis: int
-    value: float
-    limit: float
-
-    def __str__(self) -> str:
-        if self.kind is ViolationKind.CLEARANCE:
-            return f"{self.kind} of pair {self.axis}: {self.value:.2f} under {self.limit:.2f} mm"
-        if self.kind is ViolationKind.ZONE_SPEED:
-            return f"{self.kind} of pair {self.axis}: {self.value:.1f} over {self.limit:.1f} mm/s"
-        return (
-            f"{self.kind} of axis {self.axis}: {degrees(self.value):.4f} over {degrees(self.limit):.4f} deg"
-        )
-
-
 @dataclass(frozen=True)
 class MonitorLimits:
-    """Per axis; steps are per cycle. `correction_rad` limits the distance from the pose at RSI_ON.
+    """What the monitor compares, per axis: differences are over one cycle of `cycle_s`, and include a margin.
 
-    `following_cycles`: the arm has to be where a set-point of these last cycles was, within `FOLLOWING_RAD`.
+    The corrections limit the distance from the pose at RSI_ON. `following_cycles`: the arm has to be where a
+    set-point of these last cycles was, within `FOLLOWING_RAD`.
     """
 
+    limits: MotionLimits
+    cycle_s: float
     lower_rad: JointVector
     upper_rad: JointVector
     step_rad: JointVector
@@ -81,7 +49,7 @@ class MonitorLimits:
 def monitor_limits(
     arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
-    """Limits of the monitor for a stream that started at `start_rad`.
+    """The limits of a stream that started at `start_rad`: those of the arm in its operating mode.
 
     The total correction is limited by the end switches minus the start pose, as in the controller's context.
     """
@@ -94,9 +62,12 @@ def monitor_limits(
         a, b, c, d, e, f = (v - s for v, s in zip(values, start_rad, strict=True))
         return (a, b, c, d, e, f)
 
+    lower_rad, upper_rad = limits.ranges(arm, start_rad)
     return MonitorLimits(
-        lower_rad=arm.lower_rad,
-        upper_rad=arm.upper_rad,
+        limits=limits,
+        cycle_s=cycle_s,
+        lower_rad=lower_rad,
+        upper_rad=upper_rad,
         step_rad=times(limits.speed_rad_s, SPEED_MARGIN * cycle_s),
         second_difference_rad=times(limits.acceleration_rad_s2, ACCELERATION_MARGIN * cycle_s**2),
         third_difference_rad=times(limits.jerk_rad_s3, JERK_MARGIN * cycle_s**3),
@@ -155,21 +126,17 @@ class Monitor:
                 return Violation(ViolationKind.TOTAL_CORRECTION, i + 1, total, limits.correction_upper_rad[i])
             step = angle - one[i]
             if abs(step) > limits.step_rad[i]:
-                return Violation(ViolationKind.STEP, i + 1, step, limits.step_rad[i])
+                return self._too_fast(i, step)
             before = one[i] - two[i]
             bend = step - before
             if abs(bend) > limits.second_difference_rad[i]:
-                return Violation(ViolationKind.ACCELERATION, i + 1, bend, limits.second_difference_rad[i])
+                most = limits.limits.acceleration_rad_s2[i]
+                return Violation(ViolationKind.ACCELERATION, i + 1, bend / limits.cycle_s**2, most)
             twist = bend - before + two[i] - three[i]
             if abs(twist) > limits.third_difference_rad[i]:
-                return Violation(ViolationKind.JERK, i + 1, twist, limits.third_difference_rad[i])
-        if self._watch is None:
-            return None
-        met = self._watch.check(joints_rad)
-        if met is None:
-            return None
-        kind = ViolationKind.ZONE_SPEED if met.is_speed else ViolationKind.CLEARANCE
-        return Violation(kind, met.pair, met.value, met.limit)
+                most = limits.limits.jerk_rad_s3[i]
+                return Violation(ViolationKind.JERK, i + 1, twist / limits.cycle_s**3, most)
+        return None if self._watch is None else self._watch.check(joints_rad)
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record that this set-point was sent."""
@@ -186,8 +153,12 @@ class Monitor:
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
             if not abs(step) <= self.limits.step_rad[i]:
-                return Violation(ViolationKind.STEP, i + 1, step, self.limits.step_rad[i])
+                return self._too_fast(i, step)
         return None
+
+    def _too_fast(self, index: int, step_rad: float) -> Violation:
+        most = self.limits.limits.speed_rad_s[index]
+        return Violation(ViolationKind.SPEED, index + 1, step_rad / self.limits.cycle_s, most)
 
     def sent_again(self) -> None:
         """Record that the last set-point was sent again. The next is checked as if there was no pause."""

@@ -13,10 +13,13 @@ from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, SweptPath, motion_mm, sweep_path
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.motion_plan import plan_motion
 from ronna_hw.arm.motion.motion_profile import State
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import driven
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
+from ronna_hw.devices.motion import Motion
+from ronna_hw.devices.readings import JointVector
 
 CYCLE_S = 0.004  # of the generator, for computing the duration
 
@@ -61,6 +64,18 @@ class PathPreview:
         }
 
 
+def preview_motion(
+    kinematics: Kinematics,
+    start_rad: JointVector,
+    motion: Motion,
+    surroundings: Surroundings,
+    limits: MotionLimits,
+) -> PathPreview:
+    """Plan a motion from `start_rad` within the arm's limits and preview it; raises like `plan_motion`."""
+    plan = plan_motion(kinematics, start_rad, motion, limits)
+    return preview(kinematics, plan, surroundings, limits.slowed(motion.speed_fraction))
+
+
 def preview(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, limits: MotionLimits
 ) -> PathPreview:
@@ -69,7 +84,7 @@ def preview(
     Raises ARM-001 to ARM-003 if the path has no solution; one that is not clear is reported, not raised.
     """
     path = sweep_path(kinematics, plan, surroundings)
-    slowed = with_speed_steps(plan, path)
+    slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
     states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, CYCLE_S)
     speeds = _speeds(path, states)
     joints = path.joints_rad

@@ -13,6 +13,7 @@ from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, T
 if TYPE_CHECKING:
     from ronna_hw.arm.clearance.surroundings import Surroundings
     from ronna_hw.arm.kinematics import Kinematics
+    from ronna_hw.arm.motion.limits import MotionLimits
     from ronna_hw.arm.preview import PathPreview
     from ronna_hw.frames import Transform
 
@@ -24,6 +25,13 @@ class StopKind(StrEnum):
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
     LINK = "link_stop"  # stop replying; the controller then stops the arm itself
     DRIVES_OFF = "request_drives_off"  # ask the controller to switch the drives off
+
+
+class OperatingMode(StrEnum):
+    """Operating modes in which an arm can be moved by this program (ISO 10218-1)."""
+
+    AUTOMATIC = "automatic"
+    REDUCED_SPEED = "manual at reduced speed"  # with a person at the arm
 
 
 @runtime_checkable
@@ -57,6 +65,21 @@ class RobotArm(Device, Protocol):
     @property
     def kinematics(self) -> Kinematics:
         """The nominal kinematics used for lines, ranges and clearance; known in every state."""
+        ...
+
+    @property
+    def operating_mode(self) -> OperatingMode:
+        """The mode of the running stream, or else the one last reported; AUTOMATIC before any report.
+
+        Passive; allowed in every state.
+        """
+        ...
+
+    def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
+        """Limits of every motion in an operating mode, by default the present one; known in every state.
+
+        Motions, previews and the monitor keep to exactly these.
+        """
         ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:

@@ -6,8 +6,9 @@ from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.monitor import ViolationKind
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 
@@ -97,7 +98,7 @@ class Orders(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command; `plan` only for MOVE."""
+    """One command; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
 
     number: int
     kind: CommandKind
@@ -105,6 +106,7 @@ class Command(NamedTuple):
     stop_number: int = 0  # the last stop known when it was written: a later stop overrides the motion
     surroundings: Surroundings = NOTHING_AROUND  # used to monitor a MOVE
     axes_rad: JointVector | None = None  # how OPEN recognises the controller's first telegram; None: any
+    limits: MotionLimits | None = None
 
 
 class LinkState(NamedTuple):

@@ -23,6 +23,7 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import SurroundingsTooLarge
+from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
@@ -39,6 +40,7 @@ LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
 NO_JOINTS: JointVector = (0.0,) * 6  # for a command without motion
 NO_STEP = SpeedStep(0.0, 0.0)
+NO_LIMITS = (0.0,) * LIMITS_NUMBERS  # for a command that opens no stream
 
 
 class CommandRow(NamedTuple):
@@ -50,10 +52,12 @@ class CommandRow(NamedTuple):
     kind: Annotated[CommandKind, "B"]
     has_target: Annotated[bool, "?"]
     has_axes: Annotated[bool, "?"]  # of OPEN; they are in `start_rad`
+    has_arm_limits: Annotated[bool, "?"]  # of OPEN
     speed_steps_used: Annotated[int, "B"]
     start_rad: Annotated[JointVector, "6d"]
     target_rad: Annotated[JointVector, "6d"]
-    limits: Annotated[tuple[float, ...], "3d"]
+    path_limits: Annotated[tuple[float, ...], "3d"]
+    arm_limits: Annotated[tuple[float, ...], f"{LIMITS_NUMBERS}d"]
     target_position_mm: Annotated[Vector3, "3d"]
     target_rotation: Annotated[Rotation9, "9d"]
     tool_in_flange_mm: Annotated[Vector3, "3d"]
@@ -167,7 +171,9 @@ class Mailbox:
         if row is None or not self._read_surroundings(row.surroundings_number):
             return None
         axes_rad = row.start_rad if row.has_axes else None
-        return Command(row.number, row.kind, _plan_of(row), row.stop_number, self._surroundings, axes_rad)
+        limits = MotionLimits.from_numbers(row.arm_limits) if row.has_arm_limits else None
+        plan = _plan_of(row)
+        return Command(row.number, row.kind, plan, row.stop_number, self._surroundings, axes_rad, limits)
 
     def _read_surroundings(self, number: int) -> bool:
         """Adopt new surroundings; False while they are being written."""
@@ -259,10 +265,12 @@ def _row_of(command: Command, surroundings_number: int) -> CommandRow:
         kind=command.kind,
         has_target=plan.target is not None,
         has_axes=command.axes_rad is not None,
+        has_arm_limits=command.limits is not None,
         speed_steps_used=len(plan.speed_steps),
         start_rad=command.axes_rad or plan.start_rad,
         target_rad=plan.target_rad,
-        limits=plan.limits,
+        path_limits=plan.limits,
+        arm_limits=NO_LIMITS if command.limits is None else command.limits.as_numbers(),
         target_position_mm=target.position_mm,
         target_rotation=target.rotation,
         tool_in_flange_mm=plan.tool_in_flange_mm,
@@ -277,7 +285,7 @@ def _plan_of(row: CommandRow) -> MotionPlan | None:
     return MotionPlan(
         row.start_rad,
         row.target_rad,
-        PathLimits(*row.limits),
+        PathLimits(*row.path_limits),
         Pose(row.target_position_mm, row.target_rotation) if row.has_target else None,
         row.tool_in_flange_mm,
         tuple(SpeedStep(values[2 * k], values[2 * k + 1]) for k in range(row.speed_steps_used)),

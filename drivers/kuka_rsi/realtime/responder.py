@@ -35,9 +35,9 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.strangers import Strangers
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.monitor import Violation
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -61,7 +61,7 @@ class Responder:
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
         self._kinematics = kr6_r900(settings.variant)
-        self._limits = working_limits(self._kinematics, settings.speed_fraction)
+        self._limits: MotionLimits | None = None  # of the stream's operating mode
         self._cycle_s = settings.cycle_ms / 1000.0
         self._tolerance = radians(settings.settle_tolerance_deg)
         self._silence_ns = round(settings.silence_limit_s * 1e9)
@@ -116,10 +116,10 @@ class Responder:
         self.strangers.sent_last = False
         self._watch_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
-        if self.phase is Phase.ARMED:
+        if self.phase is Phase.ARMED and self._limits is not None:
             self._losses.count(ipoc, telegram.delay)
             self._ipoc = ipoc
-            return self._begin(telegram.axes_deg)
+            return self._begin(telegram.axes_deg, self._limits)
         if self.phase not in STREAMING_PHASES or self._points is None:
             self._ipoc = ipoc
             return None
@@ -198,7 +198,8 @@ class Responder:
         self._command_number = command.number
         if command.kind is CommandKind.MOVE and command.plan is not None:
             self.result = self._start(command.plan, command)
-        elif command.kind is CommandKind.OPEN and self.phase is Phase.IDLE:
+        elif command.kind is CommandKind.OPEN and command.limits is not None and self.phase is Phase.IDLE:
+            self._limits = command.limits
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
             self.violation = None
             self.cycles = self.rejected = self.dropped = 0
@@ -283,7 +284,7 @@ class Responder:
         a, b, c, d, e, f = self._axes_deg
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
-    def _begin(self, axes_deg: JointVector) -> bytes:
+    def _begin(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
         """First reply of a run: corrections are relative to these axes, and the first one is zero."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
@@ -292,7 +293,7 @@ class Responder:
         self._measure()
         self._replies.begin(axes_deg)
         self._base_rad = self._measured
-        self._points = SetPoints(self._kinematics, self._limits, self._cycle_s, self._measured)
+        self._points = SetPoints(self._kinematics, limits, self._cycle_s, self._measured)
         self._settled_cycles = 0
         self.choice = Choice.GO
         if self.phase is Phase.ARMED:

@@ -11,10 +11,11 @@ from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.monitor import Monitor, Violation, monitor_limits
+from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
+from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
@@ -67,7 +68,8 @@ class SetPoints:
         if surroundings is not None:
             if surroundings is not self._bodies.surroundings:
                 self._bodies = Bodies(self._kinematics, surroundings)
-            self.monitor.watch(LiveWatch(self._bodies, self._cycle_s, self.last_rad))
+            speed_mm_s = self._limits.body_speed_mm_s
+            self.monitor.watch(LiveWatch(self._bodies, self._cycle_s, self.last_rad, speed_mm_s))
         if speed < 1.0:
             motion.limit_speed(speed)
         self._motion = motion

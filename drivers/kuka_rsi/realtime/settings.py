@@ -27,7 +27,6 @@ class LinkSettings:
     silence_limit_s: float
     heartbeat_limit_s: float
     settle_tolerance_deg: float
-    speed_fraction: float
     real_time_priority: int
     rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
     controller_host: str = ""  # only telegrams from this host open a stream; "" for any

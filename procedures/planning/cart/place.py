@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.motions import gauge_unmet
+from procedures.planning.path_check.motions import fixed_unmet
 from procedures.planning.path_check.paths import drive
 from procedures.planning.path_check.visits import (
     ArmSetting,
@@ -91,7 +91,7 @@ class CartCase:
         hidden = self._unseen_by_tracker(setting, move)
         if hidden:
             return Verdict(None, "home", hidden)
-        for unmet in gauge_unmet(setting):
+        for unmet in fixed_unmet(setting):
             return Verdict(None, unmet.pose, unmet.reason)
         for found in known:
             if self._serves(setting, found):

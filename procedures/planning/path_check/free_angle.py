@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.path_check.motions import gauge_unmet
+from procedures.planning.path_check.motions import fixed_unmet
 from procedures.planning.path_check.paths import branches_for, check_axes, drive
 from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
 from procedures.planning.path_check.wrist import WristState
@@ -51,7 +51,7 @@ def choose_free_angles(
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     axes = Axes.of(setting, trajectories, fiducials)
     own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
-    unmet = gauge_unmet(setting)
+    unmet = fixed_unmet(setting)
     if unmet:
         return TurnedPaths(PathCheck(None, (), (), unmet), axes, own)
     start = setting.kinematics.branch_of(setting.start_rad)

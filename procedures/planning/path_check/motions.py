@@ -11,14 +11,15 @@ from typing import Any
 
 from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.planning.theatre.scene import PlanningScene
-from procedures.strategies.approach import ONE_SIDE, before_arriving
+from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
-from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
 
 HOME, GAUGE = "home", "gauge"
 MOVE, LINE, BACK = "move", "line", "back"
@@ -29,7 +30,8 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 class Motion:
     """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
 
-    `clear` if another sweep judges it: that which it was chosen by, or that of the line it goes `back` on.
+    `plan` is at working speed, of which the arm drives it at `speed_fraction`. `clear` if another sweep
+    judges it: that which it was chosen by, or that of the line it goes `back` on.
     """
 
     start: str
@@ -38,6 +40,7 @@ class Motion:
     around: Surroundings
     clear: bool = False
     back: bool = False
+    speed_fraction: float = 1.0
 
     @property
     def kind(self) -> str:
@@ -89,8 +92,13 @@ def unclear(
     return tuple(found.values())
 
 
-def gauge_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """Why the guide cannot be checked on its gauge from here, at whatever angles of the trajectories."""
+def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
+    """Why home or the gauge cannot be driven to from here, at whatever angles of the trajectories."""
+    for name, joints_rad in _fixed_places(setting):
+        try:
+            require_in_range(setting.kinematics, joints_rad, setting.limits)
+        except LimitError as error:
+            return (Unmet(name, f"{error.summary} [{error.code}]"),)
     if setting.scene is None:
         return ()
     for motion in _over_gauge(setting, setting.scene):
@@ -100,12 +108,20 @@ def gauge_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
     return ()
 
 
+def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
+    yield HOME, setting.start_rad
+    yield HOME, before_arriving(setting.start_rad, ONE_SIDE)
+    if setting.gauge_rad is not None:
+        yield GAUGE, setting.gauge_rad
+        yield GAUGE, before_arriving(setting.gauge_rad, ONE_SIDE)
+
+
 def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
     """The motions of the tool check, from home and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
-    limits = setting.limits or working_limits(setting.kinematics)
+    limits = setting.limits
     there = {HOME: setting.start_rad, GAUGE: setting.gauge_rad}
     for start, end in ((HOME, GAUGE), (GAUGE, HOME)):
         yield Motion(
@@ -117,18 +133,21 @@ def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
     """Every motion of the procedure with its preview, in order."""
-    limits = setting.limits or working_limits(setting.kinematics)
-    return tuple(
-        PreviewedMotion(motion, preview(setting.kinematics, motion.plan, motion.around, limits))
-        for motion in motions_of(setting, scene, check, trajectories)
-    )
+    return tuple(_previewed(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
+
+
+def _previewed(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
+    limits, plan = setting.limits.slowed(motion.speed_fraction), motion.plan
+    if motion.speed_fraction < 1.0 and plan.target is not None:
+        plan = plan_line(setting.kinematics, plan.start_rad, plan.target, limits, plan.tool_in_flange_mm)
+    return PreviewedMotion(motion, preview(setting.kinematics, plan, motion.around, limits))
 
 
 def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
     """The motions from home through all visits and back home."""
-    limits = setting.limits or working_limits(setting.kinematics)
+    limits = setting.limits
     by_name = {one.identifier: one for one in trajectories}
     stands: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
@@ -146,7 +165,7 @@ def motions_of(
             yield from _home(setting, stands, limits, before)
             stands = (HOME, setting.start_rad)
         if visit.kind is VisitKind.TARGET and kind is not visit.kind:
-            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `gauge_unmet`
+            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `fixed_unmet`
         kind = visit.kind
         yield from _to(setting, stands, reached, limits, around)
         stands = (visit.identifier, reached.approach_rad)
@@ -173,10 +192,11 @@ def _to(
     elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
         yield replace(straight, clear=True)
     else:
-        yield Motion(start, HOME, plan_joint_move(kinematics, joints, setting.start_rad, limits), around)
+        yield from _home(setting, stands, limits, around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
-    yield Motion(name, name, reached.line, around)
+    onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
+    yield Motion(name, name, reached.line, around, speed_fraction=onto)
     yield Motion(name, name, _reversed(setting, reached.line), around, clear=True, back=True)
 
 

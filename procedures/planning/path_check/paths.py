@@ -27,7 +27,6 @@ from procedures.planning.path_check.visits import (
 )
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
-from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -91,7 +90,7 @@ def drive(
     Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
     stops at the first failure.
     """
-    limits = setting.limits or working_limits(setting.kinematics)
+    limits = setting.limits
     journey = _Journey(setting.start_rad)
     for visit in _poses(journey, setting, axes, fiducials_mm, branch):
         if first_only and journey.unmet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -13,6 +13,10 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+
+# Of every joint, to the ends of its range: registration and servo move a pose by some millimetres, and each
+# joint stands back before it settles there.
+RANGE_RESERVE_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,10 @@ def place(
 ) -> Posture:
     """Joint angles in `branch` at both ends of the approach line, choosing turns nearest to `near_rad`.
 
-    Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable.
+    Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
+    within the arm's limits, or leaves no reserve to them.
     """
+    limits = replace(limits, range_margin_rad=limits.range_margin_rad + RANGE_RESERVE_RAD)
     back = flange_from_tool.inverse()
     begin = kinematics.solve_branch(Pose.from_transform(approach @ back), branch, near_rad)
     plan_joint_move(

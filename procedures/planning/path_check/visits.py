@@ -132,7 +132,8 @@ class ArmSetting:
     """The arm as the check needs it: the assumed pose of the CT, what is mounted, the start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
-    head's tool centre point (the same by design; None uses the guide's). With a `scene`, every motion must
+    head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
+    states for its operating mode. With a `scene`, every motion must
     also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
     the guide is checked after mounting; None leaves that out.
     """
@@ -142,8 +143,8 @@ class ArmSetting:
     flange_from_tool: Transform
     strategy: Strategy
     start_rad: JointVector
+    limits: MotionLimits
     flange_from_stereo: Transform | None = None
-    limits: MotionLimits | None = None
     approach_mm: float = APPROACH_MM
     scene: PlanningScene | None = None
     sizes: ErrorSizes = UNCALIBRATED

@@ -66,8 +66,8 @@ def theatre_arm(
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
-    opens_nothing = make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock())
-    kinematics = cast("RobotArm", opens_nothing).kinematics
+    opens_nothing = cast("RobotArm", make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock()))
+    kinematics = opens_nothing.kinematics
     start_rad = kinematics.home_rad if home_deg is None else radians6(*home_deg)
     require_in_range(kinematics, start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
@@ -83,6 +83,7 @@ def theatre_arm(
         strategy=strategy,
         flange_from_stereo=calibration.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
         start_rad=start_rad,
+        limits=opens_nothing.limits(),
         approach_mm=theatre.procedure.approach_mm,
         sizes=sizes,
         gauge_rad=radians6(*guide.gauge.joints_deg),

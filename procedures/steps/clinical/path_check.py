@@ -109,6 +109,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         strategy=context.clinical.strategy,
         flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).home_rad,
+        limits=workcell.arm.limits(),
         approach_mm=settings.approach_mm,
         scene=scene,
         sizes=sizes,

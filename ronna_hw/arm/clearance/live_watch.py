@@ -1,4 +1,4 @@
-"""Checks where set-points take the bodies: distances to everything, and speed near the head.
+"""Checks where set-points take the bodies: distances to everything, their speed, and that near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
 are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring it to its
@@ -9,24 +9,15 @@ from __future__ import annotations
 
 from heapq import heapify, heappop, heappush
 from math import dist, inf
-from typing import NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import segment_distance_mm
 from ronna_hw.arm.links import Segment
+from ronna_hw.arm.violation import Violation, ViolationKind
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the cap: planning stays below it, rounding is no violation
 LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning resolves less than this
-
-
-class Encounter(NamedTuple):
-    """Why a set-point is rejected: a pair too close (mm), or a speed over its cap (mm/s)."""
-
-    is_speed: bool
-    pair: int  # index in `Bodies.pairs`
-    value: float
-    limit: float
 
 
 def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
@@ -46,11 +37,16 @@ class LiveWatch:
         bodies: Bodies,
         cycle_s: float,
         joints_rad: JointVector,
+        body_speed_mm_s: float = inf,
     ) -> None:
-        """`joints_rad` is the arm's position at rest; whatever starts too close may only move away."""
+        """`joints_rad` is the arm's position at rest; whatever starts too close may only move away.
+
+        `body_speed_mm_s` is the operating mode's limit for everything that moves.
+        """
         self._bodies = bodies
         self._surroundings = surroundings = bodies.surroundings
         self._cycle_s = cycle_s
+        self._body_speed_mm_s = body_speed_mm_s
         self._pairs = bodies.pairs
         self._fixed = tuple((one.start_mm, one.end_mm) for one in bodies.fixed)
         fixed_radii = tuple(one.radius_mm for one in bodies.fixed)
@@ -78,7 +74,7 @@ class LiveWatch:
         # Distance to the head plus the odometer at that time: minus the current odometer, a lower bound.
         self._bounds = [self._distance(number, segments) for number in self._head]
 
-    def check(self, joints_rad: JointVector) -> Encounter | None:
+    def check(self, joints_rad: JointVector) -> Violation | None:
         """The first violation if this set-point were sent next, or None."""
         most = self._at_most(joints_rad)
         if self._plainly_well(most):
@@ -123,17 +119,18 @@ class LiveWatch:
         if most == 0.0:
             return True
         nearest = min(self._bounds) - travel if self._bounds else inf
-        return most <= self._surroundings.cap_mm_s(nearest) * self._cycle_s
+        cap_mm_s = min(self._surroundings.cap_mm_s(nearest), self._body_speed_mm_s)
+        return most <= cap_mm_s * self._cycle_s
 
-    def _too_near(self, segments: list[Segment], moved: float) -> Encounter | None:
+    def _too_near(self, segments: list[Segment], moved: float) -> Violation | None:
         travel = self._odometer_mm + moved
         again: list[tuple[float, int]] = []
-        found: Encounter | None = None
+        found: Violation | None = None
         while self._due and self._due[0][0] < travel:
             _, number = heappop(self._due)
             gap, floor = self._gap(number, segments), self._floors[number]
             if gap < floor and found is None:
-                found = Encounter(False, number, gap, floor)
+                found = Violation(ViolationKind.CLEARANCE, number, gap, floor)
             # A body in its corridor is checked every cycle: it may leave it sideways.
             room = (gap - floor) * self._share(number) if gap < inf else 0.0
             again.append((self._odometer_mm - moved + room, number))
@@ -141,11 +138,11 @@ class LiveWatch:
             heappush(self._due, one)
         return found
 
-    def _too_fast(self, segments: list[Segment], moved: float) -> Encounter | None:
+    def _too_fast(self, segments: list[Segment], moved: float) -> Violation | None:
         speed = moved / self._cycle_s
-        most = self._surroundings.most_mm_s
-        if speed > most * SPEED_MARGIN:
-            return Encounter(True, 0, speed, most)
+        if speed > self._body_speed_mm_s * SPEED_MARGIN:
+            ways = self._ways_mm(segments)
+            return Violation(ViolationKind.BODY_SPEED, ways.index(max(ways)), speed, self._body_speed_mm_s)
         cap = self._surroundings.cap_mm_s
         bounds, travel = self._bounds, self._odometer_mm + moved
         if not bounds or speed <= cap(min(bounds) - travel):
@@ -159,16 +156,21 @@ class LiveWatch:
             if distance < nearest:
                 nearest, which = distance, self._head[place]
         limit = cap(nearest)
-        return Encounter(True, which, speed, limit) if speed > limit * SPEED_MARGIN else None
+        if speed <= limit * SPEED_MARGIN:
+            return None
+        return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
     def _moved(self, segments: list[Segment]) -> float:
         """The largest motion of an end of any body since the last set-point."""
+        return max(self._ways_mm(segments))
+
+    def _ways_mm(self, segments: list[Segment]) -> list[float]:
         if self._segments is None:
             self._segments = body_segments(self._bodies, self._joints)
-        return max(
+        return [
             max(dist(now[0], before[0]), dist(now[1], before[1]))
             for now, before in zip(segments, self._segments, strict=True)
-        )
+        ]
 
     def _gap(self, number: int, segments: list[Segment]) -> float:
         """Distance between the surfaces of a pair; infinite where a corridor allows contact."""

@@ -100,7 +100,6 @@ class Surroundings:
     live_margin_mm: float = 5.0
     zone: SpeedZone | None = None
     corridor: Corridor | None = None
-    most_mm_s: float = inf  # limit for anything that moves, anywhere: set by the operating mode
 
     def moved(self, by: Pose) -> Surroundings:
         """The same with everything fixed in the room moved."""
@@ -115,10 +114,8 @@ class Surroundings:
         )
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """Speed limit of anything that moves at a distance from the head."""
-        if self.zone is None:
-            return self.most_mm_s
-        return min(self.zone.cap_mm_s(distance_mm), self.most_mm_s)
+        """Speed limit of anything that moves at a distance from the head; infinite without a zone."""
+        return inf if self.zone is None else self.zone.cap_mm_s(distance_mm)
 
     def to_json(self) -> str:
         """One line, for the real-time process."""
@@ -135,7 +132,6 @@ class Surroundings:
             radii=ArmRadii(*values["radii"]),
             margin_mm=values["margin_mm"],
             live_margin_mm=values["live_margin_mm"],
-            most_mm_s=values["most_mm_s"],
             zone=None if zone is None else SpeedZone(*zone),
             corridor=None
             if corridor is None

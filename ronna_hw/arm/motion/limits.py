@@ -1,4 +1,4 @@
-"""Working limits of the arm: a small, fixed share of its capabilities."""
+"""The limits that an arm states for each operating mode: a small share of its capabilities."""
 
 from __future__ import annotations
 
@@ -21,10 +21,15 @@ WORKING_ROTATION_RAD_S2 = math.radians(120.0)
 REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
+LIMITS_NUMBERS = 25  # in a row of `MotionLimits.as_numbers`
+
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits that every planned motion respects: per joint, and for the tool centre point on a line."""
+    """What every motion respects in one operating mode: per joint, for lines, and for every moving body.
+
+    Planning, previews, the real-time loop and its monitor use the same record.
+    """
 
     speed_rad_s: JointVector
     acceleration_rad_s2: JointVector
@@ -37,19 +42,48 @@ class MotionLimits:
     body_speed_mm_s: float = math.inf  # for any moving body: the operating mode's limit, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
 
-    def ranges(self, arm: JointRanges, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
+    def as_numbers(self) -> tuple[float, ...]:
+        """All fields in one row, for the real-time process."""
+        return (
+            *self.speed_rad_s,
+            *self.acceleration_rad_s2,
+            *self.jerk_rad_s3,
+            self.line_speed_mm_s,
+            self.line_acceleration_mm_s2,
+            self.rotation_rad_s,
+            self.rotation_rad_s2,
+            self.ramp_s,
+            self.body_speed_mm_s,
+            self.range_margin_rad,
+        )
+
+    @classmethod
+    def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
+        """The inverse of `as_numbers`."""
+        return cls(_vector(numbers[:6]), _vector(numbers[6:12]), _vector(numbers[12:18]), *numbers[18:])
+
+    def ranges(
+        self, arm: JointRanges, start_rad: Sequence[float] | None = None
+    ) -> tuple[JointVector, JointVector]:
         """Lowest and highest angles (rad) of a motion: the axes' ranges minus the margin.
 
-        An axis that is already closer to an end may stay there or move away.
+        An axis that starts closer to an end may stay there or move away.
         """
         margin = self.range_margin_rad
-        lower = _vector(
-            max(low, min(low + margin, at)) for low, at in zip(arm.lower_rad, start_rad, strict=True)
+        lower = _vector(low + margin for low in arm.lower_rad)
+        upper = _vector(high - margin for high in arm.upper_rad)
+        if start_rad is None:
+            return lower, upper
+        return (
+            _vector(
+                max(low, min(least, at))
+                for low, least, at in zip(arm.lower_rad, lower, start_rad, strict=True)
+            ),
+            _vector(
+                min(high, max(most, at))
+                for high, most, at in zip(arm.upper_rad, upper, start_rad, strict=True)
+            ),
         )
-        upper = _vector(
-            min(high, max(high - margin, at)) for high, at in zip(arm.upper_rad, start_rad, strict=True)
-        )
-        return lower, upper
 
     def slowed(self, fraction: float) -> MotionLimits:
         """The same with the planned speeds times `fraction` (0 < fraction <= 1); raises ARM-006 otherwise."""
@@ -80,7 +114,7 @@ class MotionLimits:
 
 
 def working_limits(arm: JointRanges, speed_fraction: float = WORKING_SPEED_FRACTION) -> MotionLimits:
-    """The limits a driver works with; `speed_fraction` is of the full axis speed."""
+    """Limits for a driver to start from; `speed_fraction` is of the full axis speed."""
     acceleration = _times(arm.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
     return MotionLimits(
         _times(arm.full_speed_rad_s, speed_fraction),

@@ -50,13 +50,22 @@ class MotionPlan:
         return max(abs(a - b) for a, b in zip(self.start_rad, self.target_rad, strict=True)) < STANDSTILL_RAD
 
 
-def require_in_range(arm: JointRanges, joints_rad: JointVector) -> None:
-    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number."""
-    _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
+def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
+    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
+
+    With `limits`, a motion from anywhere may end there: their margin is kept too.
+    """
+    if limits is None:
+        _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
+    else:
+        _require_within(arm, limits.ranges(arm), joints_rad, limits.range_margin_rad)
 
 
 def _require_within(
-    arm: JointRanges, ranges: tuple[JointVector, JointVector], joints_rad: JointVector
+    arm: JointRanges,
+    ranges: tuple[JointVector, JointVector],
+    joints_rad: JointVector,
+    margin_rad: float = 0.0,
 ) -> None:
     lower_rad, upper_rad = ranges
     if len(joints_rad) != len(lower_rad):
@@ -70,7 +79,8 @@ def _require_within(
         if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
             raise OutOfJointRange(
                 f"{arm.axis_names[axis]} would leave its range",
-                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg",
+                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
+                + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
                 got=f"{degrees(angle):.3f} deg",
                 action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
             )
@@ -85,7 +95,7 @@ def plan_joint_move(
     the limits' margin from their ends.
     """
     require_in_range(arm, start_rad)
-    _require_within(arm, limits.ranges(arm, start_rad), target_rad)
+    _require_within(arm, limits.ranges(arm, start_rad), target_rad, limits.range_margin_rad)
     travel = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
     return MotionPlan(start_rad, target_rad, _scaled(travel, limits))
 
@@ -110,7 +120,7 @@ def plan_line(
     points = [start_rad]
     for k in range(1, count + 1):
         joints = line.joints(k / count, points[-1])
-        _require_within(kinematics, ranges, joints)
+        _require_within(kinematics, ranges, joints, limits.range_margin_rad)
         for axis, (before, after) in enumerate(zip(points[-1], joints, strict=True)):
             if abs(after - before) > pi:
                 raise OutOfJointRange(
@@ -122,7 +132,7 @@ def plan_line(
     allowed = _slowed_for_joints(points, count, asked, limits)
     if allowed.velocity < LEAST_SPEED_FRACTION * asked.velocity:
         raise TooFast(
-            "the line passes too close to a singular pose",
+            "the line passes too close to a singular pose for the speed limits of the axes",
             limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
             got=f"{allowed.velocity / asked.velocity:.2%}",
         )

@@ -21,9 +21,12 @@ SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its samp
 ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
 
 
-def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
-    """The plan with its speed steps, so that nothing that moves exceeds the cap at its position."""
-    allowed = np.minimum(allowed_speed(path), plan.limits.velocity)
+def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) -> MotionPlan:
+    """The plan with its speed steps, so that nothing that moves exceeds the cap at its position.
+
+    `body_speed_mm_s` is the operating mode's limit, wherever it is.
+    """
+    allowed = np.minimum(allowed_speed(path, body_speed_mm_s), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
     begins, ends = path.fractions[:-1], path.fractions[1:]
     steps: list[SpeedStep] = []
@@ -37,7 +40,7 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
     return replace(plan, speed_steps=tuple(steps) if needed else ())
 
 
-def allowed_speed(path: SweptPath) -> Array:
+def allowed_speed(path: SweptPath, body_speed_mm_s: float) -> Array:
     """Largest speed of the path parameter in each interval of a swept path, (n - 1), per s."""
     moved = motion_mm(path.swept).max(axis=1)
     rates = moved / np.diff(path.fractions)
@@ -49,5 +52,6 @@ def allowed_speed(path: SweptPath) -> Array:
         nearest = np.where(np.isinf(to_head[:-1]), np.inf, (to_head[:-1] + to_head[1:] - moved) / 2.0)
     nearest = np.maximum(np.minimum(nearest, np.minimum(to_head[:-1], to_head[1:])), 0.0)
     caps = np.array([path.bodies.surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
+    caps = np.minimum(caps, body_speed_mm_s)
     with np.errstate(divide="ignore"):
         return np.asarray(np.where(rates > 0.0, SHARE_OF_CAP * caps / rates, np.inf))

@@ -11,16 +11,16 @@ from ur5 import Ur5
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import sweep_path
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.motion_plan import plan_motion
-from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
 from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, Stamp, ToolIdentity, Validity
-from ronna_hw.devices.robot import StopKind
+from ronna_hw.devices.robot import OperatingMode, StopKind
 from ronna_hw.errors import ConnectError
 from ronna_hw.frames import Transform
 
@@ -55,12 +55,18 @@ class IdealArm(IdealDevice):
 
     controller: ClassVar[Controller]
     kinematics = Ur5()
+    operating_mode = OperatingMode.AUTOMATIC
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         super().__init__(name, config, clock, known=set())
         self.surroundings = Surroundings()
         self.halted = threading.Event()
         self._under_way = threading.Lock()
+
+    def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
+        limits = working_limits(self.kinematics)
+        reduced = (mode or self.operating_mode) is OperatingMode.REDUCED_SPEED
+        return limits.at_reduced_speed(self.kinematics) if reduced else limits
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})
@@ -118,9 +124,8 @@ class IdealArm(IdealDevice):
         return self.drive("move_linear", LineMove(target, flange_from_tool, speed_fraction))
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
-        limits = working_limits(self.kinematics)
-        plan = plan_motion(self.kinematics, start_rad or self.controller.joints_rad, motion, limits)
-        return preview(self.kinematics, plan, self.surroundings, limits)
+        here_rad = start_rad or self.controller.joints_rad
+        return preview_motion(self.kinematics, here_rad, motion, self.surroundings, self.limits())
 
     def surround(self, surroundings: Surroundings) -> None:
         self.surroundings = surroundings
@@ -140,9 +145,7 @@ class IdealArm(IdealDevice):
 
     def drive(self, call: str, motion: Motion) -> ArmReading:
         self.guard.require(call, {Lifecycle.ACTIVE})
-        plan = plan_motion(
-            self.kinematics, self.controller.joints_rad, motion, working_limits(self.kinematics)
-        )
+        plan = plan_motion(self.kinematics, self.controller.joints_rad, motion, self.limits())
         sweep_path(self.kinematics, plan, self.surroundings).require("the path")
         path = plan.path(self.kinematics)
         with self._under_way:

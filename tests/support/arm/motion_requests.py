@@ -6,7 +6,7 @@ Judged is only what would be sent: a list of joint vectors, one per cycle, and w
 from __future__ import annotations
 
 import random
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import radians
 
 import numpy as np
@@ -60,11 +60,10 @@ def drive(seed: int) -> Driven:
     """One random request in a random room, perhaps interrupted, perhaps stopped."""
     rng = random.Random(seed)
     start = _somewhere(rng)
-    room = _room(rng, start)
+    surroundings = _room(rng, start)
     limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3)))
     if rng.choice(WITH_REDUCED_SPEED):
         limits = limits.at_reduced_speed(MODEL)
-    surroundings = replace(room, most_mm_s=limits.body_speed_mm_s)
     found = Driven(limits=limits, surroundings=surroundings)
     try:
         plan = _request(rng, start, limits)
@@ -73,7 +72,7 @@ def drive(seed: int) -> Driven:
     except LimitError as error:
         found.refused = error.code
         return found
-    found.plan = plan = with_speed_steps(plan, path)
+    found.plan = plan = with_speed_steps(plan, path, limits.body_speed_mm_s)
     if plan.is_standstill:
         found.sent = [start]
         return found
@@ -86,7 +85,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
     assert limits is not None
     assert surroundings is not None
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
-    monitor.watch(LiveWatch(Bodies(MODEL, surroundings), CYCLE_S, start))
+    monitor.watch(LiveWatch(Bodies(MODEL, surroundings), CYCLE_S, start, limits.body_speed_mm_s))
     motion: PathMotion | StopMotion = PathMotion(
         plan.path(MODEL), start, plan.limits, CYCLE_S, plan.speed_steps
     )

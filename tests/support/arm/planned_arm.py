@@ -12,16 +12,15 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.frames import Transform
-from ronna_hw.wire.kuka_eki import OperationMode
-
-MODE = OperationMode.EXT
 
 
 @dataclass
@@ -38,12 +37,15 @@ class PlannedArm(RecordingArm):
     def surroundings(self) -> Surroundings:
         return self.planner.surroundings
 
+    def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
+        return self.planner.limits(mode or self.operating_mode)
+
     def surround(self, surroundings: object) -> None:
         assert isinstance(surroundings, Surroundings)
         self.planner.surroundings = surroundings
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
-        return self.planner.preview(motion, start_rad or self.joints_rad, MODE)
+        return self.planner.preview(motion, start_rad or self.joints_rad, self.operating_mode)
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, **_more: Any
@@ -61,8 +63,8 @@ class PlannedArm(RecordingArm):
         return self._drive(LineMove(target, flange_from_tool, speed_fraction))
 
     def _drive(self, motion: Motion) -> ArmReading:
-        plan = self.planner.plan(motion, self.joints_rad, MODE)
-        return self._follow(self.planner.clear(plan, self.link, MODE))
+        plan = self.planner.plan(motion, self.joints_rad, self.operating_mode)
+        return self._follow(self.planner.clear(plan, self.link, self.operating_mode))
 
     def _follow(self, plan: MotionPlan) -> ArmReading:
         if self.interruptions:

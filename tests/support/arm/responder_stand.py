@@ -48,7 +48,6 @@ SETTINGS = LinkSettings(
     silence_limit_s=0.25,
     heartbeat_limit_s=1.0,
     settle_tolerance_deg=0.0002,
-    speed_fraction=0.12,
     real_time_priority=0,
 )
 RAMP_DOWN_SHARE = 1.3  # a stop within the jerk limit still gains speed until its acceleration is gone
@@ -77,7 +76,7 @@ class ResponderStand:
     def give(self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None) -> None:
         self.commands += 1
         seen = self.stop_word >> 3 if stop_number is None else stop_number
-        self.pending: Command | None = Command(self.commands, kind, plan, seen)
+        self.pending: Command | None = Command(self.commands, kind, plan, seen, limits=LIMITS)
         if not self.sent:
             self.responder.take(self.pending)
 

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from responder_stand import SETTINGS
+from responder_stand import LIMITS, SETTINGS
 
 from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
 from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, StopOrder
@@ -86,7 +86,7 @@ class InProcessLink:
         """A session as after a start of the stream, whatever was before."""
         self.give(Command(0, CommandKind.CLOSE))
         self.loop._look_around()
-        self.give(Command(0, CommandKind.OPEN))
+        self.give(Command(0, CommandKind.OPEN, limits=LIMITS))
         self.loop._look_around()
 
     def stop(self, kind: StopOrder) -> None:

@@ -26,6 +26,7 @@ from procedures.workcell import Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
@@ -43,6 +44,7 @@ from ronna_hw.devices.readings import (
     ToolIdentity,
     Validity,
 )
+from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
@@ -142,6 +144,10 @@ class RecordingArm(RecordingDevice):
     failing: RonnaError | None = None
     interruptions: int = 0  # motions still to be stopped half way, by somebody else
     kinematics: Any = field(default_factory=kr6_r900)
+    operating_mode: OperatingMode = OperatingMode.AUTOMATIC
+
+    def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
+        return working_limits(self.kinematics)
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
         return ArmReading(STAMP, Validity.OK, self.joints_rad, self.joints_rad, moving=False)

@@ -92,7 +92,6 @@ def link(ethernet_file: Path) -> Iterator[LinkClient]:
             silence_limit_s=2.0,
             heartbeat_limit_s=5.0,
             settle_tolerance_deg=ECHO_DIGIT_DEG,
-            speed_fraction=0.12,
             real_time_priority=0,
         )
 
@@ -147,7 +146,7 @@ def test_the_link_moves_the_arm_of_a_third_party_controller(
     with echo_server(ethernet_file, tmp_path) as end:
         _wait(link, lambda s: s.IPOC > 0 or s.rejected > 0 or s.received_ns > 0)
         time.sleep(0.05)  # telegrams that nobody answers yet
-        link.command(CommandKind.OPEN)
+        link.command(CommandKind.OPEN, limits=working_limits(MODEL))
         first = _wait(link, lambda s: s.phase is Phase.RUNNING and s.settled)
         assert first.base_rad == (0.0,) * 6
         plan = plan_joint_move(MODEL, first.commanded_rad, TARGET, working_limits(MODEL))

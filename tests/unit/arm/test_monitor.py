@@ -6,8 +6,9 @@ import pytest
 
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, Violation, monitor_limits
+from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)
@@ -38,12 +39,31 @@ def test_standing_still_is_no_violation() -> None:
     assert _monitor().check_measured(START) is None
 
 
-def test_a_point_outside_the_range_trips() -> None:
-    edge = _with(1, MODEL.upper_rad[0])
+def test_a_point_within_the_margin_of_a_range_end_trips() -> None:
+    margin = LIMITS.limits.range_margin_rad
+    edge = _with(1, MODEL.upper_rad[0] - margin)
     assert _monitor(edge).check(edge) is None
-    assert _kind(_monitor(edge).check(_with(1, MODEL.upper_rad[0] + 1e-4))) == ("range", 1)
-    low = _with(2, MODEL.lower_rad[1])
-    assert _kind(_monitor(low).check(_with(2, MODEL.lower_rad[1] - 1e-4))) == ("range", 2)
+    assert _kind(_monitor(edge).check(_with(1, MODEL.upper_rad[0] - margin + 1e-4))) == ("range", 1)
+    low = _with(2, MODEL.lower_rad[1] + margin)
+    assert _kind(_monitor(low).check(_with(2, MODEL.lower_rad[1] + margin - 1e-4))) == ("range", 2)
+
+
+def test_an_arm_that_starts_within_the_margin_may_stay_and_move_away() -> None:
+    at_end = _with(1, MODEL.upper_rad[0])
+    monitor = Monitor(monitor_limits(MODEL, working_limits(MODEL), CYCLE_S, at_end), at_end)
+    assert monitor.check(at_end) is None
+    assert monitor.check(_with(1, MODEL.upper_rad[0] - 1e-6)) is None
+    assert _kind(monitor.check(_with(1, MODEL.upper_rad[0] + 1e-5))) == ("range", 1)
+
+
+def test_at_reduced_speed_a_tenth_of_full_speed_is_the_limit_of_an_axis() -> None:
+    limits = working_limits(MODEL).at_reduced_speed(MODEL)
+    monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, START), START)
+    between = 1.1 * 0.1 * MODEL.full_speed_rad_s[3] * CYCLE_S
+    violation = monitor.check(_with(4, START[3] + between))
+    assert _kind(violation) == ("speed", 4)
+    assert violation is not None
+    assert violation.limit == pytest.approx(0.1 * MODEL.full_speed_rad_s[3])
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -53,8 +73,8 @@ def test_a_point_that_is_not_a_number_trips(value: float) -> None:
 
 @pytest.mark.hazard(18)
 @pytest.mark.hazard(22)
-def test_a_jump_trips_as_a_step() -> None:
-    assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("step", 6)
+def test_a_jump_trips_as_speed() -> None:
+    assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("speed", 6)
 
 
 def test_a_kick_within_the_step_trips_as_acceleration() -> None:
@@ -140,7 +160,7 @@ def test_a_point_that_was_not_taken_is_judged_again_from_the_held_point() -> Non
     assert monitor.history_rad == (near, START, START, START)
     monitor = _monitor()
     monitor.sent(far)
-    assert _kind(monitor.not_taken()) == ("step", 6)
+    assert _kind(monitor.not_taken()) == ("speed", 6)
 
 
 def test_a_resting_arm_is_judged_from_rest_at_the_held_point() -> None:
@@ -160,4 +180,6 @@ def test_checking_a_point_does_not_store_it() -> None:
 
 
 def test_a_violation_states_axis_value_and_limit() -> None:
-    assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith("step of axis 6: 57.2958 over 0.3100")
+    assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith(
+        "speed of axis 6: 14323.9 deg/s, limit 73.8 deg/s"
+    )

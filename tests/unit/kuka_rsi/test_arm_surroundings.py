@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import radians
+from math import degrees, radians
 from typing import Any
 
 import pytest
@@ -19,12 +19,13 @@ from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.monitor import ViolationKind
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
+from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.kuka_eki import OperationMode
 
 MODEL = kr6_r900("kr6_r900_sixx")
 START = radians6(0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
@@ -108,15 +109,15 @@ def test_the_real_time_process_trips_on_an_obstacle_that_planning_missed() -> No
     assert radians(1.0) < before <= points.last_rad[0] < radians(15.0)
 
 
-def _fault(kind: str, pair: int, value: float, limit: float) -> Any:
+def _fault(kind: str, axis: int, value: float, limit: float, mode: OperationMode = OperationMode.EXT) -> Any:
     state = NO_STATE._replace(
         fault=Fault.MONITOR,
         violation_kind=kind,
-        violation_axis=pair,
+        violation_axis=axis,
         violation_value=value,
         violation_limit=limit,
     )
-    return error_of_fault("master", state, KukaOptions(), surroundings=_post_beside(15.0))
+    return error_of_fault("master", state, KukaOptions(), mode, surroundings=_post_beside(15.0))
 
 
 def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
@@ -128,6 +129,19 @@ def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
     assert (error.limit, error.got) == ("5.0 mm", "4.2 mm")
     assert _fault(ViolationKind.ZONE_SPEED, pair, 80.0, 60.0).got == "80.0 mm/s"
     assert "its bodies" in str(_fault(ViolationKind.CLEARANCE, 255, 4.2, 5.0))
+
+
+def test_a_trip_names_the_limit_and_the_mode() -> None:
+    tenth = 0.1 * MODEL.full_speed_rad_s[3]
+    error = _fault(ViolationKind.SPEED, 4, 1.9 * tenth, tenth, OperationMode.T1)
+    assert "speed of A4" in str(error)
+    assert error.limit == f"{degrees(tenth):.1f} deg/s (10% of full speed in T1)"
+    assert error.got == f"{degrees(1.9 * tenth):.1f} deg/s"
+    hand = Bodies(MODEL, _post_beside(15.0)).moving_names.index("hand")
+    error = _fault(ViolationKind.BODY_SPEED, hand, 301.0, 250.0, OperationMode.T1)
+    assert "speed of the hand" in str(error)
+    assert "head" not in str(error)
+    assert (error.limit, error.got) == ("250.0 mm/s in T1", "301.0 mm/s")
 
 
 @pytest.fixture

@@ -26,6 +26,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkState,
     Orders,
     Phase,
     Record,
@@ -37,6 +38,7 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
+from ronna_hw.wire.kuka_eki import OperationMode
 
 SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
 
@@ -115,7 +117,7 @@ def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
 
 def test_link_settings_survive_a_json_round_trip() -> None:
     settings_given = LinkSettings(
-        "h", 1, 2, 3, 4, "v", 4, "S", ("a",), ("b", "c"), ("d",), "s", 0.1, 0.2, 0.3, 0.4, 5
+        "h", 1, 2, 3, 4, "v", 4, "S", ("a",), ("b", "c"), ("d",), "s", 0.1, 0.2, 0.3, 5
     )
     assert LinkSettings.from_json(settings_given.to_json()) == settings_given
 
@@ -173,22 +175,26 @@ def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
     ],
 )
 def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[Exception], code: str) -> None:
-    made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions())
+    made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
     assert made is not None
     with pytest.raises(error) as caught:
         raise made
     assert getattr(caught.value, "code", "") == code
 
 
+def _with(fault: Fault) -> LinkState:
+    return NO_STATE._replace(fault=fault, violation_kind="speed", violation_axis=1)
+
+
 def test_the_silence_error_names_the_message_that_the_controller_shows() -> None:
     silent = NO_STATE._replace(fault=Fault.SILENCE)
-    assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), message=29002))
-    assert "message" not in str(error_of_fault("arm", silent, KukaOptions())).split(";")[0]
+    assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT, 29002))
+    assert "message" not in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT)).split(";")[0]
 
 
 def test_every_fault_and_every_refusal_has_a_message() -> None:
     for fault in Fault:
-        made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions())
+        made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
         assert (made is None) == (fault is Fault.NONE)
     for result in Result:
         if result.name.startswith("REFUSED"):

@@ -17,6 +17,7 @@ from procedures.planning.path_check.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.frames import Frame, Transform
 
 
@@ -77,6 +78,7 @@ def make_arm() -> Callable[..., ArmSetting]:
             "flange_from_tool": Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
             "strategy": strategy_named("ocs"),
             "start_rad": radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0),
+            "limits": working_limits(kr6_r900(ArmVariant.SIXX)),
         }
         return ArmSetting(**{**fields, **changes})
 

@@ -20,6 +20,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
@@ -44,6 +45,7 @@ def _setting(*bodies: RoomBody) -> ArmSetting:
     at = RigidTransform.from_components([760.0, 0.0, 200.0], RECLINED)
     return ArmSetting(
         kinematics=kr6_r900("kr6_r900_sixx"),
+        limits=working_limits(kr6_r900("kr6_r900_sixx")),
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
         strategy=strategy_named("ocs"),

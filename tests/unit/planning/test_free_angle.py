@@ -16,6 +16,7 @@ from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.frames import Frame, Transform
 
 HALF_ANGLE_RAD = math.radians(27.5)
@@ -28,6 +29,7 @@ SETTING = ArmSetting(
     Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
     OrientationCorrection(),
     start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
+    limits=working_limits(kr6_r900("kr6_r900_sixx")),
 )
 DOWN = Trajectory("T1", (0.0, 0.0, 40.0), (0.0, 0.0, 0.0))
 FREE = np.array([[60.0, 0.0, 50.0], [-50.0, 40.0, 60.0], [-40.0, -60.0, 40.0]])

@@ -23,6 +23,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 
@@ -49,8 +50,10 @@ MIDDLE_MM = np.array([760.0, 0.0, 200.0])
 
 def _setting(cell: CollisionConfig | None = None) -> ArmSetting:
     origin_mm = MIDDLE_MM - AXES.apply(HEAD.centre_mm)
+    arm = kr6_r900("kr6_r900_sixx")
     return ArmSetting(
-        kinematics=kr6_r900("kr6_r900_sixx"),
+        kinematics=arm,
+        limits=working_limits(arm),
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
         strategy=strategy_named("ocs"),

@@ -11,10 +11,10 @@ from recording_cell import RecordingCell
 from procedures.calibration.pose_set import calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
+from procedures.strategies.approach import APPROACH_RAD
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look
-from procedures.workcell.workcell import APPROACH_RAD
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle

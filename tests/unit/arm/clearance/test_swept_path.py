@@ -4,6 +4,7 @@ import json
 import math
 import random
 from dataclasses import replace
+from math import inf
 
 import pytest
 
@@ -140,7 +141,7 @@ def test_the_live_watch_stops_what_planning_did_not_refuse() -> None:
     around = _around(_post(23.0, 4.0))
     said = _drive(_move(), around)
     assert said.startswith("clearance of pair")
-    assert "under 5.00 mm" in said
+    assert "limit 5.0 mm" in said
     assert _drive(_move(), _around(_post(23.0, 6.0))) == ""
 
 
@@ -150,7 +151,7 @@ def test_a_path_past_the_head_is_slow_there_and_fast_elsewhere() -> None:
     head = Obstacle("head", Capsule((x, y, z - 120.0), (x, y, z - 120.0), 60.0), is_head=True)
     around = _around(head, zone=ZONE)
     plan = _move()
-    slowed = with_speed_steps(plan, sweep_path(MODEL, plan, around))
+    slowed = with_speed_steps(plan, sweep_path(MODEL, plan, around), inf)
     speeds = [step.velocity for step in slowed.speed_steps]
     assert 3 <= len(speeds) <= MOST_STEPS
     assert min(speeds) < 0.6 * max(speeds)
@@ -160,7 +161,7 @@ def test_a_path_past_the_head_is_slow_there_and_fast_elsewhere() -> None:
 
 def test_without_a_zone_there_are_no_speed_steps() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 30.0)))
-    assert with_speed_steps(_move(), path).speed_steps == ()
+    assert with_speed_steps(_move(), path, inf).speed_steps == ()
 
 
 def test_at_reduced_speed_nothing_moves_faster_than_250_mm_per_second() -> None:
@@ -169,7 +170,7 @@ def test_at_reduced_speed_nothing_moves_faster_than_250_mm_per_second() -> None:
         assert speed <= 0.1 * full
     plan = plan_joint_move(MODEL, START, ASIDE, limits)
     fast = preview(MODEL, _move(), _around(), LIMITS)
-    slow = preview(MODEL, plan, _around(most_mm_s=limits.body_speed_mm_s), limits)
+    slow = preview(MODEL, plan, _around(), limits)
     assert fast.largest_speed_mm_s > REDUCED_SPEED_MM_S > slow.largest_speed_mm_s > 0.9 * REDUCED_SPEED_MM_S
     assert slow.duration_s > fast.duration_s
 

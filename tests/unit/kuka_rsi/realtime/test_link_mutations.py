@@ -6,6 +6,7 @@ import socket
 import time
 
 from mutations import mutations
+from responder_stand import LIMITS
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, corrections_of, telegram
 from rsi_mutants import answer_mutants
 
@@ -54,7 +55,7 @@ def _answered(controller: socket.socket, link: LinkClient, ipoc: int) -> None:
     """A fresh session answers a telegram as it should, whatever came before."""
     link.command(CommandKind.CLOSE)
     link.wait(lambda s: s.phase is Phase.IDLE, GENEROUS_S)
-    number = link.command(CommandKind.OPEN)
+    number = link.command(CommandKind.OPEN, limits=LIMITS)
     link.wait(lambda s: s.command_number >= number, GENEROUS_S)
     deadline = time.monotonic() + GENEROUS_S
     while time.monotonic() < deadline:

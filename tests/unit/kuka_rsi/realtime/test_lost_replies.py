@@ -31,6 +31,7 @@ from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.wire.kuka_eki import OperationMode
 
 CYCLE_MS = 4
 FULL_STEP_DEG = [degrees(speed) * CYCLE_MS / 1000 for speed in MODEL.full_speed_rad_s]
@@ -117,7 +118,7 @@ class HoldingController:
 
     def _new(self, kind: CommandKind, plan: MotionPlan | None = None) -> Command:
         self._commands += 1
-        return Command(self._commands, kind, plan, self.stop_word >> 3)
+        return Command(self._commands, kind, plan, self.stop_word >> 3, limits=LIMITS)
 
 
 def _moving(cycles: int = AT_SPEED, tells: int | None = 0) -> HoldingController:
@@ -325,7 +326,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     assert not controller.responder.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
     state = controller.responder.state(real_time=False, locked=False)
-    error = error_of_fault("robot.master", state, KukaOptions())
+    error = error_of_fault("robot.master", state, KukaOptions(), OperationMode.EXT)
     assert isinstance(error, LinkUnusable)
     assert "late or lost by the controller's count" in str(error)
 

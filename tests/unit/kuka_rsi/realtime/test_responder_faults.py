@@ -37,7 +37,7 @@ MOST_CYCLES = 1000
 @pytest.mark.parametrize(
     ("limits", "kind"),
     [
-        (PathLimits(5.0, 5.0, 20.0), "step"),
+        (PathLimits(5.0, 5.0, 20.0), "speed"),
         (PathLimits(1.0, 10.0, 100.0), "acceleration"),
         (PathLimits(0.5, 50.0, 5000.0), "jerk"),
     ],

@@ -16,11 +16,11 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed, StepRefused
 from procedures.results.result import StepResult
 from procedures.steps.clinical.relocalization import STEP, Relocalization
+from procedures.strategies.approach import APPROACH_RAD
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
-from procedures.workcell.workcell import APPROACH_RAD
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle

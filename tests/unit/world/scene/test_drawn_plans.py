@@ -11,6 +11,7 @@ from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.frames import Frame
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.model import Scene
@@ -76,7 +77,7 @@ def accept(scene: Scene) -> None:
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
     arm = kr6_r900(scene.arm.variant)
-    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad)
+    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad, working_limits(arm))
     trajectories = [
         Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm)
         for target in scene.head.targets

@@ -10,6 +10,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.frames import Frame
 from sim.world.scene.named_scenes import named_scene
 
@@ -30,6 +31,7 @@ def test_every_pose_of_a_built_in_scene_is_within_reach_and_away_from_singularit
         scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL),
         strategy_named("ocs"),
         start_rad=radians6(*scene.arm.home_deg),
+        limits=working_limits(kr6_r900(scene.arm.variant)),
     )
     trajectories = [Trajectory(t.identifier, t.entry_ct_mm, t.target_ct_mm) for t in scene.head.targets]
     check = check_paths(setting, trajectories, [f.centre_ct_mm for f in scene.head.fiducials])
