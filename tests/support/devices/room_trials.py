@@ -110,7 +110,7 @@ class TrackedCase:
         spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
         flange = self.kinematics.flange_pose(self.home_rad)
         robot_from_tracker = self._frame_by_arm(flange) @ frame.inverse()
-        reading = RoomReading(flange, np.zeros(3), spheres)
+        reading = RoomReading(flange, np.zeros(3), spheres, frames=GLOBAL_FRAMES)
         return RoomWatch("trial", robot_from_tracker, spheres, [reading])
 
     def reading(
@@ -121,7 +121,7 @@ class TrackedCase:
         flange, _ = self._at(joints)
         seen = watch.robot_from_tracker @ frame
         way_mm = seen.translation_mm - self._frame_by_arm(flange).translation_mm
-        return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm))
+        return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm), FRAMES)
 
     def measured(self, spheres_mm: Array) -> Array:
         """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""
