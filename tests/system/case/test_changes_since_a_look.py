@@ -77,7 +77,7 @@ def test_a_cart_that_crept_is_noticed_before_the_guide_is_led_to_the_head(
     ran = run(commands, tmp_path, f"since step == tool_change: room shift cart {shift} mm\n", *case)
     lines = journal(tmp_path)
     failed = next(line for line in lines if line["entry"] == Entry.FAILED)
-    assert failed["error"] == BaseShifted.code
+    assert failed["code"] == BaseShifted.code
     assert led_to(lines[: lines.index(failed)]) == []
     assert ran.returncode == 0, ran.stderr  # the cart was locked and everything localized again
     assert json.loads(ran.stdout)["max_application_error_mm"] <= LARGEST_ERROR_MM
