@@ -86,7 +86,8 @@ def test_a_moved_tracker_is_distinguished_from_a_moved_cart_and_a_moved_head() -
     way = np.array([0.0, 2.0, 0.0])
     for head_mm, cart_mm, said in ((STILL, way, "cart"), (-way, -way, "tracker"), (way, STILL, "head")):
         watch = case.begin()
-        with pytest.raises((BaseShifted, PatientMoved), match=rf"the {said}.*(1\.9|2\.\d)\d mm.*y \+[12]\.\d\d"):
+        what = rf"the {said}.*(1\.9|2\.\d)\d mm.*y \+[12]\.\d\d"
+        with pytest.raises((BaseShifted, PatientMoved), match=what):
             watch.check(case.reading(watch, case.home_rad, head_mm, cart_mm))
 
 

@@ -70,7 +70,7 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
         check(cell, *dials_mm)
     assert cell.workcell.at_home
     assert not cell.workcell.streaming  # hands seat the guide anew
-    assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * MOST_APPROACHES  # it was mounted again
+    assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * MOST_APPROACHES  # mounted twice
 
 
 @pytest.mark.hazard(47)
