@@ -107,6 +107,11 @@ class RoomLook:
     findings: tuple[str, ...] = ()
     moved: BaseShifted | PatientMoved | PatientUnseen | None = None
 
+    @property
+    def in_place(self) -> bool:
+        """Whether head and base were seen, and neither has moved; the tracker may have, by little."""
+        return self.moved is None and self.head_mm is not None and self.base is not None
+
 
 @dataclass
 class Approach:

@@ -18,6 +18,7 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
+    confirmation,
     positioning,
     registration,
     relocalization,
@@ -32,7 +33,7 @@ from ronna_hw.errors import EXIT_LINK_LOST, LinkTimeout
 
 WORKING = (
     relocalization.STEP, registration.STEP, tool_change.STEP, tool_check.STEP,
-    positioning.STEP, at_target.STEP, retreat.STEP,
+    positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP,
 )  # fmt: skip
 USES = (
     "read_state",

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, SPHERES_MM, ClinicalCell
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell, SeeingTracker
 from numpy.typing import NDArray
 from prepared_results import (
     checked_paths,
@@ -86,7 +86,8 @@ def test_a_moved_tracker_is_distinguished_from_a_moved_cart_and_a_moved_head() -
     way = np.array([0.0, 2.0, 0.0])
     for head_mm, cart_mm, said in ((STILL, way, "cart"), (-way, -way, "tracker"), (way, STILL, "head")):
         watch = case.begin()
-        with pytest.raises((BaseShifted, PatientMoved), match=rf"the {said}.*2\.\d mm.*y \+[12]\.\d"):
+        what = rf"the {said}.*(1\.9|2\.\d)\d mm.*y \+[12]\.\d\d"
+        with pytest.raises((BaseShifted, PatientMoved), match=what):
             watch.check(case.reading(watch, case.home_rad, head_mm, cart_mm))
 
 
@@ -287,6 +288,41 @@ def test_a_head_that_the_tracker_does_not_see_is_not_approached(tmp_path: Path, 
     assert cell.arm.motions == []
     cell.tracker.spheres_mm = SPHERES_MM
     engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+@pytest.mark.hazard(13)
+def test_no_head_is_approached_while_the_frame_on_the_arm_is_hidden(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+    cell.tracker.hidden = True
+    with pytest.raises(PatientUnseen, match=r"PRO-022.*the cart may have moved"):
+        engine.run_to()
+    assert cell.arm.motions == []
+    cell.tracker.hidden = False
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize(
+    ("moved", "noticed"),
+    [
+        (lambda tracker: setattr(tracker, "spheres_mm", np.add(SPHERES_MM, (0.0, 0.2, 0.0))), PatientMoved),
+        pytest.param(
+            lambda tracker: setattr(tracker, "frame_shift_mm", (0.0, 0.45, 0.0)),
+            BaseShifted,
+            marks=pytest.mark.hazard(13),
+        ),
+    ],
+)
+def test_a_head_or_cart_that_moved_by_little_is_noticed_before_the_approach(
+    tmp_path: Path, moved: Callable[[SeeingTracker], None], noticed: type[Exception]
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+    moved(cell.tracker)
+    with pytest.raises(noticed):
+        engine.run_to()
+    assert cell.arm.motions == []
 
 
 @pytest.mark.hazard(12)

@@ -22,6 +22,7 @@ from procedures.engine.machine import FINISHED
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
+    confirmation,
     path_check,
     positioning,
     registration,
@@ -53,7 +54,7 @@ POST_MM = 120.0
 FEWEST_REFUSED = 3  # short cuts, or this test would not notice a check that is gone
 STEPS = (
     path_check.STEP, relocalization.STEP, registration.STEP, tool_change.STEP, tool_check.STEP,
-    positioning.STEP, at_target.STEP, retreat.STEP,
+    positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP,
 )  # fmt: skip
 
 

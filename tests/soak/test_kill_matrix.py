@@ -20,8 +20,8 @@ from sim.cli import app as ronna_sim
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_LINES = 154
-FULL_LINES = (5, 58, 101, 122, 144, 186, 229, 265, 310, 345)  # of 378
+MINI_LINES = 181
+FULL_LINES = (5, 58, 101, 122, 144, 186, 250, 320, 380, 430)  # of 465
 FULL = ("run", "--sim", "--seed", "7", "--json")
 # Kind of a line, and a word that the first such line has.
 POWER_CUTS = (
@@ -42,6 +42,7 @@ POWER_CUTS = (
     ("confirmation", "drill:T1"),
     ("work", "insert"),
     ("motion", "withdraw"),
+    ("intent", "confirmation:T1"),
 )
 
 

@@ -12,7 +12,7 @@ from user_commands import Commands
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(2400)]
 
 CASE = ("step", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1")
-BEFORE_ALL_MOTIONS, LAST = "path_check", "retreat:T1"
+BEFORE_ALL_MOTIONS, LAST = "path_check", "confirmation:T1"
 WATCHERS, LIMIT_S = 20, 300.0
 TIMES = 3  # other work on the computer only adds late cycles: the fewest are the case's own
 

@@ -53,7 +53,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.rest()  # it may have been the last target
     look = _room(context, remain)
     seen = (SeenUnchanged.head(look.head_mm), SeenUnchanged.base(look.base), guide)
-    in_doubt = () if all(one.unchanged for one in seen) else unconfirmed(context)
+    in_doubt = () if look.in_place and guide.unchanged else unconfirmed(context)
     return Outcome(
         ConfirmedTarget(seen=seen, in_doubt=in_doubt),
         summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),

@@ -27,7 +27,7 @@ from procedures.engine.step import Scope, StepSpec
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
-from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical import at_target, confirmation, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
@@ -53,7 +53,7 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
     ]
     localized = [per_trajectory(one) for one in (relocalization(), registered_robot())]
     steps = [*before, given(checked_paths(cell)), *localized, given(mounted_guide()), given(checked_tool())]
-    return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP], [FIRST])
+    return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP], [FIRST])
 
 
 def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, LeftRun]:

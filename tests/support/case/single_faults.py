@@ -46,13 +46,15 @@ COMPUTED = (
     "registration",
 )
 AS_IN = {
-    "tracker": {"head_clamp": "cart_lock", "tool_check": "tool_change"},
-    # The arm is connected and at rest.
-    "robot": dict.fromkeys(("head_clamp", "cart_lock", "global_localization"), "set_up"),
+    "tracker": {"head_clamp": "cart_lock", "tool_check": "tool_change", "confirmation": "tool_change"},
+    "robot": {
+        **dict.fromkeys(("head_clamp", "cart_lock", "global_localization"), "set_up"),  # it is at rest
+        "confirmation": "tool_check",  # over the gauge
+    },
     "camera": dict.fromkeys(
         (
             *("head_clamp", "cart_lock", "global_localization"),
-            *("tool_change", "tool_check", "positioning", "at_target", "retreat"),
+            *("tool_change", "tool_check", "positioning", "at_target", "retreat", "confirmation"),
         ),
         "set_up",  # connected; no picture is taken
     ),

@@ -206,10 +206,12 @@ def test_nothing_moves_after_a_kill_during_the_insertion_while_the_instrument_is
     assert again.operator.asked[0].value.split("\n")[0] == "an instrument is in T1, as the journal says"
 
 
-def test_only_the_retreat_remains_after_the_work_at_the_target(cell: ClinicalCell) -> None:
+def test_only_the_retreat_and_the_look_remain_after_the_work_at_the_target(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"at_target:{FIRST}")
     recover(engine, left)
-    assert engine.upcoming is None
+    assert str(engine.upcoming) == f"confirmation:{FIRST}"
+    engine.run_to()
+    assert engine.over
     assert len(again.motions("insert")) == 1
     assert len(again.motions("withdraw")) == 1
 

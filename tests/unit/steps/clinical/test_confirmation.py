@@ -32,6 +32,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.errors import ToolBesideGauge
+from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -50,6 +51,10 @@ def no_dwell(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def engine(cell: ClinicalCell) -> Engine:
+    return checked(cell)
+
+
+def checked(cell: ClinicalCell) -> Engine:
     """The operation of a case of two targets, from the checked guide on."""
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
@@ -184,6 +189,18 @@ def test_a_small_head_move_puts_the_target_in_doubt_and_the_next_registration_ma
 
 
 @pytest.mark.hazard(12)
+def test_a_registration_of_all_targets_may_follow_a_small_head_move_for_those_that_remain(
+    cell: ClinicalCell,
+) -> None:
+    cell.strategy = NeutralOrientation()
+    engine = checked(cell)
+    changed_after_the_first(cell, engine, head_moved(3.0))
+    assert look_after(engine, FIRST).in_doubt == (FIRST,)
+    assert str(engine.upcoming) == "registration"
+    assert engine.status(engine.order.find(f"at_target:{FIRST}")) == "done"
+
+
+@pytest.mark.hazard(12)
 def test_a_head_that_moved_too_far_to_be_followed_is_localized_again(
     cell: ClinicalCell, engine: Engine
 ) -> None:
@@ -260,6 +277,18 @@ def test_what_the_tracker_does_not_see_puts_the_target_in_doubt_and_the_step_com
     expected = f"after {FIRST} the tracker does not see {unseen}: it may have moved meanwhile"
     assert said == [f"{FIRST} in doubt: {expected}"]
     assert str(engine.upcoming) == f"positioning:{LAST}"  # which looks before it moves
+
+
+@pytest.mark.hazard(13)
+def test_a_tracker_moved_by_little_puts_nothing_in_doubt(cell: ClinicalCell, engine: Engine) -> None:
+    work_at(engine, FIRST)
+    way_mm = (0.0, 0.5, 0.0)
+    cell.tracker.frame_shift_mm, cell.tracker.spheres_mm = way_mm, np.add(SPHERES_MM, way_mm)
+    assert look_after(engine, FIRST).in_doubt == ()
+    ((text, targets),) = findings(cell)
+    assert targets == []
+    assert "arm and head agree" in text
+    assert str(engine.upcoming) == f"positioning:{LAST}"
 
 
 @pytest.mark.hazard(3)

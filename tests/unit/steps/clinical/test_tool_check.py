@@ -12,13 +12,14 @@ from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 from recording_cell import RecordingOperator
 
+from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
-from procedures.steps.clinical.tool_check import APPROACHES, STEP, TIP_LIMIT_MM, CheckedTool
+from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
@@ -27,6 +28,7 @@ from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import TipInHead, ToolPurpose
 from ronna_hw.wire.room_tasks import GAUGE, OUT
 
+MOST_APPROACHES = 2 * APPROACHES  # of a guide that differs after the first half
 NOW = datetime(2031, 1, 1, tzinfo=UTC)
 
 
@@ -56,8 +58,8 @@ def test_the_arm_approaches_the_gauge_from_the_same_side_and_returns_home(cell: 
 @pytest.mark.parametrize(
     "dials_mm",
     [
-        (1.2 * TIP_LIMIT_MM, 0.0, 0.0, 0.0, 0.0),  # bent
-        (0.0, 0.0, -1.2 * TIP_LIMIT_MM, 0.0, 0.0),  # not seated
+        (1.2 * GUIDE_NOTICEABLE_MM, 0.0, 0.0, 0.0, 0.0),  # bent
+        (0.0, 0.0, -1.2 * GUIDE_NOTICEABLE_MM, 0.0, 0.0),  # not seated
         (0.0, 0.0, 0.0, 0.12, 0.0),  # tilted: 0.11 deg on 60 mm
     ],
 )
@@ -68,7 +70,29 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
         check(cell, *dials_mm)
     assert cell.workcell.at_home
     assert not cell.workcell.streaming  # hands seat the guide anew
-    assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * APPROACHES
+    assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * MOST_APPROACHES  # mounted twice
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize(("later_mm", "approaches"), [(0.0, 4), (0.03, 5), (0.036, 6)])
+def test_readings_that_differ_are_taken_again_until_their_mean_fits(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, later_mm: float, approaches: int
+) -> None:
+    work = cell.room.work
+
+    def beside(task: Task) -> tuple[float, ...]:
+        read = work(task)
+        if task.name != GAUGE:
+            return read
+        first_three = [one.name for one in cell.room.worked].count(GAUGE) <= APPROACHES
+        off_mm = 0.06 if first_three else later_mm
+        return (read[0] + off_mm, *read[1:3], read[3] + off_mm, read[4])
+
+    monkeypatch.setattr(cell.room, "work", beside)
+    checked = check(cell, *(0.0,) * 5)
+    assert len(checked.readings_mm) == approaches
+    assert checked.off_mm <= GUIDE_NOTICEABLE_MM
+    assert not [question for question in cell.operator.asked if question.topic is Topic.TOOL_CHANGE]
 
 
 @pytest.mark.hazard(47)
@@ -93,7 +117,7 @@ def test_a_guide_that_is_not_mounted_again_is_refused_at_once(cell: ClinicalCell
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     with pytest.raises(ToolBesideGauge):
         check(cell, *(0.06,) * 5)
-    assert [task.name for task in cell.room.worked].count(GAUGE) == APPROACHES
+    assert [task.name for task in cell.room.worked].count(GAUGE) == MOST_APPROACHES
 
 
 @pytest.mark.hazard(47)
