@@ -189,3 +189,14 @@ class SlicesMisplaced(DataError):
     code = "CT-024"
     action = "Have the scanner's table feed and gantry tilt checked, and scan again."
     exit_code = EXIT_REFUSED
+
+
+class SeriesMirrored(DataError):
+    """The image orientation contradicts the patient position: no scanner stores slices so."""
+
+    code = "CT-025"
+    action = (
+        "Left and right may be swapped: export the series again from the scanner's archive, without a change "
+        "of orientation."
+    )
+    exit_code = EXIT_REFUSED

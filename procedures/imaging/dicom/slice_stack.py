@@ -16,6 +16,7 @@ from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import (
     GantryTilted,
     OrientationUnusable,
+    SeriesMirrored,
     SeriesTooShort,
     SliceDuplicated,
     SlicesDiffer,
@@ -36,19 +37,23 @@ SHEAR_LIMIT = 5e-4  # sideways drift per mm of stack: 0.1 mm over a head of 200 
 TILT_LIMIT_DEG = 0.1  # what the scanner states about its gantry
 COARSE_SLICE_MM = 2.0  # above this, localization accuracy suffers
 COARSE_PIXEL_MM = 1.0
+AXIAL_COSINE = 0.9  # of the slices' normal with the body's axis: a head is scanned within 25 degrees of it
+HEAD_FIRST = "HF"  # a patient position begins so, DICOM PS3.3 C.7.3.1.1.2
 _ROUNDING_MM = 1e-3
 
 
 def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ...], VoxelGeometry]:
     """Slices sorted along their normal, and the geometry of the resulting volume.
 
-    Raises CT-007 (tilt), CT-008 (orientation), CT-009 (duplicates), CT-010 (gaps), CT-011 (sizes), CT-015.
+    Raises CT-007 (tilt), CT-008 (orientation), CT-009 (duplicates), CT-010 (gaps), CT-011 (sizes), CT-015,
+    CT-025 (mirrored).
     """
     if len(slices) < MIN_SLICES:
         raise SeriesTooShort(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
     _refuse_different_sizes(slices)
     row_direction, column_direction = _common_directions(slices)
     normal = np.cross(row_direction, column_direction)
+    _refuse_mirrored(slices[0], normal)
     positions = np.array([one.position_mm for one in slices])
     order = np.argsort(positions @ normal, kind="stable")
     ordered = tuple(slices[index] for index in order)
@@ -87,6 +92,7 @@ def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) 
             "the centres will be less accurate"
         )
     sentences += _incomplete(slices)
+    sentences += _unusual_orientation(slices, geometry.axes[:, 0])
     sentences += sorted({oddity for one in slices for oddity in one.oddities})
     return tuple(sentences)
 
@@ -101,6 +107,28 @@ def _incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
     first = min((one.number for one in slices if one.number is not None), default=0.0)
     if first > 1.0:
         yield f"the slices are numbered from {first:.0f}: those before are missing"
+
+
+def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
+    """A scanner stores axial slices as seen from the feet, unless the patient lies feet first."""
+    if normal[2] < -AXIAL_COSINE and one.patient_position.startswith(HEAD_FIRST):
+        raise SeriesMirrored(
+            f"{one.path.name} shows its slice as seen from the head, a mirror image of what a scanner stores "
+            f"for {one.patient_position}",
+            expected="1\\0\\0\\0\\1\\0, or the same turned within the slice",
+            got="\\".join(f"{value:g}" for value in one.orientation),
+        )
+
+
+def _unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
+    """What a series that was mirrored or reordered on its way may look like, and some others do."""
+    if abs(normal[2]) < AXIAL_COSINE:
+        yield "the slices are not axial: check left and right by eye"
+    elif normal[2] < 0.0:
+        yield "the slices are stored as seen from the head: check left and right by eye"
+    numbers = [one.number for one in slices if one.number is not None]
+    if len(numbers) == len(slices) and all(np.diff(numbers) < 0):
+        yield "the slices are numbered against their normal: check that the series was not reversed"
 
 
 def _refuse_different_sizes(slices: tuple[SliceHeader, ...]) -> None:

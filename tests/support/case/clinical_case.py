@@ -89,7 +89,7 @@ class SeeingWorkcell(Workcell):
 
 @dataclass
 class SeeingTracker(RecordingTracker):
-    """A tracker above the head, along the robot's axes, that sees the frame on the arm and every sphere."""
+    """A tracker above the head, its axes along the robot's, that sees the frame on the arm and every sphere."""
 
     tools: tuple[str, ...] = tuple(tool.name for tool in SCENE.tracker.tools)
     cell: ClinicalCell | None = None
@@ -174,6 +174,7 @@ class ClinicalCell(RecordingCell):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.arm.joints_rad = HOME_RAD
+        self.room.touched = head_point
         self.tracker = self.opened.replace_tracker(SeeingTracker("tracker", cell=self))
 
     def make_workcell(
@@ -213,6 +214,12 @@ class ClinicalCell(RecordingCell):
         last = next(key for key in engine.order.sequence if key.name == engine.order.steps[-1].name)
         engine.run_to(last)
         return self.case.get(engine.order.spec(last).result, last.trajectory)
+
+
+def head_point(side: tuple[float, ...]) -> tuple[float, ...]:
+    """Where the head's skin is on that side, LPS, in the robot frame."""
+    skin_ct_mm = np.array(SCENE.head.centre_ct_mm) + np.array(SCENE.head.semi_axes_mm) * side
+    return tuple(ROBOT_FROM_CT.apply(skin_ct_mm).tolist())
 
 
 def given(result: StepResult, *reads: type[StepResult]) -> StepSpec[StepResult]:

@@ -49,7 +49,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
 from ronna_hw.theatre import DriverOfTable, Theatre
-from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE
+from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE, TOUCH
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
@@ -257,6 +257,7 @@ class RecordingRoom:
     changed: list[tuple[int, Lifecycle, JointVector]] = field(default_factory=list)
     worked: list[Task] = field(default_factory=list)
     dials_mm: tuple[float, ...] = (0.0,) * 5  # of the gauge
+    touched: Callable[[tuple[float, ...]], tuple[float, ...]] = lambda _side: ()  # of the head, on that side
     stop_off_mm: float = 0.0  # by which a depth stop is set beside what was asked for
 
     def announce(self, step: str) -> None:
@@ -277,6 +278,8 @@ class RecordingRoom:
             return self.dials_mm
         if task.name == DEPTH_STOP:
             return (task.numbers[0] + self.stop_off_mm,)
+        if task.name == TOUCH:
+            return self.touched(task.numbers)
         return ()
 
 

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 GHOST_MM = np.array([[400.0, 300.0, 200.0]])
 # On forehead and vertex: gravity allows each of its turns.
 FLAT_MM = np.array([[60.0, 0.0, 0.0], [0.0, 60.0, 0.0], [-60.0, 0.0, 0.0], [0.0, -60.0, 0.0]])
-ABOVE_MM = (*np.array(SCENE.head.centre_ct_mm), 0.0, -75.0, 75.0)
+ABOVE_MM = np.add(SCENE.head.centre_ct_mm, (0.0, -75.0, 75.0))
 SQUARE_CT_MM = FLAT_MM @ Rotation.from_euler("x", 45.0, degrees=True).as_matrix().T + ABOVE_MM
 SQUARE_MM = ROBOT_FROM_CT.apply(SQUARE_CT_MM)
 

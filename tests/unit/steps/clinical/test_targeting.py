@@ -11,6 +11,7 @@ from clinical_case import (
     LAST,
     ROBOT_FROM_CT,
     SPHERES_MM,
+    TRACKER_MM,
     TRAJECTORIES,
     ClinicalCell,
     given,
@@ -370,9 +371,9 @@ def test_the_question_says_when_the_arm_is_expected_to_hide_the_head(
     in_the_way: bool, cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = begin(cell)
-    if in_the_way:  # a tracker behind the hand, whose frame is the robot's here
+    if in_the_way:  # a tracker behind the hand
         hand = cell.arm.kinematics.flange_pose(checked_paths(cell).targets[FIRST].joints_rad)
-        monkeypatch.setattr(tracker_sight, "SENSORS_MM", (hand.translation_mm,) * 2)
+        monkeypatch.setattr(tracker_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
     run(engine, f"positioning:{FIRST}")
     (question,) = cell.operator.asked
     assert ("hide the head from the tracker" in question.subject) is in_the_way
