@@ -35,7 +35,9 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
     guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
-            UnchangedRecords(file, theatre, lambda: engine.running is not None and workcell.insertion is None)
+            UnchangedRecords(
+                file, theatre, lambda: engine.running is not None and not workcell.place.in_front_of
+            )
         )
     link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
     if setting.clinical is None:

@@ -78,6 +78,7 @@ class Engine:
         self._before_result = before_result
         self.recorders = list(recorders)
         self.running: StepKey | None = None
+        self.compare_place = setting.workcell.compare_place  # before a step begins
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
         setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
 
@@ -89,7 +90,7 @@ class Engine:
     @property
     def instrument_in(self) -> str | None:
         """The trajectory in which an instrument is beyond the entry, or may be."""
-        return self.setting.workcell.instrument.inside
+        return self.setting.workcell.place.instrument_may_be_inside
 
     def status(self, key: StepKey) -> str:
         """As `Course.status`."""
@@ -110,6 +111,8 @@ class Engine:
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
+        with suppress(RonnaError):  # an arm that reports no joints is where the journal has it
+            self.compare_place()
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))
@@ -159,7 +162,7 @@ class Engine:
     def over(self) -> bool:
         """Whether nothing remains: no step, nor the way home of an arm that was led to targets."""
         led = self.order.leads_to_targets
-        return self.course.over and not (led and (self.instrument_in or self.setting.workcell.away))
+        return self.course.over and not (led and (self.instrument_in or self.setting.workcell.place.is_out))
 
     def _finish_if_over(self) -> None:
         if self.over and not self.machine.ended:
@@ -242,8 +245,9 @@ class Engine:
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
             self.have_instrument_out()
-            if workcell.history.left_home or not workcell.at_home:
-                if (on := workcell.insertion) is not None:
+            workcell.compare_place()
+            if not workcell.place.is_home:
+                if (on := workcell.place.axis) is not None:
                     withdraw(workcell, on, on.trajectory)
                 park(workcell)
         except BaseException as ended:  # also an interruption: the arm comes to rest
@@ -266,7 +270,7 @@ class Engine:
 
         Before that its result still serves the work at the target, and the way out.
         """
-        in_use = self.setting.workcell.insertion is not None or self.instrument_in is not None
+        in_use = self.setting.workcell.place.in_front_of or self.instrument_in
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():

@@ -12,7 +12,7 @@ from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
-from procedures.workcell.arm_history import ArmHistory, arm_history
+from procedures.workcell.arm_history import ArmHistory, history_left_by
 from ronna_hw.evidence.compared_files import Problem
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import inspected
@@ -52,7 +52,7 @@ class LeftRun:
     @property
     def arm(self) -> ArmHistory:
         """How it left arm and instrument. Raises PRO-011 for a line that another version wrote."""
-        return arm_history(self.run.journal)
+        return history_left_by(self.chain)
 
     @property
     def finished(self) -> bool:
@@ -63,7 +63,7 @@ class LeftRun:
     @property
     def parked(self) -> bool:
         """Whether it is finished, and its arm home."""
-        return self.finished and not self.arm.left_home
+        return self.finished and not self.arm.place.is_out
 
     @property
     def untouched(self) -> bool:

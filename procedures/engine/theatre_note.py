@@ -12,8 +12,8 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
-from procedures.journal.journal import JOURNAL_FILE, Entry
-from procedures.workcell.arm_history import arm_history
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.workcell.arm_history import arm_history, history_left_by
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
@@ -58,11 +58,10 @@ def _left_home(run: Path, lines_before: int) -> bool | None:
         if run.is_dir() and not (run / JOURNAL_FILE).exists():
             return None
         chain = read_chain(run / JOURNAL_FILE)
-        lines = chain.lines[lines_before:]
-        begun = sum(line["entry"] == Entry.MOTION for line in lines)
-        if not chain.torn and begun <= sum(line.get("at_home") is True for line in lines):
+        arm = history_left_by(chain)
+        if not chain.torn and arm.journeys == arm_history(chain.lines[:lines_before]).journeys:
             return None
-        return not (chain.torn or arm_history(chain.lines).left_home)
+        return not arm.place.is_out
     except (OSError, RonnaError):
         return False
 

@@ -34,7 +34,7 @@ def surround_calibration(engine: Engine) -> None:
 def guide_at_divot(engine: Engine) -> bool:
     """Whether the arm carries the guide and its tip is where the divot is raised to it."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
-    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.at_home:
+    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
         return False
     away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
     return away_mm < HOVER_MM - TIP_KNOWN_MM

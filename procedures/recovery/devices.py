@@ -50,6 +50,7 @@ def compare_devices(
             comparison.differs(role, _named(then) if then else "none", _named(found))
     if not only_leaving:
         _compare_cameras(engine, comparison)
+    workcell.compare_place()  # it may have been jogged meanwhile
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 
@@ -123,13 +124,13 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     found = workcell.identify_mounted()
     if found is expected:
         comparison.same(f"the {found}")
-    elif exchange_begun and workcell.insertion is None:
+    elif exchange_begun and not workcell.place.in_front_of:
         comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
     else:
         comparison.differs("mounted tool", f"the {expected}", f"the {found}")
         return
-    if workcell.insertion is not None:
+    if (axis := workcell.place.axis) is not None:
         try:
-            workcell.insertion.check_on_axis(workcell.tool_pose())
+            axis.check_on_axis(workcell.tool_pose())
         except TipOffAxis as problem:
-            comparison.differs("guide", f"on {workcell.insertion.trajectory}", problem)
+            comparison.differs("guide", f"on {axis.trajectory}", problem)

@@ -36,6 +36,6 @@ class MovedCart:
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False
-        if following is None or not engine.setting.workcell.at_home:
+        if following is None or not engine.setting.workcell.place.is_home:
             engine.retreat_home()
         return True

@@ -51,7 +51,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     except BaseShifted as moved:
         comparison.differs("room", f"all within {moved.limit}", moved.what)
         return True
-    if reading.frame_mm is None and workcell.at_home:
+    if reading.frame_mm is None and workcell.place.is_home:
         comparison.differs("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
     comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")

@@ -36,7 +36,7 @@ def surround(engine: Engine) -> None:
         surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
     elif (led := _led(engine)) is not None:
         surround_guide(engine.context(led.key), led.robot_from_ct, workcell.joints_rad())
-    elif not workcell.at_home:
+    elif not workcell.place.is_home:
         raise RecoveryRefused(
             "the arm is not home, and no result gives the position of the head",
             action="Jog the arm home with the controller's pendant, then resume again.",
@@ -62,7 +62,7 @@ def _led(engine: Engine) -> _Led | None:
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
-    on = None if workcell.insertion is None else workcell.insertion.trajectory
+    on = workcell.place.trajectory
     keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
     keys = [key for key in keys if on in (None, key.trajectory)]
     for key in keys:

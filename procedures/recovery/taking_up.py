@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import replace
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
@@ -107,27 +106,23 @@ def _take_up_arm(
     engine: Engine, left: LeftRun, set_up: CheckedSetUp, comparison: Comparison, *, only_leaving: bool = False
 ) -> None:
     """The arm as it was left, every device compared, and the instrument at its tip's position."""
-    workcell, arm = engine.setting.workcell, left.arm
-    if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
-        # The line saying that an instrument goes in follows that of the guide, and can be lost alone.
-        if arm.instrument_in == on.trajectory:
-            comparison.warn(f"an instrument is in {on.trajectory}, as the journal says")
-        else:
-            comparison.warn(
-                f"the journal does not rule out an instrument in {on.trajectory}: one is assumed to be inside"
-            )
-        arm = replace(arm, instrument_in=on.trajectory)
-    workcell.take_up(arm, set_up.home_rad)
+    workcell = engine.setting.workcell
+    workcell.take_up(left.arm, set_up.home_rad)
+    inside = workcell.place.instrument_may_be_inside
+    if inside is not None and workcell.place.assumed:
+        comparison.warn(
+            f"the journal does not rule out an instrument in {inside}: one is assumed to be inside"
+        )
+    elif inside is not None:
+        comparison.warn(f"an instrument is in {inside}, as the journal says")
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
     _compare_last_to_move(engine, comparison)
-    if arm.insertion is None and (found := guide_on_an_axis(engine)) is not None:
-        insertion, beyond_mm = found
-        name = insertion.trajectory  # the lost lines may also have said that an instrument goes in
-        arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
-        workcell.take_up(arm, set_up.home_rad)
+    if not workcell.place.in_front_of and (found := guide_on_an_axis(engine)) is not None:
+        axis, beyond_mm = found
+        workcell.found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
         comparison.warn(
-            f"the guide is {beyond_mm:.0f} mm along {name}: an instrument is assumed to be inside"
+            f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
         workcell.instrument.assume_inside(IN_GAUGE)
@@ -144,7 +139,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
     """
     if (away := engine.setting.left_away) is None:
         return
-    if engine.setting.workcell.at_home:
+    if engine.setting.workcell.place.is_home:
         comparison.warn(f"{away}; it is at the home of this run now")
     elif away == NOT_KNOWN:  # it may have been this very run: the operator decides
         comparison.warn(away)
@@ -220,9 +215,9 @@ def _first(engine: Engine) -> tuple[str, ...]:
     first = []
     if (place := engine.instrument_in) is not None:
         first.append(f"first, by hand: {taking_out(place)}")
-    if (on := workcell.insertion) is not None:
-        first.append(f"the guide retreats from {on.trajectory} along its axis")
-    if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
+    if (on := workcell.place.trajectory) is not None:
+        first.append(f"the guide retreats from {on} along its axis")
+    if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
 
@@ -246,13 +241,13 @@ def _way_out(engine: Engine) -> bool:
     engine.have_instrument_out()
     following = engine.upcoming
     if (
-        workcell.insertion is not None
+        workcell.place.in_front_of
         and following is not None
         and engine.order.spec(following).moves
         and not engine.why_refused(following)
     ):
         engine.run_step(following)  # the work at the target is done: only the retreat itself remains
-    if workcell.insertion is None and workcell.at_home:
+    if workcell.place.is_home:
         return False
     engine.retreat_home()
     return True

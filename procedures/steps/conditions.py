@@ -24,9 +24,7 @@ def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tupl
         if workcell.tool is not tool:
             instead = remedy if workcell.tool is MountedTool.GUIDE else ""
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")
-        if workcell.insertion is not None:
-            reasons.append(f"the guide is held in front of the entry of {workcell.insertion.trajectory}")
-        return tuple(reasons)
+        return (*reasons, *workcell.place.in_front_of)
 
     return unmet
 
@@ -35,9 +33,9 @@ def exchangeable(context: StepContext) -> tuple[str, ...]:
     """The arm carries the stereo head; or an exchange was begun, and the arm is parked and cannot move."""
     workcell = context.workcell
     unmet = carries(MountedTool.STEREO_HEAD)(context)
-    if not unmet or workcell.insertion is not None or context.done_before:
+    if not unmet or context.done_before:
         return unmet
-    return () if not workcell.streaming and workcell.at_home else unmet
+    return () if not workcell.streaming and workcell.place.is_home else unmet
 
 
 def localizable(context: StepContext) -> tuple[str, ...]:
@@ -52,24 +50,23 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 def away_from_head(context: StepContext) -> tuple[str, ...]:
     """Nobody leans on the cart, or works at the clamp, while the arm reaches over the head."""
-    insertion = context.workcell.insertion
-    if insertion is not None:
-        return (f"the guide is held in front of the entry of {insertion.trajectory}",)
-    return () if context.workcell.at_home else ("the arm is not home: send it there first (home)",)
+    place = context.workcell.place
+    if place.is_home:
+        return ()
+    return place.in_front_of or ("the arm is not home: send it there first (home)",)
 
 
 def inserted(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry."""
-    insertion = context.workcell.insertion
-    if insertion is not None and insertion.trajectory == context.trajectory:
+    on = context.workcell.place.trajectory
+    if on == context.trajectory:
         return ()
-    where = "on no axis" if insertion is None else f"held in front of the entry of {insertion.trajectory}"
+    where = "on no axis" if on is None else f"held in front of the entry of {on}"
     return (f"the guide is {where}, not in front of that of {context.trajectory}",)
 
 
 def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry, or came back from it and went nowhere else."""
-    workcell = context.workcell
-    if workcell.insertion is None and workcell.history.withdrawn_from == context.trajectory:
+    if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)

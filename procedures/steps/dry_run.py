@@ -47,13 +47,13 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
     workcell = setting.workcell
     if key.name in (CheckedTool.kind, ConfirmedTarget.kind):
         lines = _over_the_gauge(case, setting)
-        return lines if workcell.at_home else ("the arm is not home; from home it would", *lines)
+        return lines if workcell.place.is_home else ("the arm is not home; from home it would", *lines)
     paths = stored.result
     if key.name == Relocalization.kind:
         motions = motions_over_spheres(paths.motions, key.trajectory)
     else:
         motions = [one for one in paths.motions if _belongs(one, key)]
-    if workcell.at_home or not motions or motions[0].start != HOME:
+    if workcell.place.is_home or not motions or motions[0].start != HOME:
         return _in_words(motions)
     over = _sphere_below(paths, key, workcell)
     if over is None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from ronna_hw.arm.kinematics import Kinematics
@@ -10,6 +11,8 @@ from ronna_hw.devices import RobotArm
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import ArmReading
+
+AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
 
 
 class ArmView:
@@ -50,6 +53,8 @@ class ArmView:
         return self._arm.observe()
 
 
-def stands_at(joints_rad: Sequence[float], place_rad: Sequence[float], within_rad: float) -> bool:
+def stands_at(
+    joints_rad: Sequence[float], place_rad: Sequence[float], within_rad: float = AT_PLACE_RAD
+) -> bool:
     """Whether every joint is nearer than that to where it is in a place."""
     return all(abs(here - there) < within_rad for here, there in zip(joints_rad, place_rad, strict=True))

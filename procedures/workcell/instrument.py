@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from procedures.journal.journal import Entry
 from procedures.workcell.arm_history import Stop
@@ -51,7 +50,7 @@ class Instrument:
     @property
     def inside(self) -> str | None:
         """The trajectory, or the gauge, in which it is or may be; None while it is out."""
-        return self._log.history.instrument_in
+        return self._log.history.place.instrument_may_be_inside
 
     def goes_in(self, trajectory: str) -> None:
         """From here on it counts as inside."""
@@ -63,8 +62,8 @@ class Instrument:
             self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
 
     def assume_inside(self, trajectory: str) -> None:
-        """It may be inside, although the journal does not say so."""
-        self._log.history = replace(self._log.history, instrument_in=trajectory, instrument_out=False)
+        """It may be inside, although no line before says so."""
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
 
     def require_out(self, what: str) -> None:
         """Raises TOOL-001 while it is inside."""

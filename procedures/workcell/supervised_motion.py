@@ -22,7 +22,7 @@ from procedures.workcell.motion_facts import in_a_question, motion_facts
 from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING
-from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.errors import RonnaError
 
 IN_WORDS = {
@@ -49,16 +49,13 @@ class SupervisedMotion:
         self,
         log: ArmLog,
         arm: Callable[[], RobotArm],
-        at_home: Callable[[], bool],
+        is_home: Callable[[JointVector], bool | None],
         require: Callable[[CellMotion], None],
     ) -> None:
-        """`at_home` measures whether the arm stands at home; it raises what reading raises.
-
-        `require` raises what forbids a motion from where the arm is.
-        """
+        """`is_home` compares joints with those of home; `require` raises what forbids a motion."""
         self._log = log
         self._arm = arm
-        self._at_home = at_home
+        self._is_home = is_home
         self._require = require
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
@@ -199,15 +196,17 @@ class SupervisedMotion:
             reached = drive()
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
-            kept = {"at_home": True} if isinstance(error, RonnaError) and self._rests_at_home() else {}
+            at_home = self._rests_at_home() if isinstance(error, RonnaError) else None
             with contextlib.suppress(JournalNotWritable):  # what ended the motion is told
-                self._log.note(Entry.MOVED, number=number, error=code, **kept)
+                self._log.note(Entry.MOVED, number=number, error=code, at_home=at_home)
             raise
-        self._log.note(Entry.MOVED, number=number, joints_rad=list(reached.joints_rad))
+        A, at_home = reached.joints_rad, self._is_home(reached.joints_rad)
+        self._log.note(Entry.MOVED, number=number, joints_rad=list(A), at_home=at_home)
         return reached
 
-    def _rests_at_home(self) -> bool:
-        """Whether a motion that failed led the arm nowhere: refused, or stopped before it began."""
+    def _rests_at_home(self) -> bool | None:
+        """Where a motion that failed left the arm; None if its joints cannot be read."""
         with contextlib.suppress(RonnaError):
-            return self._arm().state in RUNNING and self._at_home()
-        return False
+            if self._arm().state in RUNNING:
+                return self._is_home(self._arm().read_state().joints_rad)
+        return None

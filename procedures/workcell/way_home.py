@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 from procedures.results.errors import StepRefused
@@ -10,8 +9,6 @@ from procedures.workcell.arm_view import stands_at
 from procedures.workcell.cell_motion import CellMotion, MotionName
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector
-
-AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
 
 
 class WayHome:
@@ -56,10 +53,9 @@ class WayHome:
         """Where the arm was since it left home, the last place first."""
         return tuple(reversed(self._trail()))
 
-    @property
-    def at_home(self) -> bool:
-        """Whether the measured joints are those of home."""
-        return self._home_rad is not None and stands_at(self._joints_rad(), self._home_rad, AT_HOME_RAD)
+    def is_home(self, joints_rad: JointVector) -> bool | None:
+        """Whether these joints are those of home; None before there is one."""
+        return None if self._home_rad is None else stands_at(joints_rad, self._home_rad)
 
     def go(self) -> ArmReading:
         """A joint move home, each joint arriving from the same side: small changes then show there."""

@@ -12,11 +12,12 @@ from dataclasses import replace
 from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
-from procedures.journal.journal import Journal
+from procedures.journal.journal import Entry, Journal
 from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
-from procedures.workcell.arm_view import ArmView
+from procedures.workcell.arm_place import ArmPlace, Where
+from procedures.workcell.arm_view import ArmView, stands_at
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.device_views import DeviceView, StereoView, TrackerView
@@ -69,13 +70,13 @@ class Workcell:
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
-        self.supervised = SupervisedMotion(
-            self._log, lambda: self._arm, lambda: self.at_home, self._require_allowed
-        )
         self._way_home = WayHome(
             self.joints_rad,
             lambda: self._log.history.trail,
             lambda what, to_rad: self.supervised.carry_out(self._joint_motion(what, *_legs(what, to_rad))),
+        )
+        self.supervised = SupervisedMotion(
+            self._log, lambda: self._arm, self._way_home.is_home, self._require_allowed
         )
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
@@ -149,11 +150,6 @@ class Workcell:
         return self._arm.observe().state in RUNNING
 
     @property
-    def at_home(self) -> bool:
-        """Whether the measured joints are those of home. Raises the arm's error where it reports none."""
-        return self._way_home.at_home
-
-    @property
     def checked_tool_number(self) -> int | None:
         """The number of the tool that was found mounted; None while that is not known."""
         return self._mount.checked_number
@@ -205,16 +201,35 @@ class Workcell:
 
     def set_home(self) -> JointVector:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
-        return self._way_home.set_home()
+        home_rad = self._way_home.set_home()
+        self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
+        return home_rad
 
-    def take_up(self, history: ArmHistory, home_rad: JointVector) -> None:
-        """Restore how a run that is resumed left the arm. Moves nothing."""
-        self._way_home.take_up(home_rad)
+    def take_up(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
+        """Restore how a run that is resumed left the arm; home stays where it is not given. Moves nothing."""
+        if home_rad is not None:
+            self._way_home.take_up(home_rad)
         self._log.history = history
 
-    def take_up_hands(self, history: ArmHistory) -> None:
-        """Restore what the hands at the guide had done; where the arm is stays as known."""
-        self._log.history = self._log.history.with_hands_of(history)
+    def compare_place(self) -> None:
+        """Compare the measured joints with home, and write down if the arm is not where the journal says.
+
+        Somebody may have jogged it. An axis it left by hand is compared before the next motion along it.
+        Raises the arm's error where it reports no joints.
+        """
+        if self._way_home.known_rad is None:
+            return
+        joints_rad = self.joints_rad()
+        at_home = stands_at(joints_rad, self.home_rad)
+        if at_home != self.place.is_home or self.place.where is Where.UNKNOWN:
+            self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
+
+    def found_on_axis(self, axis: Insertion) -> None:
+        """The guide was found on an axis on which the journal does not have it: its lines may be lost."""
+        joints_rad, plain = list(self.joints_rad()), axis.as_plain()
+        self._log.note(
+            Entry.PLACED, joints_rad=joints_rad, at_home=False, trajectory=axis.trajectory, axis=plain
+        )
 
     # Moving
 
@@ -224,15 +239,9 @@ class Workcell:
         return self._log.history
 
     @property
-    def insertion(self) -> Insertion | None:
-        """The axis on which the guide is held, or on its way there."""
-        return self._log.history.insertion
-
-    @property
-    def away(self) -> bool:
-        """Whether the arm was led away from home and is not known to be back. Raises as `at_home`."""
-        unknown = self.insertion is not None or self._arm.state is Lifecycle.FAULT  # which reports no joints
-        return self._log.history.left_home and (unknown or not self.at_home)
+    def place(self) -> ArmPlace:
+        """Where the arm is, and whether an instrument may be inside."""
+        return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
         """Say what is carried and what stands around it: checks are exact near these joints, or home."""
@@ -327,10 +336,11 @@ class Workcell:
         Raises PRO-014 when the guide is not on that trajectory, PRO-015 when it is beside its axis, TOOL-001
         while an instrument is in it.
         """
-        if (insertion := self.insertion) is None or insertion.trajectory != trajectory:
-            on = "no trajectory" if insertion is None else insertion.trajectory
+        axis = self.place.axis
+        if axis is None or axis.trajectory != trajectory:
+            on = self.place.trajectory or "no trajectory"
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
-        return self.supervised.carry_out(self.withdrawing(insertion))
+        return self.supervised.carry_out(self.withdrawing(axis))
 
     def recover(self, role: str, by: str) -> None:
         """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
@@ -339,7 +349,7 @@ class Workcell:
         if device is self._arm:
             self._way_home.settled = False  # somebody may have jogged it
             self.supervised.begin_anew()
-            if self.insertion is None:  # what is on an axis is the guide
+            if not self.place.in_front_of:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
@@ -371,7 +381,7 @@ class Workcell:
 
     def _require_allowed(self, motion: CellMotion) -> None:
         """Along its axis while the guide is on it: after a stop someone may have pushed it aside."""
-        on, axis = self.insertion, motion.axis
+        on, axis = self.place.axis, motion.axis
         if axis is None or (on is not None and axis.trajectory != on.trajectory):
             self._require_outside(motion.what)
         else:
@@ -394,11 +404,8 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        if self.insertion is not None:
-            raise InstrumentInside(
-                f"{what}: the guide is held in front of the entry of {self.insertion.trajectory}",
-                expected=f"a retreat along {self.insertion.trajectory}",
-            )
+        for held in self.place.in_front_of:
+            raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
 
 
 def _legs(what: MotionName, to_rad: JointVector) -> tuple[JointMove, ...]:

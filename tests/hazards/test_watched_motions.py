@@ -70,7 +70,7 @@ def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registrat
     ]
     assert engine.machine.state == "held"
     engine.retreat_home()  # not stopped by the same shift
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 def test_a_shift_in_the_first_frame_stops_the_arm_before_the_motion_begins(

@@ -144,15 +144,15 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
     """After an interruption, or a failure away from home: where the arm is, and which commands continue."""
     if not (folder / REQUEST_FILE).exists():
         return
-    from procedures.workcell.arm_history import arm_history
+    from procedures.workcell.arm_history import history_left_by
 
     interrupted = isinstance(problem, KeyboardInterrupt)
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
-        history = arm_history(read_chain(folder / JOURNAL_FILE).lines)
+        history = history_left_by(read_chain(folder / JOURNAL_FILE))
         if _left_by_another(folder):  # what ends this run names the commands of that one
             return
-        if history.left_home or (interrupted and history.motions):
+        if history.place.is_out or (interrupted and history.motions):
             first = _theatre_again(folder) if isinstance(problem, ClockUnavailable) else ""
             tell(
                 f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "

@@ -11,7 +11,7 @@ from pathlib import Path
 from procedures.cli.case.request_file import read_request
 from procedures.engine.theatre_note import NOT_KNOWN, TheatreNote, is_there
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.workcell.arm_history import arm_history
+from procedures.workcell.arm_history import history_left_by
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
@@ -30,15 +30,15 @@ def left_away(note: TheatreNote, run: Path | None) -> str | None:
         return None
     try:
         chain = read_chain(last / JOURNAL_FILE)
-        away = arm_history(chain.lines).left_home
-        if not (away or chain.torn):
+        place = history_left_by(chain).place
+        if not place.is_out:
             return None
     except (RonnaError, OSError):
         if is_there(last):
             return f"run {last.name} moved the arm last, and its journal cannot be read"
         gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
         return None if note.at_home else f"{gone}; put it back for ronna-procedure home, or {JOG}"
-    verb = "left" if away else "has lost the end of its journal, and may have left"
+    verb = "has lost the end of its journal, and may have left" if chain.torn else "left"
     left = f"run {last.name} {verb} the arm away from its home"
     try:
         read_request(last)
@@ -53,15 +53,10 @@ def instrument_left(note: TheatreNote) -> tuple[Path, str] | None:
     if last is None:
         return None
     try:
-        chain = read_chain(last / JOURNAL_FILE)
-        arm = arm_history(chain.lines)
+        inside = history_left_by(read_chain(last / JOURNAL_FILE)).place.instrument_in_words
     except (RonnaError, OSError):  # `left_away` says that nothing is known of it
         return None
-    if arm.instrument_in is not None:
-        return last, f"an instrument is still in {arm.instrument_in}"
-    if arm.insertion is not None and (chain.torn or not arm.instrument_out):  # as a resumed run assumes
-        return last, f"an instrument may still be in {arm.insertion.trajectory}"
-    return None
+    return None if inside is None else (last, inside)
 
 
 def _is_same(last: Path, run: Path) -> bool:

@@ -106,7 +106,7 @@ def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: b
 def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
     """Whether only the last line is missing: what ends a case that runs would have ended this one."""
     order = order_of_case(request, left.run.path)
-    return Course(order, left.restored(order)).over and not left.arm.left_home
+    return Course(order, left.restored(order)).over and not left.arm.place.is_out
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

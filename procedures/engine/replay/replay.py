@@ -126,6 +126,7 @@ class _Replay:
         self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)
         self._stops = _RecordedStops(self._operator, setting.workcell)
         self._engine.checkpoint.guards.append(self._stops)
+        self._engine.compare_place = lambda: None  # what was measured between steps is in the journal
 
     def run(self) -> Iterator[ReplayedRecord]:
         """Everything that began in the run, one after the other."""
@@ -133,7 +134,7 @@ class _Replay:
         for begin, line, following in self._sections():
             self._answers.begin(begin)
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
-            self._engine.setting.workcell.take_up_hands(arm_history(self._run.journal[:begin]))
+            self._engine.setting.workcell.take_up(arm_history(self._run.journal[:begin]))
             self._operator.begin(following)
             self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
@@ -146,14 +147,14 @@ class _Replay:
             elif end is not None and end["entry"] == Entry.FAILED:
                 with suppress(RonnaError):
                     self._engine.run_step(self._engine.order.find(str(line["step"])))
-            for number, one in enumerate(following, begin + 1):
+            for one in following:
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.faults.acknowledge(str(one["by"]))
                 elif one["entry"] == Entry.VOIDED:
                     self._void(step_key(one))
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest()
-                    self._take_up(number)
+                    self._engine.setting.memory.clear()
                 elif one["entry"] == Entry.FOUND:  # the tracker looked while nothing streamed
                     self._rest()
         self._engine.close("replayed")
@@ -182,13 +183,6 @@ class _Replay:
             if device.state is not Lifecycle.DISCONNECTED:
                 device.recover("")
         self._engine.setting.workcell.stop()
-
-    def _take_up(self, line: int) -> None:
-        """As a new program takes up the arm that the lines before this one left."""
-        workcell = self._engine.setting.workcell
-        self._engine.setting.memory.clear()
-        with suppress(StepRefused):  # it had no home yet, and had not moved
-            workcell.take_up(arm_history(self._run.journal[:line]), workcell.home_rad)
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
         """Each line that something begins with, after its number, and the lines up to the next such one."""

@@ -69,8 +69,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
-    insertion = workcell.insertion
-    reached = workcell.tool_pose(arrived=None if insertion is None else insertion.arriving)
+    axis = workcell.place.axis
+    reached = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
     beside_mm = reached.translation_mm - commanded.translation_mm
     error_mm = float(np.linalg.norm(beside_mm))
     if error_mm > POSITION_LIMIT_MM:

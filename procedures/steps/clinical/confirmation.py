@@ -65,7 +65,7 @@ def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
     try:
         found = read_on_gauge(context)
     except REFUSED as problem:
-        if not context.workcell.at_home:  # it was reached, and the way back is not clear
+        if not context.workcell.place.is_home:  # it was reached, and the way back is not clear
             raise
         doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
         return SeenUnchanged.guide(None)

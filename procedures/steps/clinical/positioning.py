@@ -37,7 +37,6 @@ from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
 from procedures.workcell.arm_view import stands_at
-from procedures.workcell.way_home import AT_HOME_RAD
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
@@ -71,7 +70,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     with refused_by_name(trajectory):
         approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
-    by_home = not (workcell.at_home and workcell.settled_home)
+    by_home = not (workcell.place.is_home and workcell.settled_home)
     with refused_by_name(trajectory):
         workcell.supervised.confirm(
             Topic.APPROACH,
@@ -147,7 +146,7 @@ def refused_by_name(trajectory: str, moving: Workcell | None = None) -> Iterator
 
 def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
     with suppress(RonnaError):  # an arm in fault reports no joints
-        return stands_at(workcell.joints_rad(), at_rad, AT_HOME_RAD)
+        return stands_at(workcell.joints_rad(), at_rad)
     return False
 
 

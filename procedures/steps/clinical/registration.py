@@ -363,10 +363,7 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 
 def _outside(context: StepContext) -> tuple[str, ...]:
     """With the guide mounted the head is measured again, at home."""
-    insertion = context.workcell.insertion
-    return (
-        () if insertion is None else (f"the guide is held in front of the entry of {insertion.trajectory}",)
-    )
+    return context.workcell.place.in_front_of
 
 
 STEP = StepSpec(

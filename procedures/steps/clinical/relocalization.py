@@ -98,7 +98,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     where, frame_mm = "before the spheres are localized again", None
-    if workcell.at_home:  # what moves from here on shows when the arm is home again
+    if workcell.place.is_home:  # what moves from here on shows when the arm is home again
         check_room(context, where)
         workcell.start(cameras=True)
         workcell.return_home()

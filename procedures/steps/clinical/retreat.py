@@ -27,7 +27,7 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if (on := workcell.insertion) is not None:
+    if (on := workcell.place.axis) is not None:
         context.have_instrument_out()
         withdraw(workcell, on, context.trajectory)
     context.result(PositionedGuide)

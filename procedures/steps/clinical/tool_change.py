@@ -31,7 +31,11 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     """Park, stop RSI, have the tool changed, then read the mounted tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
-    if workcell.identify_mounted() is MountedTool.STEREO_HEAD or workcell.streaming or not workcell.at_home:
+    if (
+        workcell.identify_mounted() is MountedTool.STEREO_HEAD
+        or workcell.streaming
+        or not workcell.place.is_home
+    ):
         _park(context)  # else an exchange was begun, and not ended
     link = link_health(context)
     mounted = exchange_for(context, MountedTool.GUIDE)

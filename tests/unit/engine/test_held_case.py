@@ -73,7 +73,7 @@ def test_homing_an_arm_in_fault_is_refused_with_the_reason(cell: RecordingCell) 
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(StepRefused, match="the arm cannot move: the arm is in fault"):
         engine.retreat_home()
-    assert cell.entries() == []
+    assert cell.entries("home", "motion") == []
 
 
 @pytest.mark.parametrize("name", ["", " ", "123", "7 8"])
@@ -139,7 +139,7 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
     assert cell.arm.joints_rad == HOME
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
     assert engine.machine.state == "held"
 
 
@@ -157,7 +157,7 @@ def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: Record
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
-    assert cell.workcell.insertion is not None
+    assert cell.workcell.place.in_front_of
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
@@ -166,10 +166,10 @@ def test_a_failed_retreat_can_be_repeated(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
         engine.retreat_home()
-    assert cell.workcell.insertion is not None
+    assert cell.workcell.place.in_front_of
     cell.arm.failing = None
     engine.retreat_home()
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
 
 
 @pytest.mark.branch("ABORTED")
@@ -182,7 +182,7 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
     assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"
 

@@ -231,7 +231,7 @@ def test_the_arm_goes_home_and_the_case_ends_well_once_every_target_is_finished(
     asked = [one.topic for one in cell.operator.asked]
     last = asked[len(asked) - asked[::-1].index(Topic.CART_MOVED) - 1 :]
     assert last == [Topic.CART_MOVED, *([Topic.RETREAT] if at == BOTH_FINISHED else []), Topic.PARK]
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
     assert engine.over
     assert engine.machine.state == "finished"
 

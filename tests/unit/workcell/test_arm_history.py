@@ -36,8 +36,8 @@ def cell(cell: RecordingCell) -> RecordingCell:
 
 def compared(history: ArmHistory) -> tuple[ArmHistory, object]:
     """With the axis in plain numbers: a pose has no equality."""
-    axis = None if history.insertion is None else history.insertion.as_plain()
-    return replace(history, insertion=None), axis
+    axis = None if history.place.axis is None else history.place.axis.as_plain()
+    return replace(history, place=replace(history.place, axis=None)), axis
 
 
 def ahead(cell: RecordingCell) -> Insertion:
@@ -131,28 +131,28 @@ def test_the_arm_is_away_from_when_it_leaves_home_until_it_is_back(
     cell: RecordingCell, made: Callable[[RecordingCell], None], is_away: bool
 ) -> None:
     made(cell)
-    assert cell.workcell.away is is_away
-    assert cell.workcell.history.left_home is is_away
+    assert cell.workcell.place.is_out is is_away
+    assert cell.workcell.place.is_home is not is_away
 
 
 @pytest.mark.hazard(5)
 def test_a_first_motion_that_failed_on_its_way_leaves_the_arm_away(cell: RecordingCell) -> None:
     failed(cell)
     cell.arm.joints_rad = AWAY
-    assert cell.workcell.away
+    assert cell.workcell.place.is_out
 
 
 def test_an_arm_in_fault_that_left_home_is_away_until_its_joints_are_read(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.workcell.go(AWAY)
     cell.arm.joints_rad, cell.arm.state = HOME, Lifecycle.FAULT
-    assert cell.workcell.away
+    assert cell.workcell.place.is_out
 
 
 def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: RecordingCell) -> None:
     cell.workcell.go(AWAY)
     cell.workcell.go(HOME)
-    assert not cell.workcell.away
+    assert not cell.workcell.place.is_out
 
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
@@ -163,7 +163,7 @@ def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home
     cell.workcell.supervised.ask_before(resting, declining)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
 
 
 @pytest.mark.hazard(2)
@@ -180,8 +180,8 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
 def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
     withdrawn(cell)
     cell.workcell.instrument.assume_inside("T1")
-    history = cell.workcell.history
-    assert (history.instrument_in, history.instrument_out) == ("T1", False)
+    assert cell.workcell.place.instrument_may_be_inside == "T1"
+    assert not cell.workcell.history.instrument_out
 
 
 def test_only_the_last_positions_of_a_long_way_are_kept() -> None:

@@ -16,6 +16,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmHistory
+from procedures.workcell.arm_place import ArmPlace, Where
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import Capsule
@@ -77,7 +78,7 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
     on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
-    cell.workcell.take_up(ArmHistory(insertion=on), cell.workcell.home_rad)
+    cell.workcell.take_up(ArmHistory(place=ArmPlace(Where.ON_AXIS, on)), cell.workcell.home_rad)
     cell.workcell.withdraw("T1")
 
 

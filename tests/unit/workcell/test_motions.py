@@ -134,7 +134,7 @@ def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_
     cell.arm.motions.clear()
     cell.workcell.return_home()
     assert [to for _, to in cell.arm.motions] == [last, across, HOME]
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
@@ -155,12 +155,12 @@ def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
 
 def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> None:
     made = inserted(cell)
-    assert (on := cell.workcell.insertion) is not None
+    assert (on := cell.workcell.place.axis) is not None
     assert on.as_plain() == made.as_plain()
     reached = tool_pose(cell.arm.joints_rad, cell)
     assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
     cell.workcell.withdraw("T1")
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
@@ -233,7 +233,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     with pytest.raises(TipOffAxis, match="PRO-015: the guide is not on the axis of T1"):
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
-    assert cell.workcell.insertion is not None
+    assert cell.workcell.place.in_front_of
 
 
 @pytest.mark.hazard(24)

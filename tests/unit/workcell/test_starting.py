@@ -56,7 +56,7 @@ def test_a_confirmed_start_is_a_motion_in_the_journal_and_leads_the_arm_nowhere(
     cell.workcell.start()
     lines = [(line["entry"], line["number"], line.get("what")) for line in motion_lines(tmp_path)]
     assert lines == [("motion", 1, "start"), ("moved", 1, None)]
-    assert not cell.workcell.history.left_home
+    assert not cell.workcell.place.is_out
 
 
 def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> None:

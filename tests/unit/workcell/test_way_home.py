@@ -6,7 +6,8 @@ from procedures.journal.journal import Entry
 from procedures.operator.errors import OperatorAborted
 from procedures.results.errors import StepRefused
 from procedures.workcell.arm_history import ArmHistory
-from procedures.workcell.way_home import AT_HOME_RAD, WayHome
+from procedures.workcell.arm_view import AT_PLACE_RAD, stands_at
+from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector, Stamp, Validity
 
@@ -32,7 +33,10 @@ class Arm:
             raise OperatorAborted("left while the motion was stopped")
         self.moves.append((what, joints_rad))
         self.joints_rad = joints_rad
-        self.history = self.history.after({"entry": Entry.MOVED, "joints_rad": list(joints_rad)})
+        at_home = stands_at(joints_rad, HOME)
+        self.history = self.history.after(
+            {"entry": Entry.MOVED, "joints_rad": list(joints_rad), "at_home": at_home}
+        )
         return ArmReading(Stamp(0, 0, 0.0), Validity.OK, joints_rad, None, moving=False)
 
 
@@ -80,8 +84,8 @@ def test_the_way_is_forgotten_at_home(arm: Arm) -> None:
 def test_the_arm_is_at_home_when_every_joint_is_near_its_home_angle(
     arm: Arm, beside: float, at_home: bool
 ) -> None:
-    arm.joints_rad = (*HOME[:5], HOME[5] + beside * AT_HOME_RAD)
-    assert arm.way.at_home is at_home
+    arm.joints_rad = (*HOME[:5], HOME[5] + beside * AT_PLACE_RAD)
+    assert arm.way.is_home(arm.joints_rad) is at_home
 
 
 def test_a_restored_way_leads_back_like_the_original_one(arm: Arm) -> None:
@@ -95,7 +99,7 @@ def test_a_restored_way_leads_back_like_the_original_one(arm: Arm) -> None:
 
 def test_nothing_moves_home_before_a_home_is_set() -> None:
     arm = Arm()
-    assert not arm.way.at_home
+    assert arm.way.is_home(arm.joints_rad) is None
     with pytest.raises(StepRefused, match="Run set_up first"):
         arm.way.go()
     assert arm.moves == []

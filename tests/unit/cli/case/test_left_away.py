@@ -40,7 +40,7 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
     with held_theatre(theatre, cell.folder):
         for what in whats:
             cell.journal.write(Entry.MOTION, 0.0, what=what)
-            cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME))
+            cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=what == "home")
     cell.journal.close()
     return cell.folder
 
@@ -224,7 +224,7 @@ def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -
     engine.setting = replace(engine.setting, left_away="run A left the arm away from its home")
     with pytest.raises(NotConfirmed, match="run A left the arm away"):
         engine.run_to()
-    assert not cell.workcell.at_home
+    assert not cell.workcell.place.is_home
 
 
 def test_the_doctor_says_what_a_new_case_would_be_warned_of(tmp_path: Path) -> None:

@@ -287,7 +287,7 @@ def test_an_abort_on_the_agreed_way_home_is_led_home_where_only_a_console_is_att
         eventually(lambda: len(case.ended_by) == 1)
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert case.engine.machine.state == "aborted"
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 @pytest.mark.branch("ABORTED")

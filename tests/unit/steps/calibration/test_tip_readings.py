@@ -69,7 +69,7 @@ def test_the_order_is_ball_then_guide_then_divot(cell: ClinicalCell) -> None:
     read(cell)
     assert cell.room.stand == ["ball", "divot"]
     assert [number for number, _, _ in cell.room.changed] == [GUIDE]
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 @pytest.mark.parametrize("topic", [Topic.CALIBRATION, Topic.TOOL_CHANGE])
@@ -106,7 +106,7 @@ def test_the_arm_stands_still_while_hands_are_at_the_divot_until_it_is_confirmed
     assert "hands are clear" in cell.operator.asked[-1].subject
     with pytest.raises(InstrumentInGuide, match=r"TOOL-001: home: .*in the divot"):
         cell.workcell.go_home()
-    assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).instrument_in == IN_DIVOT
+    assert arm_history(read_journal(cell.folder / JOURNAL_FILE)).place.instrument_may_be_inside == IN_DIVOT
 
 
 def test_a_stand_without_its_ball_is_refused_with_its_position_and_the_keys_that_state_it(

@@ -260,7 +260,7 @@ def test_after_the_last_target_a_change_is_a_finding_on_it_and_the_case_ends(
     assert [targets for _, targets in findings(cell)] == [[LAST]]
     assert cell.entries("voided") == []
     assert engine.machine.state == "finished"
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 @pytest.mark.hazard(12)
@@ -314,7 +314,7 @@ def test_an_arm_that_cannot_leave_the_gauge_ends_the_look(cell: ClinicalCell, en
     cell.arm.blocked = blocked_at_the_gauge
     with pytest.raises(NotClear):
         look_after(engine, FIRST)
-    assert not cell.workcell.at_home
+    assert not cell.workcell.place.is_home
 
 
 @pytest.mark.hazard(12)

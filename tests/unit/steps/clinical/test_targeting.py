@@ -100,8 +100,8 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 
 def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
-    assert cell.workcell.insertion is not None
-    assert cell.workcell.insertion.trajectory == FIRST
+    assert cell.workcell.place.in_front_of
+    assert cell.workcell.place.on_axis_of(FIRST)
     assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
     assert cell.motions("insert") == [FIRST]
 
@@ -196,7 +196,7 @@ def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
     assert kind == "line"
     assert back == pytest.approx(over, abs=1e-6)
     assert home == HOME_RAD
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
 
 
 TARGETING = ("positioning", "at_target", "retreat")
@@ -275,7 +275,7 @@ def test_a_damaged_record_does_not_keep_the_guide_from_retreating(cell: Clinical
         path.unlink()
     with pytest.raises(BadRecord):
         run(engine, f"retreat:{FIRST}")
-    assert cell.workcell.insertion is None
+    assert not cell.workcell.place.in_front_of
 
 
 def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guide_mounted(
@@ -311,7 +311,7 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
     with pytest.raises(NotReachable, match=r"the way is not clear.*; the arm has moved") as refused:
         run(engine, f"positioning:{FIRST}")
     assert refused.value.advice.startswith("The arm is on its way: send it home.")
-    assert not cell.workcell.at_home
+    assert not cell.workcell.place.is_home
 
 
 def after_a_fault(cell: ClinicalCell) -> Engine:

@@ -68,7 +68,7 @@ def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
 ) -> None:
     with pytest.raises(ToolBesideGauge, match=r"TOOL-005: .*limit 0\.05 mm, 0\.1 deg"):
         check(cell, *dials_mm)
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
     assert not cell.workcell.streaming  # hands seat the guide anew
     assert [task.name for task in cell.room.worked].count(GAUGE) == 2 * MOST_APPROACHES  # mounted twice
 
@@ -179,7 +179,7 @@ def test_dials_read_an_hour_before_the_result_are_refused(
     monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the dials of the gauge: read too long ago"):
         check(cell, *(0.0,) * 5)
-    assert cell.workcell.at_home
+    assert cell.workcell.place.is_home
 
 
 @pytest.mark.hazard(47)
