@@ -103,3 +103,10 @@ class MethodAnswerWrong(DataError):
 
     code = "STU-014"
     action = "Correct what it returns; docs/how-to/research/own-methods.md shows one of each kind."
+
+
+class WorldNotRun(DataError):
+    """The case of a world drawn at random was not begun, so that there is nothing to judge."""
+
+    code = "STU-015"
+    action = "Repeat this world with --only to see the reason."

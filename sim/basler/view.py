@@ -64,7 +64,7 @@ class View:
         if robot_from_tool is None:
             return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
-        centres = apply(camera_from_robot, self._centres_mm + room.of_spheres_mm(self._numbers))
+        centres = apply(camera_from_robot, room.moved_spheres_mm(self._centres_mm, self._numbers))
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         seen = [
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)

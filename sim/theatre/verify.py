@@ -155,10 +155,8 @@ def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | No
 
 
 def _verify_target(scene: Scene, trajectory: dict[str, Any], sample: TipSample) -> dict[str, Any]:
-    robot_from_ct = matrix_of(scene.head.robot_from_ct)
-    target, entry = (
-        apply(robot_from_ct, trajectory[end]) + sample.head_shift_mm for end in ("target_mm", "entry_mm")
-    )
+    robot_from_ct = sample.head_moved @ matrix_of(scene.head.robot_from_ct)
+    target, entry = (apply(robot_from_ct, trajectory[end]) for end in ("target_mm", "entry_mm"))
     tip = np.array(sample.tip_mm)
     planned_axis = (target - entry) / np.linalg.norm(target - entry)
     error = tip - target

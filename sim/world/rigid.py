@@ -105,3 +105,13 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
     (x0, x1, x2), (z0, z1, z2) = x.tolist(), z.tolist()
     y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross takes ten times as long
     return np.array([x, y, z]).T.copy()
+
+
+def vector_from_rotation(rotation: ArrayLike) -> Matrix:
+    """Axis-angle vector (3,) of a rotation matrix by less than half a turn."""
+    w, *axis = quaternion_from_rotation(rotation)
+    half_sine = float(np.linalg.norm(axis))
+    if half_sine == 0.0:
+        return np.zeros(3)
+    vector: Matrix = np.array(axis) * (2.0 * np.arctan2(half_sine, w) / half_sine)
+    return vector

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import radians
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.world.faults import Fault, FaultBoard
-from sim.world.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
-from sim.world.rigid import Matrix, rotation_from_vector
+from sim.world.faults.room import CART, DEVICE, GUIDE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
+from sim.world.rigid import Matrix, apply, matrix_from, matrix_of, rotation_from_vector, vector_from_rotation
 from sim.world.world import World
 
 Array = NDArray[np.float64]
@@ -22,21 +21,25 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True)
 class RoomShift:
-    """Displacements of head and tracker relative to the robot base.
+    """Displacements of head and tracker relative to the robot base: a turn about its origin, then a shift.
 
-    `spheres_mm` by number: additional displacements of single spheres on the head.
+    Turns are rotation vectors. `spheres_mm` by number: additional displacements of single spheres.
     """
 
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
+    head_rad: Vector = STILL
+    tracker_rad: Vector = STILL
     guide_mm: Vector = STILL  # displacement of the mounted tool by a hand
     guide_rad: Vector = STILL  # turn of it about the tracked frame, a rotation vector
     spheres_mm: tuple[tuple[int, Vector], ...] = ()
 
-    def of_spheres_mm(self, numbers: Sequence[int]) -> Array:
-        """Displacements (n, 3) of the spheres with these numbers."""
+    def moved_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
+        """Where the spheres with these numbers are (n, 3), from their places in the scene; robot frame."""
         alone = dict(self.spheres_mm)
-        return np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3) + self.head_mm
+        loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
+        places: Array = apply(rigid_move(self.head_rad, self.head_mm), places_mm) + loose
+        return places
 
 
 NOTHING_MOVED = RoomShift()
@@ -49,6 +52,8 @@ class ShiftedRoom:
         self._world = world
         self._board = FaultBoard(world, DEVICE)
         self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
+        head = world.scene.head
+        self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
 
     def now(self) -> RoomShift:
         """The current displacements."""
@@ -60,15 +65,25 @@ class ShiftedRoom:
             [[float(each) for each in one.arguments] for one in self._board.active(PUSH.name)]
         )
         turns = self._board.active(TURN.name)
+        back = rotation_from_vector(np.radians(_sum(turns, CART))).T  # a turned cart turns all else back
+        head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
+        swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
         give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
         loose = self._board.active(LOOSEN.name)
         return RoomShift(
-            _apart(_sum(faults, HEAD), cart),
-            _apart(_sum(faults, TRACKER), cart),
+            _vector(back @ (_apart(_sum(faults, HEAD), cart) + swing_mm)),
+            _vector(back @ _apart(_sum(faults, TRACKER), cart)),
+            _vector(vector_from_rotation(back @ head_turn)),
+            _vector(vector_from_rotation(back)),
             give,
-            _total([[radians(float(each)) for each in one.arguments] for one in turns]),
+            _vector(np.radians(_sum(turns, GUIDE))),
             tuple((int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})),
         )
+
+
+def rigid_move(turn_rad: Vector, shift_mm: Vector) -> Matrix:
+    """A turn about the robot's origin, then a shift (4, 4)."""
+    return matrix_from(shift_mm, rotation_from_vector(turn_rad))
 
 
 def yielded(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
@@ -103,6 +118,10 @@ def _total(ways: Sequence[Sequence[float]]) -> Vector:
     return (x, y, z)
 
 
-def _apart(one: Vector, other: Vector) -> Vector:
-    x, y, z = (a - b for a, b in zip(one, other, strict=True))
+def _apart(one: Vector, other: Vector) -> Array:
+    return np.array(one) - np.array(other)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(value) for value in values)
     return (x, y, z)

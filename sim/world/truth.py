@@ -11,7 +11,8 @@ from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
-from sim.world.room_shift import STILL, ShiftedRoom
+from sim.world.rigid import Matrix
+from sim.world.room_shift import STILL, ShiftedRoom, rigid_move
 from sim.world.true_guide import TrueGuide
 from sim.world.world import World
 
@@ -31,7 +32,14 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide's bore, unit vector
-    head_shift_mm: Numbers3 = STILL  # displacement of the head from its place in the scene, robot frame
+    # Displacement of the head from its place in the scene, robot frame: turned about the origin, then shifted.
+    head_shift_mm: Numbers3 = STILL
+    head_turn_rad: Numbers3 = STILL
+
+    @property
+    def head_moved(self) -> Matrix:
+        """The displacement of the head (4, 4)."""
+        return rigid_move(self.head_turn_rad, self.head_shift_mm)
 
 
 def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
@@ -39,6 +47,7 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
 
     `draw` distinguishes insertions there: each has a different position within the bore's play.
     """
+    room = ShiftedRoom(world).now()
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
@@ -46,7 +55,8 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
         arm_at_rest=world.arm().at_rest,
         tip_mm=_three(guide.instrument_tip_mm(stop_mm, target, draw)),
         axis=_three(guide.tip_frame()[:3, 2]),
-        head_shift_mm=ShiftedRoom(world).now().head_mm,
+        head_shift_mm=room.head_mm,
+        head_turn_rad=room.head_rad,
     )
 
 

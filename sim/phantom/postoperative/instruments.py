@@ -65,10 +65,11 @@ def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]
     samples = {sample.target: sample for sample in read_samples(theatre)}  # the last one of each target
     if not samples:
         raise NothingToVerify(f"{run} reached no target")
-    ct_from_robot = inverse(matrix_of(scene.head.robot_from_ct))
+    robot_from_ct = matrix_of(scene.head.robot_from_ct)
     found = []
     for identifier, sample in samples.items():
-        tip = apply(ct_from_robot, np.subtract(sample.tip_mm, sample.head_shift_mm))
+        ct_from_robot = inverse(sample.head_moved @ robot_from_ct)
+        tip = apply(ct_from_robot, sample.tip_mm)
         inwards = ct_from_robot[:3, :3] @ np.array(sample.axis)
         found.append(Instrument(identifier, kind, _point(tip), _point(-inwards / np.linalg.norm(inwards))))
     return scene, tuple(found)

@@ -15,7 +15,7 @@ from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.room_shift import NOTHING_MOVED, RoomShift, yielded
+from sim.world.room_shift import NOTHING_MOVED, RoomShift, rigid_move, yielded
 from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME_NAME
 from sim.world.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
@@ -78,7 +78,7 @@ class TrueScene:
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
         """The fiducials as displaced by the room's faults."""
-        return apply(self._tracker_from(room), self._centres_mm + room.of_spheres_mm(self.fiducial_numbers))
+        return apply(self._tracker_from(room), room.moved_spheres_mm(self._centres_mm, self.fiducial_numbers))
 
     def bodies(
         self,
@@ -166,9 +166,7 @@ class TrueScene:
         """TRACKER <- ROBOT with the tracker as displaced by the room's faults."""
         if room is NOTHING_MOVED:
             return self._tracker_from_robot
-        moved = self._tracker_from_robot.copy()
-        moved[:3, 3] -= moved[:3, :3] @ room.tracker_mm
-        return moved
+        return self._tracker_from_robot @ inverse(rigid_move(room.tracker_rad, room.tracker_mm))
 
 
 def _disturbed(

@@ -23,6 +23,7 @@ class Fault:
     at_s: float | None = None
     step: str | None = None
     lasts: bool = False  # beyond that step
+    after_s: float = 0.0  # that step's first beginning
     cycle: int | None = None  # of the robot's controller
     line: int = 1  # of the script
 
@@ -45,7 +46,8 @@ class Fault:
         """Its effect and timing, as shown to the person who injected it."""
         begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
-            begins = f"{'when' if self.lasts else 'whenever'} step {self.step} begins"
+            later = f"{self.after_s:g} s after " if self.after_s else "when "
+            begins = f"{later if self.lasts else 'whenever '}step {self.step} begins"
         if self.cycle is not None:
             begins = f"from cycle {self.cycle} on"
         lasts = "until cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"

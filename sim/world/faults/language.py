@@ -4,6 +4,7 @@
     when step == relocalization: robot drop 5 % for 1 s
     at cycle 500: robot drop 100 % for 0.012 s
     since step == relocalization:T2: room shift cart 0 2 0 mm
+    since step == positioning:T1 after 1.5 s: room bent tip 0.5 0 0 mm
     now: tracker occlude tool robot_frame for 1 s
 
 Times are theatre time. Cycles are telegrams sent by the robot's controller since its start. A fault with
@@ -57,14 +58,14 @@ READABLE = {
 }
 
 STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
-_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}\s*:")
+_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
 GRAMMAR = r"""
 start: statement?
 statement: trigger ":" fault duration?
 ?trigger: "at" NUMBER "s"            -> at
         | "at" "cycle" INT           -> at_cycle
         | "when" "step" "==" STEP    -> when
-        | "since" "step" "==" STEP   -> since
+        | "since" "step" "==" STEP ("after" NUMBER "s")? -> since
         | "now"                      -> now
 duration: "for" NUMBER "s"
 ?fault: {faults}
@@ -138,10 +139,11 @@ def begin_now(line: str, now_s: float) -> str:
 
 def begin_with_step(text: str, step: str, now_s: float) -> str:
     """The script with the faults that last since that step starting at the present theatre time."""
-    begins = [fault.line for fault in parse_faults(text) if fault.lasts and fault.begins_in(step)]
     lines = text.split("\n")
-    for number in begins:
-        lines[number - 1] = _SINCE_STEP.sub(f"{at_moment(now_s)}:", lines[number - 1])
+    for fault in parse_faults(text):
+        if fault.lasts and fault.begins_in(step):
+            begins = f"{at_moment(now_s + fault.after_s)}:"
+            lines[fault.line - 1] = _SINCE_STEP.sub(begins, lines[fault.line - 1])
     return "\n".join(lines)
 
 
@@ -313,6 +315,7 @@ def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
         at_s=float(begin) if trigger.data in ("at", NOW) else None,
         step=begin if trigger.data in ("when", SINCE) else None,
         lasts=trigger.data == SINCE,
+        after_s=float(trigger.children[1]) if len(trigger.children) > 1 else 0.0,
         cycle=int(begin) if trigger.data == "at_cycle" else None,
         line=line,
     )

@@ -12,7 +12,7 @@ from sim.world.faults.kinds import Arguments, DeviceFaults, OneOf, expected, fid
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
-HEAD, CART, TRACKER = "head", "cart", "tracker"
+HEAD, CART, TRACKER, GUIDE = "head", "cart", "tracker", "guide"
 ROOM = DeviceFaults(DEVICE)
 lasting = ROOM.lasting
 
@@ -52,9 +52,11 @@ PUSH = lasting(
 )
 TURN = lasting(
     "turn",
-    "turn guide SIGNED SIGNED SIGNED deg",
-    "A hand turns the mounted tool about the tracked frame on the mount, by that rotation vector along the "
-    "robot's x, y and z: the frame stays in its place, the guide's end does not, the encoders see nothing.",
+    "turn NAME SIGNED SIGNED SIGNED deg",
+    "The head turns about its centre, the robot's cart about the robot's base, or a hand turns the mounted "
+    "guide about the tracked frame on the mount: the frame stays in its place, the guide's end does not, the "
+    "encoders see nothing. The numbers are a rotation vector along the robot's x, y and z.",
+    OneOf("to turn the", (HEAD, CART, GUIDE)),
 )
 WRONG_STOP = lasting("wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep.")
 BENT_TIP = lasting(

@@ -1,0 +1,186 @@
+"""The verdict on a case: its journal and its predictions against the truth.
+
+A target is warned of when, since the change, the journal has a finding, a failed or refused step, or results
+voided or doubted, that names it. An entry that names no trajectory touches that of its step, or else all.
+Superseded results touch only the trajectories that they belong to.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from procedures.operator.topic import Topic
+from ronna_hw.evidence.journal_reading import Entry, Line, theatre_time_s
+from ronna_hw.wire.room_tasks import INSERT
+
+WARNINGS = (Entry.FINDING, Entry.FAILED, Entry.REFUSED, Entry.VOIDED, Entry.DOUBTED)
+SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # these name all that they touch
+GROSS = 2.0  # times the limit, which no error may exceed unseen
+LAST_LOCALIZATION = "relocalization"
+UNUSUAL_TOPICS = frozenset(
+    {
+        *(Topic.CART_MOVED, Topic.CART_PLACE, Topic.GUARD, Topic.HEAD_UNSEEN, Topic.MOVED_SPHERE),
+        *(Topic.MOVE_FOLLOWED, Topic.PAUSE, Topic.REGISTRATION_KEPT, Topic.REPEAT, Topic.RESUME),
+        *(Topic.UNMATCHED_SPHERE, Topic.UNVERIFIED, Topic.WORK_BEGUN),
+    }
+)
+
+
+class Verdict(StrEnum):
+    """The verdict on a case, from good to bad."""
+
+    OK = "ok"
+    WARNED = "warned"
+    REFUSED = "refused"
+    FALSE_FINDING = "FALSE FINDING"
+    NO_VERDICT = "NO VERDICT"  # the case broke off without a word of the procedure
+    SILENT = "SILENT"  # an error beyond its limit without a finding
+    SILENT2 = "SILENT2"  # beyond twice its limit
+
+
+RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
+
+
+@dataclass(frozen=True)
+class Target:
+    """One target that an instrument reached: true error, the limit predicted for it, whether warned of."""
+
+    identifier: str
+    error_mm: float
+    limit_mm: float
+    warned: bool
+
+    @property
+    def ratio(self) -> float:
+        """The error in units of its limit."""
+        return self.error_mm / self.limit_mm if self.limit_mm > 0.0 else math.inf
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict on this target alone."""
+        if self.ratio <= 1.0:
+            return Verdict.OK
+        if self.warned:
+            return Verdict.WARNED
+        return Verdict.SILENT2 if self.ratio > GROSS else Verdict.SILENT
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A case that was judged. `said` are the warnings since the change, in their order."""
+
+    verdict: Verdict
+    targets: tuple[Target, ...]
+    happened: bool
+    said: tuple[str, ...]
+    error: str = ""
+
+    @property
+    def worst(self) -> Target | None:
+        """The target with the worst verdict, then the largest error for its limit."""
+        return max(self.targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
+
+
+def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
+    """The limit that held for each target when an instrument went in, by the predictions of each record."""
+    standing: dict[str, float] = {}
+    used: dict[str, float] = {}
+    for line in lines:
+        if line["entry"] == Entry.RESULT:
+            standing.update(predictions.get(str(line.get("record")), {}))
+        elif line["entry"] == Entry.WORK and line.get("task") == INSERT:
+            target = str(line.get("trajectory"))
+            used[target] = standing.get(target, math.nan)
+    return used
+
+
+def judge(
+    lines: Sequence[Line],
+    errors_mm: Mapping[str, float],
+    limits_mm: Mapping[str, float],
+    *,
+    trajectories: Sequence[str],
+    change: tuple[str, float] | None = None,
+    done: bool = True,
+    error: str = "",
+) -> Judgement:
+    """Judge a case by its journal; `change` is the step it began in and the time since, None in a quiet case.
+
+    `errors_mm` are the true errors of the targets that were reached, `error` is what ended a case that is
+    not `done`.
+    """
+    since_s = _localized_s(lines) if change is None else _happened_s(lines, *change)
+    happened = change is not None and since_s <= _ended_s(lines)
+    touched, said = _warnings(lines, _localized_s(lines) if not happened else since_s, trajectories)
+    targets = tuple(
+        Target(one, error_mm, limits_mm.get(one, math.nan), one in touched)
+        for one, error_mm in errors_mm.items()
+    )
+    verdicts = [one.verdict for one in targets]
+    if not happened and said:
+        verdicts.append(Verdict.FALSE_FINDING)
+    if not done:
+        verdicts.append(Verdict.REFUSED if error else Verdict.NO_VERDICT)
+    return Judgement(max(verdicts, key=RANKS.__getitem__, default=Verdict.OK), targets, happened, said, error)
+
+
+def _warnings(
+    lines: Iterable[Line], since_s: float, trajectories: Sequence[str]
+) -> tuple[frozenset[str], tuple[str, ...]]:
+    """The trajectories that are warned of since then, and the warnings."""
+    touched: set[str] = set()
+    said = []
+    step = ""
+    for line in lines:
+        if line["entry"] == Entry.INTENT:
+            step = str(line.get("step", ""))
+        if theatre_time_s(line) < since_s:
+            continue
+        if line["entry"] in WARNINGS:
+            named = _named(line, trajectories)
+            if not named and line["entry"] not in SUPERSEDING:
+                of_step = step.partition(":")[2]
+                named = {of_step} if of_step else set(trajectories)
+            touched |= named
+            said.append(_words(line))
+        elif line["entry"] == Entry.CONFIRMATION:
+            topic = str(line.get("topic")).partition(":")[0]
+            if topic in UNUSUAL_TOPICS:
+                said.append(f"asked: {line.get('subject')}")
+    return frozenset(touched), tuple(said)
+
+
+def _named(line: Line, trajectories: Sequence[str]) -> set[str]:
+    text = json.dumps(dict(line))
+    return {
+        one for one in trajectories if re.search(rf"(?<![A-Za-z0-9]){re.escape(one)}(?![A-Za-z0-9])", text)
+    }
+
+
+def _words(line: Line) -> str:
+    words = line.get("text") or line.get("what") or line.get("error") or line.get("code") or ""
+    return f"{line['entry']}: {words}"
+
+
+def _localized_s(lines: Iterable[Line]) -> float:
+    """When the last re-localization was done; infinite without one."""
+    done = [
+        theatre_time_s(line)
+        for line in lines
+        if line["entry"] == Entry.RESULT and str(line.get("step")).partition(":")[0] == LAST_LOCALIZATION
+    ]
+    return max(done, default=math.inf)
+
+
+def _happened_s(lines: Iterable[Line], step: str, after_s: float) -> float:
+    begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
+    return next(begun, math.inf) + after_s
+
+
+def _ended_s(lines: Sequence[Line]) -> float:
+    return theatre_time_s(lines[-1]) if lines else 0.0
