@@ -26,7 +26,7 @@ MIRRORS = {  # of the voxels, under unchanged headers
     "swapped axes": SWAPPED,
 }
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-WRONG_POSITIONS = {  # of the headers, over unchanged voxels: what the scanner was told, for a head that lies HFS
+WRONG_POSITIONS = {  # of the headers, over unchanged voxels: told to the scanner for a head that lies HFS
     "HFP": np.diag([-1.0, -1.0, 1.0]),
     "FFS": np.diag([-1.0, 1.0, -1.0]),
     "FFP": np.diag([1.0, -1.0, -1.0]),
