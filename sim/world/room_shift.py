@@ -119,7 +119,7 @@ def _total(ways: Sequence[Sequence[float]]) -> Vector:
 
 
 def _apart(one: Vector, other: Vector) -> Array:
-    return np.array(one) - np.array(other)
+    return np.asarray(np.subtract(one, other))
 
 
 def _vector(values: Array) -> Vector:
