@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from pseudo_terminal import CTRL_C, Terminal
+from pseudo_terminal import CTRL_C, Terminal, heed_ctrl_c
 from run_folders import assert_nothing_half_written, run_folder
 from user_commands import Commands
 from waiting import HANG_LIMIT_S
@@ -73,6 +73,7 @@ def _in_a_group(commands: Commands, chosen: random.Random, out: Path) -> list[Li
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_ctrl_c,  # noqa: PLW1509 - no thread of the test runs yet
     ) as process:
         _await_moment(chosen, out, lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)
