@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from pseudo_terminal import CTRL_C, Terminal, heed_ctrl_c
-from run_folders import assert_nothing_half_written, run_folder
+from run_folders import REACHED_S, assert_nothing_half_written, run_folder
 from user_commands import Commands
 from waiting import HANG_LIMIT_S
 
@@ -36,7 +36,7 @@ def _journal(out: Path) -> list[Line]:
 def _await_moment(chosen: random.Random, out: Path, running: Callable[[], bool]) -> None:
     """Wait for a random line of the journal, or for none, and then for a random time."""
     line = chosen.choice((0, chosen.randint(1, LINES_BEFORE_MOTION)))
-    deadline_s = time.monotonic() + HANG_LIMIT_S
+    deadline_s = time.monotonic() + REACHED_S
     while len(_journal(out)) < line and running():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
