@@ -11,8 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from pseudo_terminal import CTRL_C, Terminal
-from run_folders import assert_nothing_half_written, run_folder
+from pseudo_terminal import CTRL_C, Terminal, heed_ctrl_c
+from run_folders import REACHED_S, assert_nothing_half_written, run_folder
 from user_commands import Commands
 from waiting import HANG_LIMIT_S
 
@@ -36,7 +36,7 @@ def _journal(out: Path) -> list[Line]:
 def _await_moment(chosen: random.Random, out: Path, running: Callable[[], bool]) -> None:
     """Wait for a random line of the journal, or for none, and then for a random time."""
     line = chosen.choice((0, chosen.randint(1, LINES_BEFORE_MOTION)))
-    deadline_s = time.monotonic() + HANG_LIMIT_S
+    deadline_s = time.monotonic() + REACHED_S
     while len(_journal(out)) < line and running():
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
@@ -73,6 +73,7 @@ def _in_a_group(commands: Commands, chosen: random.Random, out: Path) -> list[Li
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=heed_ctrl_c,  # noqa: PLW1509 - no thread of the test runs yet
     ) as process:
         _await_moment(chosen, out, lambda: process.poll() is None)
         os.killpg(process.pid, signal.SIGINT)

@@ -7,6 +7,7 @@ import os
 import pty
 import re
 import select
+import signal
 import subprocess
 import termios
 import time
@@ -20,9 +21,15 @@ CTRL_C = "\x03"  # typed: the terminal signals every process of its foreground g
 STYLE = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")  # colours and cursor moves
 
 
+def heed_ctrl_c() -> None:
+    """Let SIGINT end a new process, although a shell ignores it in what it starts in the background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
 def _lead_the_terminal() -> None:
     """Make the new process the leader of a session whose terminal is its standard input."""
     os.setsid()
+    heed_ctrl_c()
     fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
 
