@@ -75,11 +75,11 @@ class KukaRsiArm:
         self._options = options = read_options(name, config.options)
         self._context = usable_context(name, options)
         self._kinematics = kr6_r900(options.variant)
-        self._planner = MotionPlanner(name, self._kinematics, options)
+        cycle_s = self._context.program.cycle_ms / 1000.0
+        self._planner = MotionPlanner(name, self._kinematics, options, cycle_s)
         self._guard = LifecycleGuard(name)
         self._connections = Connections(name, config, options, self._context)
         self._watch = FaultWatch(name, self._guard, self._connections, options)
-        cycle_s = self._context.program.cycle_ms / 1000.0
         self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
         self._readings = ArmReadings(self._connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""

@@ -23,12 +23,13 @@ from ronna_hw.devices.robot import OperatingMode
 class MotionPlanner:
     """`surroundings` may be replaced between motions."""
 
-    def __init__(self, name: str, kinematics: Kinematics, options: KukaOptions) -> None:
+    def __init__(self, name: str, kinematics: Kinematics, options: KukaOptions, cycle_s: float) -> None:
         self._name = name
         self._kinematics = kinematics
         limits = working_limits(kinematics, options.speed_fraction)
         self._limits = replace(
             limits,
+            cycle_s=cycle_s,
             range_margin_rad=radians(options.range_margin_deg),
             line_speed_mm_s=options.line_speed_mm_s or limits.line_speed_mm_s,
         )

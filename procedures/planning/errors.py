@@ -62,8 +62,8 @@ class NotReachable(RefusedError):
 
     code = "PLAN-007"
     action = (
-        "Change the free angle, move the cart, the head or the obstacle, or widen the arm's limits in the "
-        "theatre file; then check again."
+        "Change the free angle, move the cart, the head or the obstacle, or give the arm a wider range in "
+        "the theatre file; then check again."
     )
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import Closest, SweptPath, motion_mm, sweep_path
+from ronna_hw.arm.clearance.swept_path import ARC_FACTOR, Closest, SweptPath, motion_mm, sweep_path
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.motion_plan import plan_motion
@@ -20,8 +20,6 @@ from ronna_hw.arm.motion.progress import driven
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
 from ronna_hw.devices.motion import Motion
 from ronna_hw.devices.readings import JointVector
-
-CYCLE_S = 0.004  # of the generator, for computing the duration
 
 
 @dataclass(frozen=True)
@@ -85,15 +83,16 @@ def preview(
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
-    states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, CYCLE_S)
+    states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, limits.cycle_s)
     speeds = _speeds(path, states)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]
     shares = (rates * speeds[:, None]) / np.array(limits.speed_rad_s)
-    body = motion_mm(path.swept).max(axis=1, initial=0.0) / np.diff(path.fractions) * speeds
+    moved_mm = motion_mm(path.swept).max(axis=1, initial=0.0) / ARC_FACTOR  # expected, not an upper bound
+    body = moved_mm / np.diff(path.fractions) * speeds
     nearest = float(path.swept.to_head_mm.min())
     return PathPreview(
-        duration_s=len(states) * CYCLE_S,
+        duration_s=len(states) * limits.cycle_s,
         joint_ranges_rad=tuple(
             (float(low), float(high)) for low, high in zip(joints.min(0), joints.max(0), strict=True)
         ),

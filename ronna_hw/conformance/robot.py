@@ -17,6 +17,7 @@ from functools import partial
 from math import degrees, radians
 from typing import Any
 
+from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
 from ronna_hw.conformance.any_device import (
     closes,
     fails_to_connect,
@@ -29,9 +30,9 @@ from ronna_hw.conformance.case import MOTION, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, Interruption, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.motion import LineMove
+from ronna_hw.devices.motion import JointMove, LineMove
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
-from ronna_hw.devices.robot import RobotArm, StopKind
+from ronna_hw.devices.robot import OperatingMode, RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
@@ -362,6 +363,35 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     stands_at(arm, rest.joints_rad)
     with arm.active():
         arm.move_joints(start, speed_fraction=SLOW)
+
+
+@SUITE.case("R27", "the arm states its limits for every operating mode")
+def limits_are_stated(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.CONNECTED)
+    present = arm.limits()
+    check(present == arm.limits(arm.operating_mode), "by default the limits of the present mode", present)
+    full = arm.kinematics.full_speed_rad_s
+    for mode in OperatingMode:
+        limits = arm.limits(mode)
+        numbers = (*limits.speed_rad_s, *limits.acceleration_rad_s2, *limits.jerk_rad_s3)
+        check(all(0.0 < one < math.inf for one in numbers), f"limits of each axis, {mode}", limits)
+        lower, upper = limits.ranges(arm.kinematics)
+        check(all(a < b for a, b in zip(lower, upper, strict=True)), "a range of each axis", limits)
+    reduced = arm.limits(OperatingMode.REDUCED_SPEED)
+    check(reduced.body_speed_mm_s <= REDUCED_SPEED_MM_S, "at most 250 mm/s at reduced speed", reduced)
+    shares = [speed / most for speed, most in zip(reduced.speed_rad_s, full, strict=True)]
+    check(max(shares) <= REDUCED_SPEED_FRACTION, "at most a tenth of full axis speed", reduced)
+
+
+@SUITE.case("R28", "a preview keeps to the stated limits, and a target within the margin has none")
+def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
+    arm = dut.at(Lifecycle.CONNECTED)
+    here = arm.read_state().joints_rad
+    seen = arm.preview(JointMove(turned(here, STOPPED_TURN_RAD)), start_rad=here)
+    check(seen.largest_joint_speed_share <= 1.0 + 1e-6, "an axis within its speed", seen)
+    _, upper = arm.limits().ranges(arm.kinematics)
+    beyond = JointMove((*here[:-1], upper[-1] + STANDS_STILL_RAD))
+    refused(lambda: arm.preview(beyond, start_rad=here), LimitError, "a target beyond the stated range")
 
 
 def _stopped_on_the_way(

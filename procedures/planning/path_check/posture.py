@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from procedures.strategies.approach import APPROACH_RAD
 from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
@@ -13,10 +14,6 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-
-# Of every joint, to the ends of its range: registration and servo move a pose by some millimetres, and each
-# joint stands back before it settles there.
-RANGE_RESERVE_RAD = math.radians(1.0)
 
 
 @dataclass(frozen=True)
@@ -65,9 +62,9 @@ def place(
     """Joint angles in `branch` at both ends of the approach line, choosing turns nearest to `near_rad`.
 
     Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
-    within the arm's limits, or leaves no reserve to them.
+    within the arm's limits, or leaves no room for the joints to stand back before they settle there.
     """
-    limits = replace(limits, range_margin_rad=limits.range_margin_rad + RANGE_RESERVE_RAD)
+    limits = replace(limits, range_margin_rad=limits.range_margin_rad + APPROACH_RAD)
     back = flange_from_tool.inverse()
     begin = kinematics.solve_branch(Pose.from_transform(approach @ back), branch, near_rad)
     plan_joint_move(

@@ -21,7 +21,7 @@ WORKING_ROTATION_RAD_S2 = math.radians(120.0)
 REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
-LIMITS_NUMBERS = 25  # in a row of `MotionLimits.as_numbers`
+LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 
 @dataclass(frozen=True)
@@ -41,6 +41,7 @@ class MotionLimits:
     ramp_s: float = ACCELERATION_RAMP_S
     body_speed_mm_s: float = math.inf  # for any moving body: the operating mode's limit, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
+    cycle_s: float = 0.004  # from one set-point to the next
 
     def as_numbers(self) -> tuple[float, ...]:
         """All fields in one row, for the real-time process."""
@@ -55,6 +56,7 @@ class MotionLimits:
             self.ramp_s,
             self.body_speed_mm_s,
             self.range_margin_rad,
+            self.cycle_s,
         )
 
     @classmethod

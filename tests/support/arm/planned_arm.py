@@ -22,6 +22,8 @@ from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.frames import Transform
 
+CYCLE_S = 0.004
+
 
 @dataclass
 class PlannedArm(RecordingArm):
@@ -30,7 +32,7 @@ class PlannedArm(RecordingArm):
     plans: list[MotionPlan] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions())
+        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions(), CYCLE_S)
         self.link = cast("LinkClient", SimpleNamespace(surroundings=None))  # reads no more than these
 
     @property

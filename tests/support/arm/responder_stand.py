@@ -22,7 +22,7 @@ from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.devices.readings import JointVector
 
@@ -58,7 +58,8 @@ WORKING_STEP_DEG = [degrees(v) * 0.004 for v in LIMITS.speed_rad_s]
 class ResponderStand:
     """A session and the arm that follows it exactly, cycle by cycle."""
 
-    def __init__(self, **changes: Any) -> None:
+    def __init__(self, limits: MotionLimits = LIMITS, **changes: Any) -> None:
+        self.limits = limits
         self.responder = Responder(replace(SETTINGS, **changes))
         self.now_ns = 1_000_000_000
         self.ipoc = 1000
@@ -76,7 +77,7 @@ class ResponderStand:
     def give(self, kind: CommandKind, plan: MotionPlan | None = None, stop_number: int | None = None) -> None:
         self.commands += 1
         seen = self.stop_word >> 3 if stop_number is None else stop_number
-        self.pending: Command | None = Command(self.commands, kind, plan, seen, limits=LIMITS)
+        self.pending: Command | None = Command(self.commands, kind, plan, seen, limits=self.limits)
         if not self.sent:
             self.responder.take(self.pending)
 

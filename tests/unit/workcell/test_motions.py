@@ -219,7 +219,7 @@ def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCe
 
 @pytest.mark.hazard(24)
 def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
-    seen = {"kinematics", "observe", "state", "notices", "connect", "configure"}
+    seen = {"kinematics", "limits", "observe", "state", "notices", "connect", "configure"}
     for arm in (cell.workcell.arm, cell.workcell.devices["arm"]):
         assert {name for name in dir(arm) if name[0] != "_"} == seen
 

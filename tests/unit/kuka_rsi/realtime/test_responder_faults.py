@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import radians
 
 import pytest
 from responder_stand import (
     FAR,
+    LIMITS,
     MODEL,
     RAMP_DOWN_SHARE,
     SETTINGS,
@@ -25,7 +27,7 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
-from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
 
@@ -53,6 +55,35 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
     assert not stand.responder.moving
     assert stand.responder.phase is Phase.FAULT
     assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
+    """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
+    stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
+    for _ in range(3):
+        stand.cycle()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    for _ in range(400):
+        stand.cycle()
+    violation = stand.responder.violation
+    assert violation is not None
+    assert violation.kind == "speed"
+    assert violation.limit == pytest.approx(0.1 * MODEL.full_speed_rad_s[violation.axis - 1])
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.parametrize("margin_deg", [0.5, 30.0])
+def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> None:
+    stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
+    for _ in range(3):
+        stand.cycle()
+    beyond = radians6(0, -90, 90, 0, 120.0 - margin_deg + 0.5, 0)
+    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    for _ in range(1500):
+        stand.cycle()
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "range"
+    assert stand.responder.violation.limit == pytest.approx(radians(120.0 - margin_deg))
 
 
 def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
