@@ -119,7 +119,8 @@ def _total(ways: Sequence[Sequence[float]]) -> Vector:
 
 
 def _apart(one: Vector, other: Vector) -> Array:
-    return np.array(one) - np.array(other)
+    way: Array = np.array(one) - np.array(other)
+    return way
 
 
 def _vector(values: Array) -> Vector:

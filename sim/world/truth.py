@@ -32,7 +32,7 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide's bore, unit vector
-    # Displacement of the head from its place in the scene, robot frame: turned about the origin, then shifted.
+    # Displacement of the head from its place in the scene, robot frame: a turn about the origin, a shift.
     head_shift_mm: Numbers3 = STILL
     head_turn_rad: Numbers3 = STILL
 

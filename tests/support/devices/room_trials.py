@@ -109,7 +109,7 @@ class TrackedCase:
         """The watch after a global localization at home."""
         spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
         flange = self.kinematics.flange_pose(self.home_rad)
-        robot_from_tracker = self._frame_by_arm(flange) @ frame.inverse()
+        robot_from_tracker = self.frame_by_arm(flange) @ frame.inverse()
         reading = RoomReading(flange, np.zeros(3), spheres)
         return RoomWatch("trial", robot_from_tracker, spheres, [reading])
 
@@ -120,7 +120,7 @@ class TrackedCase:
         spheres, frame = self._seen(joints, head_mm, cart_mm, FRAMES)
         flange, _ = self._at(joints)
         seen = watch.robot_from_tracker @ frame
-        way_mm = seen.translation_mm - self._frame_by_arm(flange).translation_mm
+        way_mm = seen.translation_mm - self.frame_by_arm(flange).translation_mm
         return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm))
 
     def measured(self, spheres_mm: Array) -> Array:
@@ -163,6 +163,23 @@ class TrackedCase:
         each = np.array([(fitted_mm(one) - still) / step for one in drawn])
         return np.asarray(np.linalg.qr(each, mode="r").T)
 
+    @property
+    def body_mm(self) -> Array:
+        """The markers of the frame on the arm, its own frame."""
+        return self._body_mm
+
+    def flange_at_rest(self, joints: JointVector, sides: Sequence[float], motion_number: int) -> Array:
+        """Where the arm truly rests (4, 4), each joint on a side of its play, after that motion."""
+        return self._arm.at_rest(joints, sides, motion_number)
+
+    def read(
+        self, tracker_from_robot: Array, flange: Array, spheres_mm: Array, frames: int
+    ) -> tuple[Array, Array]:
+        """The markers of the frame on the arm and the spheres by a tracker that may have moved."""
+        markers = apply(flange @ self._flange_from_marker, self._body_mm)
+        seen = self._measured(apply(tracker_from_robot, np.vstack([markers, spheres_mm])), frames)
+        return seen[: len(markers)], seen[len(markers) :]
+
     def direction(self) -> Array:
         """A random unit vector."""
         way = self.generator.standard_normal(3)
@@ -189,7 +206,8 @@ class TrackedCase:
         sight = self._optics.sight(points_mm)
         return sight.measured(self.generator.standard_normal(points_mm.shape) / math.sqrt(frames))
 
-    def _frame_by_arm(self, flange: Transform) -> Transform:
+    def frame_by_arm(self, flange: Transform) -> Transform:
+        """Where the arm and its records have the frame."""
         records = self.records
         tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         return flange @ tool @ records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
