@@ -7,6 +7,7 @@ from sim.world.faults import (
     FAULT_KINDS,
     FaultBoard,
     begin_now,
+    begin_with_step,
     check_faults,
     parse_faults,
     parse_request,
@@ -223,3 +224,12 @@ def test_the_example_of_every_fault_kind_is_valid() -> None:
         assert fault.kind is kind
         assert kind.meaning.endswith(".")
     assert len({kind.name for kind in FAULT_KINDS}) == len(FAULT_KINDS)
+
+
+def test_a_fault_since_a_step_may_begin_some_time_after_it() -> None:
+    script = "since step == positioning:T1 after 1.5 s: room turn head 0 0 1 deg"
+    (fault,) = parse_faults(script)
+    assert (fault.lasts, fault.step, fault.after_s) == (True, "positioning:T1", 1.5)
+    assert begin_with_step(script, "tool_check", 10.0) == script
+    assert begin_with_step(script, "positioning:T1", 10.0) == "at 11.500000000 s: room turn head 0 0 1 deg"
+    assert "1.5 s after step positioning:T1 begins" in fault.effect
