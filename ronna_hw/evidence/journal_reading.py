@@ -34,7 +34,7 @@ class Entry(StrEnum):
     MISREAD = "misread"  # a read-back was wrong; the question stands
     MOTION = "motion"  # the intent of one motion
     MOVED = "moved"  # its outcome
-    PLACED = "placed"  # the arm, by its measured joints: home as set up, or elsewhere than the lines before say
+    PLACED = "placed"  # the arm, by its measured joints: home, or elsewhere than it was known to be
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
     STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
     WORK = "work"  # manual work, and its readings
