@@ -347,7 +347,7 @@ class Workcell:
         device.recover(by)
         if device is self._arm:
             self.supervised.begin_anew()
-            if not self.place.in_front_of:  # what is on an axis is the guide
+            if not self.place.on_axis:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
@@ -402,5 +402,5 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        for held in self.place.in_front_of:
+        for held in self.place.why_held:
             raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")

@@ -223,7 +223,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
 
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
-        if not cell.place.in_front_of:
+        if not cell.place.on_axis:
             cell.insert(Insertion("T1", cell.tool_pose(), 10.0))
             raise Killed
         cell.withdraw("T1")

@@ -168,7 +168,7 @@ def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home
     cell.workcell.supervised.ask_before(resting, declining)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
 
 
 @pytest.mark.hazard(2)
@@ -250,7 +250,7 @@ def test_a_guide_that_was_jogged_home_is_on_no_axis(cell: RecordingCell) -> None
     cell.arm.joints_rad = HOME
     cell.workcell.compare_place()
     assert cell.workcell.place.is_home
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
     assert cell.workcell.instrument.inside == "T1"  # until it is confirmed to be out
 
 
