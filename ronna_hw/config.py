@@ -216,6 +216,11 @@ class TheatreFile(Strict):
     )
     theatre: str = Field(description="Name of the theatre.")
     banner: str = Field(default="", description="Shown in terminal and report to tell theatres apart.")
+    identity: str = Field(
+        default="",
+        pattern="^([0-9a-f]{32})?$",
+        description="Identity of a simulated theatre, by `ronna-sim theatre`; also in copies of the file.",
+    )
     clock: ClockConfig = Field(default=ClockConfig(), description="Source of theatre time.")
     tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
     robot: dict[str, DeviceConfig] = Field(

@@ -35,9 +35,7 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
     guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
-            UnchangedRecords(
-                file, theatre, lambda: engine.running is not None and not workcell.place.in_front_of
-            )
+            UnchangedRecords(file, theatre, lambda: engine.running is not None and not workcell.place.on_axis)
         )
     link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
     if setting.clinical is None:

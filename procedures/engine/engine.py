@@ -270,7 +270,7 @@ class Engine:
 
         Before that its result still serves the work at the target, and the way out.
         """
-        in_use = self.setting.workcell.place.in_front_of or self.instrument_in
+        in_use = self.setting.workcell.place.on_axis or self.instrument_in
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():

@@ -1,7 +1,8 @@
 """The note of an arm: which run has its devices, and how the last one that moved it left it.
 
 The arm decides which note it is, by the address of its controller: a copy of the theatre file, or one with
-other records, is the same arm. A simulated arm is where its theatre is; another may have its address next.
+other records, is the same arm. A simulated theatre has an identity instead, as another may have its address
+next.
 """
 
 from __future__ import annotations
@@ -75,17 +76,18 @@ def note_file(theatre: Path) -> Path:
 
 
 def _controller(theatre: Path) -> str:
-    """The addresses at which a real arm is reached; empty for a simulated one, and without any."""
+    """The addresses at which a real arm is reached, or the identity of a simulated theatre; else empty."""
     try:
-        arm = read_theatre_file(theatre).robot.get(MASTER)
+        file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
         return ""
+    arm = file.robot.get(MASTER)
     if arm is None:
         return ""
     texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
     peers = [parse_endpoint(text).resolved() for text in texts]
     if any(map(on_this_computer, peers)):
-        return ""
+        return file.identity
     # At a UDP endpoint this computer listens: it says nothing about who sends there.
     return "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
 

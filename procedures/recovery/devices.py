@@ -124,7 +124,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     found = workcell.identify_mounted()
     if found is expected:
         comparison.same(f"the {found}")
-    elif exchange_begun and not workcell.place.in_front_of:
+    elif exchange_begun and not workcell.place.on_axis:
         comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
     else:
         comparison.differs("mounted tool", f"the {expected}", f"the {found}")

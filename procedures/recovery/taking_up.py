@@ -118,7 +118,7 @@ def _take_up_arm(
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
     _compare_last_to_move(engine, comparison)
-    if not workcell.place.in_front_of and (found := guide_on_an_axis(engine)) is not None:
+    if not workcell.place.on_axis and (found := guide_on_an_axis(engine)) is not None:
         axis, beyond_mm = found
         workcell.found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
         comparison.warn(
@@ -241,7 +241,7 @@ def _way_out(engine: Engine) -> bool:
     engine.have_instrument_out()
     following = engine.upcoming
     if (
-        workcell.place.in_front_of
+        workcell.place.on_axis
         and following is not None
         and engine.order.spec(following).moves
         and not engine.why_refused(following)

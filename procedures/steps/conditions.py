@@ -24,7 +24,7 @@ def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tupl
         if workcell.tool is not tool:
             instead = remedy if workcell.tool is MountedTool.GUIDE else ""
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")
-        return (*reasons, *workcell.place.in_front_of)
+        return (*reasons, *workcell.place.why_held)
 
     return unmet
 
@@ -53,13 +53,12 @@ def away_from_head(context: StepContext) -> tuple[str, ...]:
     place = context.workcell.place
     if place.is_home:
         return ()
-    return place.in_front_of or ("the arm is not home: send it there first (home)",)
+    return place.why_held or ("the arm is not home: send it there first (home)",)
 
 
 def inserted(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry."""
-    on = context.workcell.place.trajectory
-    if on == context.trajectory:
+    if (on := context.workcell.place.trajectory) == context.trajectory:
         return ()
     where = "on no axis" if on is None else f"held in front of the entry of {on}"
     return (f"the guide is {where}, not in front of that of {context.trajectory}",)

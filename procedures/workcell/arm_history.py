@@ -74,7 +74,7 @@ class ArmHistory:
                 return self
 
     def after_restart(self, *, torn: bool) -> ArmHistory:
-        """As a program finds it that did not see the end of the one before; `torn` if lines may be lost."""
+        """The history that the next program must assume; `torn` if the last lines may be lost."""
         place = self.place
         if torn or place.where is Where.MOVING:
             place = replace(place, where=Where.UNKNOWN, moved=True)

@@ -49,12 +49,13 @@ class ArmPlace:
         """The trajectory on whose axis the guide is, or may be."""
         return None if self.axis is None else self.axis.trajectory
 
-    def on_axis_of(self, trajectory: str) -> bool:
-        """Whether the guide is on the axis of this trajectory."""
-        return self.trajectory == trajectory
+    @property
+    def on_axis(self) -> bool:
+        """Whether the guide is, or may be, on the axis of a trajectory."""
+        return self.axis is not None
 
     @property
-    def in_front_of(self) -> tuple[str, ...]:
+    def why_held(self) -> tuple[str, ...]:
         """The reason why nothing but a retreat is possible, while the guide is on an axis."""
         if self.trajectory is None:
             return ()

@@ -349,7 +349,7 @@ class Workcell:
         if device is self._arm:
             self._way_home.settled = False  # somebody may have jogged it
             self.supervised.begin_anew()
-            if not self.place.in_front_of:  # what is on an axis is the guide
+            if not self.place.on_axis:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
@@ -404,7 +404,7 @@ class Workcell:
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        for held in self.place.in_front_of:
+        for held in self.place.why_held:
             raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
 
 

@@ -9,13 +9,14 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.kuka.controller.message_display import LINE_BEGINS
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file
+from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
 from sim.theatre.tool_records import refer_to_tip
 from sim.world.control import Room
 from sim.world.control_port import ControlPort
@@ -83,7 +84,8 @@ class Theatre:
             )
             content["calibration"] |= records
             refer_to_tip(content)
-            write_theatre_file(content, self.file)
+            known = None if left is None else identity_of(self.file)
+            write_theatre_file({"identity": known or uuid4().hex, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
             raise

@@ -114,6 +114,15 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
     write_whole(path, _toml(content).encode())
 
 
+def identity_of(theatre_file: Path) -> str | None:
+    """The identity of the theatre that wrote a theatre file; None if there is no such file."""
+    try:
+        identity: str = read_toml(theatre_file, InputRefused)["identity"]
+    except (OSError, ValueError, KeyError):
+        return None
+    return identity
+
+
 def calibrated_at(theatre_file: Path) -> datetime | None:
     """When the calibration records of a theatre file were made; None if there is no such file."""
     try:

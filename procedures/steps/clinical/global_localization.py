@@ -120,7 +120,7 @@ def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
     """The arm carries the stereo head; or the guide, and is parked where the tools can be exchanged."""
     workcell = context.workcell
     unmet = carries(MountedTool.STEREO_HEAD)(context)
-    if not unmet or workcell.place.in_front_of or workcell.tool is not MountedTool.GUIDE:
+    if not unmet or workcell.place.on_axis or workcell.tool is not MountedTool.GUIDE:
         return unmet
     return () if workcell.place.is_home else (*unmet, "send it home; the stereo head is remounted there")
 

@@ -363,7 +363,7 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 
 def _outside(context: StepContext) -> tuple[str, ...]:
     """With the guide mounted the head is measured again, at home."""
-    return context.workcell.place.in_front_of
+    return context.workcell.place.why_held
 
 
 STEP = StepSpec(

@@ -139,7 +139,7 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
     assert cell.arm.joints_rad == HOME
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
     assert engine.machine.state == "held"
 
 
@@ -157,7 +157,7 @@ def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: Record
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
-    assert cell.workcell.place.in_front_of
+    assert cell.workcell.place.on_axis
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
@@ -166,10 +166,10 @@ def test_a_failed_retreat_can_be_repeated(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
         engine.retreat_home()
-    assert cell.workcell.place.in_front_of
+    assert cell.workcell.place.on_axis
     cell.arm.failing = None
     engine.retreat_home()
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
 
 
 @pytest.mark.branch("ABORTED")
@@ -182,7 +182,7 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
     assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"
 

@@ -25,11 +25,12 @@ from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
 from procedures.engine.run_folder import run_of
 from procedures.engine.step import Outcome
-from procedures.journal.journal import Entry, Journal
+from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.arm_history import arm_history
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspected
@@ -178,6 +179,7 @@ def restarted(recorded: Recorded) -> None:
     recorded.engine.setting.memory.clear()
     recorded.engine.machine.hold()
     recorded.cell.journal.write(Entry.RESTARTED, 0.0)
+    recorded.cell.workcell.take_up(arm_history(read_journal(recorded.cell.journal.path)))
 
 
 @pytest.mark.hazard(2)
@@ -221,7 +223,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
 
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
-        if not cell.place.in_front_of:
+        if not cell.place.on_axis:
             cell.insert(Insertion("T1", cell.tool_pose(), 10.0))
             raise Killed
         cell.withdraw("T1")
@@ -233,6 +235,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
     with pytest.raises(Killed):
         recorded.run("approach:T1")
     restarted(recorded)
+    recorded.engine.have_instrument_out()  # no line rules it out
     recorded.run("approach:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 

@@ -206,11 +206,29 @@ def test_simulated_arms_at_the_same_address_are_used_side_by_side(tmp_path: Path
     assert not arms_folder.exists()
 
 
-def with_arm(path: Path, endpoint: str, cycle_ms: int = 4, local: str = "0.0.0.0") -> Path:
+@pytest.mark.hazard(5)
+def test_a_copy_of_a_simulated_theatre_s_file_is_the_same_arm_and_another_theatre_at_its_address_is_not(
+    tmp_path: Path, arms_folder: Path
+) -> None:
+    address = "tcp://127.0.0.1:54602"
+    one, copy, another = (
+        with_arm(tmp_path / name, address, local="127.0.0.1", identity=identity * 32)
+        for name, identity in (("a.toml", "a"), ("copy.toml", "a"), ("b.toml", "b"))
+    )
+    with held_theatre(one, None):
+        with pytest.raises(TheatreInUse):
+            held_theatre(copy, None).__enter__()
+        require_free_theatre(another)
+
+
+def with_arm(
+    path: Path, endpoint: str, cycle_ms: int = 4, local: str = "0.0.0.0", identity: str = ""
+) -> Path:
     """A theatre file with an arm whose controller is there."""
     path.parent.mkdir(exist_ok=True)
     path.write_text(
-        'schema = 1\ntheatre = "lab"\n[robot.master]\ndriver = "kuka_rsi"\n'
+        f'schema = 1\ntheatre = "lab"\nidentity = "{identity}"\n'
+        '[robot.master]\ndriver = "kuka_rsi"\n'
         f'endpoints = {{ rsi = "udp://{local}:59152", eki = "{endpoint}" }}\n'
         f"options = {{ cycle_ms = {cycle_ms} }}\n"
     )

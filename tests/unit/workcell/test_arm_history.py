@@ -14,6 +14,7 @@ from procedures.operator.topic import Topic
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
+from procedures.workcell.arm_place import Where
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
@@ -70,9 +71,13 @@ def worked(cell: RecordingCell) -> None:
     instrument.stages.begins("T1", "insert")
 
 
-def withdrawn(cell: RecordingCell) -> None:
+def taken_out(cell: RecordingCell) -> None:
     worked(cell)
     cell.workcell.instrument.is_out()
+
+
+def withdrawn(cell: RecordingCell) -> None:
+    taken_out(cell)
     cell.workcell.withdraw("T1")
 
 
@@ -163,7 +168,7 @@ def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home
     cell.workcell.supervised.ask_before(resting, declining)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
 
 
 @pytest.mark.hazard(2)
@@ -182,6 +187,77 @@ def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCe
     cell.workcell.instrument.assume_inside("T1")
     assert cell.workcell.place.instrument_may_be_inside == "T1"
     assert not cell.workcell.history.instrument_out
+
+
+MOTION_FROM_HOME = [
+    {"entry": Entry.PLACED, "at_home": True},
+    {"entry": Entry.MOTION, "what": "go"},
+]
+
+
+def test_a_motion_without_an_end_leaves_the_place_unknown_once_its_program_is_gone() -> None:
+    history = arm_history(MOTION_FROM_HOME)
+    assert history.place.where is Where.MOVING
+    assert history.after({"entry": Entry.RESTARTED}).place.where is Where.UNKNOWN
+    assert history.after_restart(torn=False) == history.after({"entry": Entry.RESTARTED})
+
+
+def test_lost_lines_leave_the_place_unknown_until_the_arm_is_measured() -> None:
+    torn = arm_history(MOTION_FROM_HOME[:1]).after_restart(torn=True)
+    assert torn.place.where is Where.UNKNOWN
+    assert torn.place.is_out
+    assert torn.after({"entry": Entry.PLACED, "at_home": True}).place.is_home
+    assert torn.after({"entry": Entry.PLACED, "at_home": False}).place.where is Where.AWAY
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize(
+    ("made", "torn", "inside", "assumed"),
+    [
+        (away, False, None, False),
+        (inserted, False, "T1", True),
+        (worked, False, "T1", False),
+        (taken_out, False, None, False),
+        (taken_out, True, "T1", True),
+        (withdrawn, False, None, False),
+    ],
+)
+def test_after_a_kill_an_instrument_counts_as_inside_unless_it_was_confirmed_out(
+    cell: RecordingCell, made: Callable[[RecordingCell], None], torn: bool, inside: str | None, assumed: bool
+) -> None:
+    made(cell)
+    assert cell.workcell.place.assumed is False
+    place = cell.workcell.history.after_restart(torn=torn).place
+    assert (place.instrument_may_be_inside, place.assumed) == (inside, assumed)
+
+
+@pytest.mark.hazard(5)
+def test_an_arm_that_was_jogged_is_where_its_joints_say(cell: RecordingCell) -> None:
+    lines = len(list(read_journal(cell.folder / JOURNAL_FILE)))
+    cell.workcell.compare_place()
+    assert len(list(read_journal(cell.folder / JOURNAL_FILE))) == lines  # as the journal has it
+    cell.arm.joints_rad = AWAY
+    cell.workcell.compare_place()
+    assert cell.workcell.place.where is Where.AWAY
+    assert list(read_journal(cell.folder / JOURNAL_FILE))[-1]["entry"] == Entry.PLACED
+    cell.arm.joints_rad = HOME
+    cell.workcell.compare_place()
+    assert cell.workcell.place.is_home
+
+
+def test_a_guide_that_was_jogged_home_is_on_no_axis(cell: RecordingCell) -> None:
+    worked(cell)
+    cell.arm.joints_rad = HOME
+    cell.workcell.compare_place()
+    assert cell.workcell.place.is_home
+    assert not cell.workcell.place.on_axis
+    assert cell.workcell.instrument.inside == "T1"  # until it is confirmed to be out
+
+
+def test_lines_of_another_arm_do_not_move_this_one() -> None:
+    other = [{**line, "arm": "second"} for line in MOTION_FROM_HOME]
+    assert arm_history(other) == arm_history([])
+    assert arm_history(other, "second").place == arm_history(MOTION_FROM_HOME).place
 
 
 def test_only_the_last_positions_of_a_long_way_are_kept() -> None:

@@ -160,7 +160,7 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     reached = tool_pose(cell.arm.joints_rad, cell)
     assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
     cell.workcell.withdraw("T1")
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
@@ -233,7 +233,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     with pytest.raises(TipOffAxis, match="PRO-015: the guide is not on the axis of T1"):
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
-    assert cell.workcell.place.in_front_of
+    assert cell.workcell.place.on_axis
 
 
 @pytest.mark.hazard(24)

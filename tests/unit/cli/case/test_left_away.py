@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from recording_cell import HOME, RecordingCell
+from recording_cell import GUIDE, HOME, RecordingCell
 from user_commands import in_this_process
 
 from procedures.cli.case import left_away as left_away_module
@@ -24,6 +24,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
+from procedures.workcell import Insertion, MountedTool
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from ronna_hw.evidence.journal_reading import read_chain
 
@@ -209,6 +210,45 @@ def test_home_of_another_run_names_the_run_that_left_the_arm_away(tmp_path: Path
     assert done.stdout == ""
     assert f"PRO-032: run {away.name} left the arm away from its home" in done.stderr
     assert f"ronna-procedure home {away}" in done.stderr
+
+
+@pytest.mark.hazard(5)
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize(("goes_in", "says"), [(True, "is still in T1"), (False, "may still be in T1")])
+def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_inside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, goes_in: bool, says: str
+) -> None:
+    monkeypatch.setattr(theatre_note, "ARMS_FOLDER", tmp_path / "arms")
+    theatre = simulated_theatre(tmp_path / "theatre.toml", "a" * 32)
+    cell = RecordingCell(tmp_path / "20260101T000000-abcd")
+    write_request(CaseRequest(out=tmp_path, config=theatre, case=tmp_path), cell.folder)
+    cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
+    cell.arm.mounted = GUIDE
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    axis = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
+    with held_theatre(theatre, cell.folder):
+        cell.journal.write(Entry.MOTION, 0.0, what="insert", trajectory="T1", axis=axis)
+        cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=False)
+        if goes_in:
+            cell.journal.write(Entry.INSTRUMENT, 0.0, trajectory="T1", inside=True)
+    cell.journal.close()  # killed: no line says how it ended
+    copy = Path(shutil.copy(theatre, tmp_path / "copy.toml"))
+    instrument, away = use_diagnostics(copy)
+    assert says in instrument.seen
+    assert "Touch neither the tool nor the arm" in instrument.advice
+    assert f"ronna-procedure home {cell.folder}" in away.seen
+    with held_theatre(copy, tmp_path / "new") as last:
+        assert f"ronna-procedure home {cell.folder}" in str(left_away(last, tmp_path / "new"))
+    assert not list(use_diagnostics(simulated_theatre(tmp_path / "fresh.toml", "b" * 32)))
+
+
+def simulated_theatre(path: Path, identity: str) -> Path:
+    path.write_text(
+        f'schema = 1\ntheatre = "default scene"\nbanner = "SIMULATED"\nidentity = "{identity}"\n'
+        '[robot.master]\ndriver = "kuka_rsi"\n'
+        'endpoints = { rsi = "udp://127.64.0.1:20000", eki_project = "tcp://127.0.0.1:54602" }\n'
+    )
+    return path
 
 
 def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> None:

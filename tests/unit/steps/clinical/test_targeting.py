@@ -100,8 +100,8 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 
 def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
-    assert cell.workcell.place.in_front_of
-    assert cell.workcell.place.on_axis_of(FIRST)
+    assert cell.workcell.place.on_axis
+    assert cell.workcell.place.trajectory == FIRST
     assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
     assert cell.motions("insert") == [FIRST]
 
@@ -275,7 +275,7 @@ def test_a_damaged_record_does_not_keep_the_guide_from_retreating(cell: Clinical
         path.unlink()
     with pytest.raises(BadRecord):
         run(engine, f"retreat:{FIRST}")
-    assert not cell.workcell.place.in_front_of
+    assert not cell.workcell.place.on_axis
 
 
 def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guide_mounted(
