@@ -58,6 +58,9 @@ class CorrespondenceSearch:
             ranked = sorted(allowed, key=_by_score)
             if search.exhausted:
                 return self._too_noisy(ranked)
+            best = min(held, key=_by_score, default=None)
+            if ranked and best and best.score_nats > ranked[0].score_nats + UNIQUE_MARGIN_NATS:
+                return self._explain([best], True)  # some chance pairing is always allowed
             smallest_seen = max(FEWEST_PAIRS, search.largest - slack)
             unseen_nats = self.evidence.most_nats(smallest_seen - 1)
             if ranked and (

@@ -15,7 +15,7 @@ from procedures.operator.question import NO, YES
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.path_check.alternatives import BY_ACCURACY
-from procedures.registration.errors import NoUniqueMatch
+from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
 from procedures.results.errors import GateFailed
 from procedures.steps.branch import Branch, Ending
@@ -97,6 +97,14 @@ AMBIGUOUS = Branch(
     "both pairings are shown; neither is used",
     Ending.HOLD,
     (NoUniqueMatch,),
+)
+MIRRORED_CT = Branch(
+    "a mirrored CT would match as well, and the head is not where the match has it",
+    "the match of the mirrored spheres in view of the tracker; then a point of the head, touched and read",
+    ("correspondence",),
+    "the point is named with its expected and its read position; nothing is localized further",
+    Ending.HOLD,
+    (HeadElsewhere,),
 )
 UNMATCHED_SPHERE = Branch(
     "a sphere is missing in the room, on the wrong screw, or far from its position",
@@ -329,6 +337,7 @@ BRANCHES = (
         GUARD_UNMET,
         HEAD_UNSEEN,
         AMBIGUOUS,
+        MIRRORED_CT,
         UNMATCHED_SPHERE,
         SPHERE_FAILED,
         WRONG_SPHERE,

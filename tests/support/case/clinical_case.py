@@ -89,7 +89,7 @@ class SeeingWorkcell(Workcell):
 
 @dataclass
 class SeeingTracker(RecordingTracker):
-    """A tracker above the head, along the robot's axes, that sees the frame on the arm and every sphere."""
+    """A tracker above the head, its axes along the robot's; sees the frame on the arm and all spheres."""
 
     tools: tuple[str, ...] = tuple(tool.name for tool in SCENE.tracker.tools)
     cell: ClinicalCell | None = None

@@ -26,14 +26,15 @@ MIRRORS = {  # of the voxels, under unchanged headers
     "swapped axes": SWAPPED,
 }
 QUARTER = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-WRONG_POSITIONS = {  # of the headers, over unchanged voxels: told to the scanner for a head that lies HFS
-    "HFP": np.diag([-1.0, -1.0, 1.0]),
-    "FFS": np.diag([-1.0, 1.0, -1.0]),
-    "FFP": np.diag([1.0, -1.0, -1.0]),
-    "HFDR": QUARTER,
-    "HFDL": QUARTER.T,
+TURNS = {  # of the headers' directions and positions: as if the head had lain so in the scanner
+    "turned to HFP": np.diag([-1.0, -1.0, 1.0]),
+    "turned to FFS": np.diag([-1.0, 1.0, -1.0]),
+    "turned to FFP": np.diag([1.0, -1.0, -1.0]),
+    "turned to HFDR": QUARTER,
+    "turned to HFDL": QUARTER.T,
 }
-KINDS = (*MIRRORS, "header", *WRONG_POSITIONS)
+LABELS = ("HFP", "FFP", "HFDR", "HFDL")  # patient positions of CT and plan, for a head that lies HFS
+KINDS = (*MIRRORS, "header", *TURNS, *LABELS)
 
 
 def spoil(folder: Path, kind: str) -> None:
@@ -45,7 +46,7 @@ def spoil(folder: Path, kind: str) -> None:
     across = float(last.PixelSpacing[0]) * np.array([last.Columns - 1, last.Rows - 1, 0.0])
     middle = (origin + np.array(last.ImagePositionPatient, dtype=float) + across) / 2.0
     voxels = np.stack([one.pixel_array for one in slices])
-    turn = {**MIRRORS, **WRONG_POSITIONS, "header": MIRRORS["columns"]}[kind]
+    turn = {**MIRRORS, **TURNS, "header": MIRRORS["columns"]}.get(kind, np.eye(3))
     if kind in MIRRORS:
         moved = {
             "columns": voxels[:, :, ::-1],
@@ -62,12 +63,12 @@ def spoil(folder: Path, kind: str) -> None:
             one.ImageOrientationPatient = [f"{value:g}" for value in directions.ravel()]
             place = turn @ np.array(one.ImagePositionPatient, dtype=float)
             one.ImagePositionPatient = [f"{value:.6f}" for value in place]
-        if kind in WRONG_POSITIONS:
+        if kind in LABELS:
             one.PatientPosition = kind
         one.save_as(path)
     plan_file = folder / "plan.toml"
     plan = tomllib.loads(plan_file.read_text())
-    if kind in WRONG_POSITIONS:
+    if kind in LABELS:
         plan["patient_orientation"] = kind
     for one in plan["trajectories"]:
         for end in ("entry_mm", "target_mm"):

@@ -86,6 +86,11 @@ EDITED = {
         errors.OrientationUnusable,
         "perpendicular",
     ),
+    "mirrored rows": (
+        every(setting(ImageOrientationPatient=["-1", "0", "0", "0", "1", "0"])),
+        errors.SeriesMirrored,
+        r"as seen from the head.*HFS.*got -1",
+    ),
     "turned slice": (
         only(3, setting(ImageOrientationPatient=["0.8", "0.6", "0", "-0.6", "0.8", "0"])),
         errors.OrientationUnusable,

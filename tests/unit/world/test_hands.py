@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN
+from ronna_hw.frames import Frame
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
 from sim.errors import BadFaultScript
 from sim.world.control import Room
 from sim.world.faults import check_faults, parse_faults
@@ -174,3 +175,10 @@ def test_a_since_fault_begins_with_its_step_and_outlasts_it() -> None:
         assert room.answer({"do": "step", "name": step})["ok"]
         assert shift_mm(world)[1] == moved_mm, step
     assert "since" not in world.fault_script()[1]
+
+
+def test_hands_touch_the_head_of_the_patient_on_the_side_they_are_told(tmp_path: Path) -> None:
+    nose = Hands(a_world(), tmp_path).work(TOUCH, "", (0.0, -1.0, 0.0))
+    head = SCENE.head
+    place_ct = np.array(head.centre_ct_mm) - (0.0, head.semi_axes_mm[1], 0.0)
+    assert nose == pytest.approx(head.robot_from_ct.transform(Frame.ROBOT, Frame.CT).apply(place_ct), abs=8.0)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SCENE, SPHERES_MM, ClinicalCell
+from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SCENE, SPHERES_MM, TRACKER_MM, ClinicalCell
 from numpy.typing import NDArray
 from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
@@ -10,12 +10,15 @@ from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import FiducialKind
+from procedures.planning.plan.model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
-from procedures.registration.errors import NoUniqueMatch
+from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
-from ronna_hw.frames import Frame
+from procedures.steps.clinical.spheres.coarse_match import coarse_match, room_prior
+from ronna_hw.config import ProcedureSettings
+from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.frames import Frame, Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
@@ -155,3 +158,66 @@ def test_the_frame_is_matched_by_its_layout_and_other_spheres_are_ignored(cell: 
     room = np.vstack([ROBOT_FROM_CT.apply(frame_ct_mm), GHOST_MM])
     found = cell.run(localized_fiducials(ct), global_localization(room), framed, STEP).result
     assert sorted(found.pairs) == [(0, 2), (1, 0), (3, 3), (4, 1)]
+
+
+# Flat and beside the head's middle: the tracker would see them past a mirrored head as well.
+BESIDE_CT_MM = (
+    np.array([[-60.0, -75.0, 30.0], [-45.0, -70.0, 75.0], [-80.0, 5.0, 60.0]]) + SCENE.head.centre_ct_mm
+)
+BESIDE_MM = ROBOT_FROM_CT.apply(BESIDE_CT_MM)
+
+
+def match_beside(cell: ClinicalCell) -> Correspondence:
+    planned = checked_plan().model_copy(update={"implanted": 3})
+    return cell.run(localized_fiducials(BESIDE_CT_MM), global_localization(BESIDE_MM), planned, STEP).result
+
+
+def test_a_point_of_the_head_is_touched_where_a_mirrored_ct_would_match_as_well(cell: ClinicalCell) -> None:
+    touched = match_beside(cell).touched
+    assert touched is not None
+    (task,) = cell.room.worked
+    assert touched.landmark in task.subject
+    assert touched.off_mm < 1.0 < touched.mirrored_mm
+    assert cell.case.get(Correspondence).result.touched == touched
+
+
+@pytest.mark.hazard(7)
+@pytest.mark.branch("MIRRORED_CT")
+def test_a_head_touched_where_a_mirror_image_has_it_stops_the_case(cell: ClinicalCell) -> None:
+    cell.room.touched = lambda _side: (760.0, 0.0, 500.0)
+    with pytest.raises(
+        HeadElsewhere, match=r"REG-013: the .* is not where the match has it; expected"
+    ) as refused:
+        match_beside(cell)
+    assert refused.value.exit_code == EXIT_REFUSED
+
+
+@pytest.mark.hazard(7)
+@pytest.mark.parametrize("position", ["HFP", "FFP", "HFDR", "HFDL"])
+def test_a_plan_for_another_patient_position_than_gravity_allows_is_refused(
+    cell: ClinicalCell, position: str
+) -> None:
+    planned = checked_plan()
+    other = planned.plan.model_copy(update={"patient_orientation": PatientPosition(position)})
+    with pytest.raises(
+        NoUniqueMatch, match=r"turned \d+ deg beyond the planned patient position, limit 30 deg"
+    ):
+        cell.run(
+            localized_fiducials(),
+            global_localization(),
+            planned.model_copy(update={"plan": other}),
+            STEP,
+        )
+
+
+@pytest.mark.hazard(7)
+@pytest.mark.parametrize(("recline_deg", "accepted"), [((0.0, 60.0), True), ((0.0, 10.0), False)])
+def test_how_far_a_patient_may_be_reclined_is_stated_by_the_theatre_file(
+    recline_deg: tuple[float, float], accepted: bool
+) -> None:
+    settings = ProcedureSettings(recline_deg=recline_deg)
+    tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=TRACKER_MM)
+    found = coarse_match(
+        checked_plan(), CENTRES_CT_MM, SPHERES_MM, room_prior(checked_plan(), settings, tracker)
+    )
+    assert (found.status is MatchStatus.UNIQUE) is accepted
