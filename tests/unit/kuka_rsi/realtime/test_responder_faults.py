@@ -59,10 +59,11 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
 
 def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
     """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
+    wrist_turned = radians6(0, -90, 90, 40, 60, 60)
     stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
     for _ in range(3):
         stand.cycle()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
     for _ in range(400):
         stand.cycle()
     violation = stand.responder.violation
