@@ -71,6 +71,7 @@ def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_ar
         arm.activate()
 
 
+@pytest.mark.hazard(51)
 def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth(
     controller: Any, make_arm: Any
 ) -> None:
