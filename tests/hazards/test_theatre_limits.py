@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 import random
 from dataclasses import replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 from drawn_limits import LimitedDriver, drawn_options
+from rsi_tap import RsiTap
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from drivers.kuka_rsi.options import KukaOptions
@@ -26,6 +29,7 @@ from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.devices import JointMove, LineMove
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.frames import Frame, Transform
@@ -51,6 +55,8 @@ AXES = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUP
 HEAD_MM = (760.0, 0.0, 200.0)
 DRIVEN_OF_EACH = 3  # motions cycle by cycle; all others are planned and checked for clearance
 AGREE = 0.02
+LIMITS = {"speed_fraction", "range_margin_deg", "line_speed_mm_s"}
+GENEROUS_S = 60.0
 
 
 def _setting(limits: MotionLimits, start_rad: JointVector = HOME, head_mm: Vector3 = HEAD_MM) -> ArmSetting:
@@ -118,3 +124,25 @@ def test_a_gauge_within_the_margin_is_refused_before_anything_moves() -> None:
     check = choose_free_angles(setting, TRAJECTORIES, FIDUCIALS, SIGHT).check
     assert [one.pose for one in check.unmet] == ["gauge"]
     assert "ARM-003" in check.unmet[0].reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> None:
+    drawn = drawn_options(random.Random(seed)).model_dump(include=LIMITS, exclude_none=True)
+    cell = robot_cell()
+    tap = RsiTap(cell.endpoints["rsi"], lambda: cell.world.arm().joints_rad)
+    cell.endpoints["rsi"] = tap.endpoint
+    arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S, **drawn)
+    start = arm.read_state().commanded_rad
+    up = arm.kinematics.flange_pose(start).displaced((0.0, 0.0, 60.0))
+    aside = (start[0] + math.radians(25.0), *start[1:3], start[3] + math.radians(40.0), *start[4:])
+    for motion in (LineMove(up), JointMove(start), JointMove(aside), JointMove(start)):
+        previewed = arm.preview(motion)
+        before = len(tap.acting_deg)
+        motion.drive(arm)
+        moving = sum(a != b for a, b in pairwise(tap.acting_deg[before:]))
+        assert moving * arm.limits().cycle_s == pytest.approx(previewed.duration_s, rel=AGREE)
+    for each in cell.arms:
+        each.close()
+    tap.close()

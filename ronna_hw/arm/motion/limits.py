@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
+from itertools import chain
 
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kinematics import JointRanges
@@ -45,19 +46,7 @@ class MotionLimits:
 
     def as_numbers(self) -> tuple[float, ...]:
         """All fields in one row, for the real-time process."""
-        return (
-            *self.speed_rad_s,
-            *self.acceleration_rad_s2,
-            *self.jerk_rad_s3,
-            self.line_speed_mm_s,
-            self.line_acceleration_mm_s2,
-            self.rotation_rad_s,
-            self.rotation_rad_s2,
-            self.ramp_s,
-            self.body_speed_mm_s,
-            self.range_margin_rad,
-            self.cycle_s,
-        )
+        return tuple(chain(*(one if isinstance(one, tuple) else (one,) for one in astuple(self))))
 
     @classmethod
     def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:

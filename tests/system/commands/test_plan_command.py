@@ -6,6 +6,7 @@ import json
 import socket
 import subprocess
 import sys
+import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,8 +20,13 @@ from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
+from ronna_hw.arm.angles import radians6
+from ronna_hw.clock import HostClock
+from ronna_hw.config import read_theatre_file
+from ronna_hw.devices import JointMove
 from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.marker_template import read_marker_template
+from ronna_hw.registry import make_device
 
 HEAD_MM = 79.0
 NEAR, FAR = ("700", "0", "100", "-90", "0", "-90"), ("1500", "0", "250", "-90", "0", "-90")
@@ -306,6 +312,39 @@ def test_a_home_outside_the_joint_ranges_is_refused(case, theatre):
     )
     assert done.returncode != 0
     assert one_line(done).startswith("ARM-003: A1 would leave its range")
+
+
+@pytest.mark.hazard(51)
+def test_the_previews_are_those_of_the_driver_with_the_limits_of_the_theatre_file(case, theatre):
+    content = tomllib.loads(theatre.read_text())
+    content["robot"]["master"]["options"] |= {"speed_fraction": 0.03, "line_speed_mm_s": 20.0}
+    theatre.write_text(tomli_w.dumps(content))
+    done = ronna_plan(
+        "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--json"
+    )
+    motions = {(one["from"], one["kind"]): one for one in json.loads(done.stdout)["motions"]}
+    arm = make_device("robot.master", read_theatre_file(theatre).robot["master"], HostClock())
+    home_rad = arm.kinematics.home_rad
+    gauge_rad = radians6(0.0, -95.0, 99.0, 0.0, 66.0, 180.0)
+    to_gauge = arm.preview(JointMove(home_rad), start_rad=gauge_rad)
+    assert motions["gauge", "move"]["duration_s"] == pytest.approx(to_gauge.duration_s, rel=0.02)
+    assert motions["T1/target", "line"]["duration_s"] > 60.0 / (0.5 * 20.0)  # at half speed towards the skin
+    assert motions["T1/target", "back"]["largest_speed_mm_s"] == pytest.approx(20.0, rel=0.02)
+
+
+@pytest.mark.hazard(51)
+def test_a_home_that_the_margin_forbids_is_refused_with_its_value_and_limit(case, theatre):
+    content = tomllib.loads(theatre.read_text())
+    content["robot"]["master"]["options"]["range_margin_deg"] = 30.0
+    theatre.write_text(tomli_w.dumps(content))
+    home = ("0", "-75", "99", "0", "100", "0")
+    done = ronna_plan(
+        "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--home", *home
+    )
+    assert done.returncode == 3
+    assert one_line(done).startswith("PLAN-007: home: A5 would leave its range")
+    assert "limit -90.0 to 90.0 deg with the margin of 30, got 100.000 deg [ARM-003]" in done.stderr
+    assert "wider range in the theatre file" in done.stderr
 
 
 def test_a_structure_near_a_trajectory_is_listed_or_refuses_the_plan(case):

@@ -56,6 +56,7 @@ def test_an_arm_that_starts_within_the_margin_may_stay_and_move_away() -> None:
     assert _kind(monitor.check(_with(1, MODEL.upper_rad[0] + 1e-5))) == ("range", 1)
 
 
+@pytest.mark.hazard(51)
 def test_at_reduced_speed_a_tenth_of_full_speed_is_the_limit_of_an_axis() -> None:
     limits = working_limits(MODEL).at_reduced_speed(MODEL)
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, START), START)

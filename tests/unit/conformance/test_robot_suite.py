@@ -8,7 +8,10 @@ from typing import Any
 
 import pytest
 from ideal_arm import Controller, IdealArm
+from ur5 import Ur5
 
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.conformance import robot
@@ -133,6 +136,11 @@ def lets_it_go_on(self: IdealArm, timeout_s: float = 10.0) -> None:
     self.guard.enter(Lifecycle.CONFIGURED)
 
 
+def beyond_the_margin(self: Any, motion: Motion, *, start_rad: JointVector) -> PathPreview:
+    limits = replace(self.limits(), range_margin_rad=0.0)
+    return preview_motion(self.kinematics, start_rad, motion, self.surroundings, limits)
+
+
 MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     "no surround": ("R01", {"surround": None}),
     "no model": ("R02", {"connect": lambda self, timeout_s=1.0: replace(IdealArm.connect(self), model="")}),
@@ -175,6 +183,8 @@ MISTAKES: dict[str, tuple[str, dict[str, Any]]] = {
     "lines between any frames": ("R20", {"drive": anywhere}),
     "moves the flange on the line": ("R21", {"drive": other_motion(without_tool)}),
     "goes on after the block": ("R26", {"deactivate": lets_it_go_on}),
+    "the same limits in every mode": ("R27", {"limits": lambda self, mode=None: working_limits(Ur5())}),
+    "previews beyond its limits": ("R28", {"preview": beyond_the_margin}),
 }
 
 

@@ -131,6 +131,7 @@ def test_a_trip_names_the_two_bodies_and_the_distance() -> None:
     assert "its bodies" in str(_fault(ViolationKind.CLEARANCE, 255, 4.2, 5.0))
 
 
+@pytest.mark.hazard(51)
 def test_a_trip_names_the_limit_and_the_mode() -> None:
     tenth = 0.1 * MODEL.full_speed_rad_s[3]
     error = _fault(ViolationKind.SPEED, 4, 1.9 * tenth, tenth, OperationMode.T1)

@@ -22,7 +22,7 @@ from drivers.kuka_rsi.errors import (
 )
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.devices import ConfirmedStart, Lifecycle
+from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.errors import RonnaError
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
@@ -71,6 +71,7 @@ def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_ar
         arm.activate()
 
 
+@pytest.mark.hazard(51)
 def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth(
     controller: Any, make_arm: Any
 ) -> None:
@@ -80,6 +81,9 @@ def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth
     arm.connect()
     arm.configure()
     arm.allow_t1("Ana")
+    assert arm.operating_mode is OperatingMode.REDUCED_SPEED
+    assert arm.limits() == arm.limits(OperatingMode.REDUCED_SPEED) != arm.limits(OperatingMode.AUTOMATIC)
+    previewed = arm.preview(JointMove(THERE))
 
     def press_the_start_key() -> None:
         eventually(lambda: "RSI_START" in controller.commands)
@@ -94,6 +98,11 @@ def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth
     angles = [reply[1][0] for reply in controller.replies]
     fastest_deg_s = max(abs(b - a) for a, b in pairwise(angles)) / 0.004
     assert 0.0 < fastest_deg_s <= 0.1001 * FULL_SPEED_DEG_S
+    assert _moving_s(angles) == pytest.approx(previewed.duration_s, rel=0.02)  # previewed before the start
+
+
+def _moving_s(angles: list[float]) -> float:
+    return sum(a != b for a, b in pairwise(angles)) * 0.004
 
 
 # A controller that does not say what it runs

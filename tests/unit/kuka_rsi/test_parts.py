@@ -35,6 +35,8 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
 from drivers.kuka_rsi.realtime.settings import LinkSettings
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
@@ -69,6 +71,17 @@ def test_a_command_arrives_unchanged(mailbox: Mailbox, target: Pose | None) -> N
     mailbox.write_command(command)
     assert mailbox.orders().command_number == 5
     assert mailbox.read_command() == command
+
+
+@pytest.mark.hazard(51)
+@pytest.mark.parametrize("reduced", [False, True])
+def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, reduced: bool) -> None:
+    arm = kr6_r900("kr6_r900_sixx")
+    limits = working_limits(arm, 0.08).at_reduced_speed(arm) if reduced else working_limits(arm, 0.08)
+    mailbox.write_command(Command(5, CommandKind.OPEN, axes_rad=SIX, limits=limits))
+    command = mailbox.read_command()
+    assert command is not None
+    assert command.limits == limits
 
 
 def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:

@@ -57,12 +57,14 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
+@pytest.mark.hazard(51)
 def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
     """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
+    wrist_turned = radians6(0, -90, 90, 40, 60, 60)
     stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
     for _ in range(3):
         stand.cycle()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
     for _ in range(400):
         stand.cycle()
     violation = stand.responder.violation
@@ -72,6 +74,7 @@ def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
+@pytest.mark.hazard(51)
 @pytest.mark.parametrize("margin_deg", [0.5, 30.0])
 def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> None:
     stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
