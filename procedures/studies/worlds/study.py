@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from procedures.studies.campaign import bounds
 from procedures.studies.campaign.table import Cell, Table
 from procedures.studies.campaign.unit import Sums, Unit
 from procedures.studies.worlds.case import CASE_FILE, carry_out
-from procedures.studies.worlds.verdict import RANKS, Verdict
+from procedures.studies.worlds.verdict import RANKS, Target, Verdict, worst_of
 from procedures.studies.worlds.world import MINI, World, draw_world
 
 WORST = 15  # rows of the table
@@ -89,11 +89,8 @@ class WorldsStudy:
     def _row(self, number: int) -> list[Cell]:
         case: dict[str, Any] = json.loads((self.place(number) / CASE_FILE).read_text())
         world = self.world(number)
-        rank = {verdict.value: place for verdict, place in RANKS.items()}
-        targets = case["targets"]
-        worst = max(
-            targets, key=lambda one: (rank[one["verdict"]], one["error_mm"] / one["limit_mm"]), default=None
-        )
+        targets = [Target(**{one.name: row[one.name] for one in fields(Target)}) for row in case["targets"]]
+        worst = worst_of(targets)
         change = world.change
         told = "; ".join(dict.fromkeys([*case["said"], case["error"]])).strip("; ")
         options = f"--seed {self.seed} --scene {self.scene}{' --quiet' if self.quiet else ''}"
@@ -101,11 +98,7 @@ class WorldsStudy:
             *(number, case["verdict"], world.scene_seed),
             "none" if change is None else change.words,
             "" if change is None else change.moment + ("" if case["happened"] else " (not reached)"),
-            *(
-                (None, None, None)
-                if worst is None
-                else (worst["identifier"], worst["error_mm"], worst["limit_mm"])
-            ),
+            *((None, None, None) if worst is None else (worst.identifier, worst.error_mm, worst.limit_mm)),
             told if len(told) <= TOLD else f"{told[:TOLD]}...",
             f"ronna-campaign worlds {options} --only {number}",
         ]

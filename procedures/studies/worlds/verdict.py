@@ -48,7 +48,10 @@ RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 @dataclass(frozen=True)
 class Target:
-    """One target that an instrument reached: true error, the limit predicted for it, whether warned of."""
+    """One target that an instrument reached: true error, the limit predicted for it, whether warned of.
+
+    The limit is 0 where none was predicted.
+    """
 
     identifier: str
     error_mm: float
@@ -82,8 +85,13 @@ class Judgement:
 
     @property
     def worst(self) -> Target | None:
-        """The target with the worst verdict, then the largest error for its limit."""
-        return max(self.targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
+        """The worst of its targets."""
+        return worst_of(self.targets)
+
+
+def worst_of(targets: Iterable[Target]) -> Target | None:
+    """Find the target with the worst verdict, and of these the one with the largest error for its limit."""
+    return max(targets, key=lambda one: (RANKS[one.verdict], one.ratio), default=None)
 
 
 def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
@@ -95,7 +103,7 @@ def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str,
             standing.update(predictions.get(str(line.get("record")), {}))
         elif line["entry"] == Entry.WORK and line.get("task") == INSERT:
             target = str(line.get("trajectory"))
-            used[target] = standing.get(target, math.nan)
+            used[target] = standing.get(target, 0.0)
     return used
 
 
@@ -118,8 +126,7 @@ def judge(
     happened = change is not None and since_s <= _ended_s(lines)
     touched, said = _warnings(lines, _localized_s(lines) if not happened else since_s, trajectories)
     targets = tuple(
-        Target(one, error_mm, limits_mm.get(one, math.nan), one in touched)
-        for one, error_mm in errors_mm.items()
+        Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
     )
     verdicts = [one.verdict for one in targets]
     if not happened and said:
