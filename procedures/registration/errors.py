@@ -62,8 +62,8 @@ class NoUniqueMatch(RefusedError):
     code = "REG-008"
     action = (
         "First make sure that this is the CT of the patient on the table, that left and right in it are "
-        "right, and that no sphere was displaced; then add fiducials, or correct the patient's position in the "
-        "plan, or its range in the theatre file (recline_deg, head_turn_deg)."
+        "right, and that no sphere was displaced; then add fiducials, or correct the patient's position in "
+        "the plan, or its range in the theatre file (recline_deg, head_turn_deg)."
     )
 
 
