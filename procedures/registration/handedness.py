@@ -35,8 +35,8 @@ LANDMARKS = {  # points of a head that a person finds and can touch: directions 
     "right ear": (-1.0, 0.0, 0.0),
 }
 LEAST_APART_MM = 15.0  # between the landmark as matched and as mirrored, for a reading to tell them apart
-# A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count beyond this only: they
-# are rare, and a viewer shows them.
+# A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count only beyond this:
+# they are rare, and a viewer shows them.
 READING_LIMIT_MM = 40.0
 
 
