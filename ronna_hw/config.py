@@ -12,7 +12,15 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    Field,
+    PrivateAttr,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
@@ -146,7 +154,14 @@ class Calibrations(Strict):
         return {name: record for name, record in found.items() if record is not None}
 
 
-Recline = Annotated[float, Field(ge=-45.0, le=90.0)]
+def _in_order(angles: tuple[float, float]) -> tuple[float, float]:
+    if angles[0] > angles[1]:
+        raise ValueError(f"the least angle comes first, got {angles[0]:g} and {angles[1]:g}")
+    return angles
+
+
+Angle = Annotated[float, Field(ge=-45.0, le=90.0)]
+Recline = Annotated[tuple[Angle, Angle], AfterValidator(_in_order)]
 HeadTurn = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
@@ -197,7 +212,7 @@ class ProcedureSettings(Strict):
         default=WatchPatient.INSTRUMENT,
         description="Motions in which the tracker watches the spheres on the head; a shift stops the arm.",
     )
-    recline_deg: tuple[Recline, Recline] = Field(
+    recline_deg: Recline = Field(
         default=(0.0, 60.0),
         description="Least and largest angle by which the table raises the upper body from lying flat.",
     )

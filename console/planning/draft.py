@@ -53,6 +53,7 @@ class Draft:
     instrument_length_mm: float | None = None  # only stated on its packaging
     ways: tuple[Way, ...] = (Way("T1"),)
     structures: tuple[Structure, ...] = ()
+    table_position: str = ""  # as in the scanner
     markers: tuple[Marker, ...] = ()
 
     @classmethod
@@ -68,6 +69,7 @@ class Draft:
             instrument_length_mm=plan.instrument_length_mm,
             ways=tuple(_way(one) for one in plan.trajectories),
             structures=plan.structures or (),
+            table_position=plan.table_position or "",
         )
 
     def way(self, identifier: str) -> Way:
@@ -135,6 +137,8 @@ class Draft:
             content["instrument_length_mm"] = self.instrument_length_mm
         if self.template_mm is not None:
             content["template_mm"] = [list(one) for one in self.template_mm]
+        if self.table_position:
+            content["table_position"] = self.table_position
         if self.structures:
             content["structures"] = [one.model_dump(mode="json") for one in self.structures]
         return content

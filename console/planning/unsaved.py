@@ -34,6 +34,7 @@ class _Kept(BaseModel):
     instrument_length_mm: float | None
     ways: tuple[Way, ...]
     structures: tuple[Structure, ...]
+    table_position: str = ""
 
 
 class UnsavedFile:

@@ -61,9 +61,9 @@ class NoUniqueMatch(RefusedError):
 
     code = "REG-008"
     action = (
-        "First make sure that this is the CT of the patient on the table and that no sphere was "
-        "displaced; then add fiducials, give the patient's orientation as a prior, or pair the spheres "
-        "by hand and confirm."
+        "First make sure that this is the CT of the patient on the table, that left and right in it are "
+        "right, and that no sphere was displaced; then add fiducials, or correct the patient's position in "
+        "the plan, or its range in the theatre file (recline_deg, head_turn_deg)."
     )
 
 

@@ -121,6 +121,9 @@ class Plan(Strict):
         max_length=64, pattern=UID_PATTERN, description="DICOM UID of the CT series it was made on."
     )
     patient_orientation: PatientPosition = Field(description="Patient position in the scanner.")
+    table_position: PatientPosition | None = Field(
+        default=None, description="Patient position on the operating table, if not as in the scanner."
+    )
     implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
     fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
     template_mm: tuple[Point, ...] | None = Field(
@@ -194,6 +197,11 @@ class Plan(Strict):
                 {"points": points, "limit": MOST_POINTS_TOGETHER},
             )
         return self
+
+    @property
+    def lies(self) -> PatientPosition:
+        """Patient position on the operating table."""
+        return self.table_position or self.patient_orientation
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
         """The trajectory with this id; raises KeyError."""

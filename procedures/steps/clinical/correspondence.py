@@ -94,10 +94,10 @@ def run(context: StepContext) -> Outcome[Correspondence]:
 
 
 def _touch_if_mirrored(
-    context: StepContext, matched: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
+    context: StepContext, robot_from_ct: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
 ) -> TouchedLandmark | None:
     """Have a point of the head touched where a mirrored CT would fit as well. Raises REG-013."""
-    landmark = telling_landmark(matched, mirrored, prior)
+    landmark = telling_landmark(robot_from_ct, mirrored, prior)
     if landmark is None:
         return None
     if landmark.apart_mm < LEAST_APART_MM:

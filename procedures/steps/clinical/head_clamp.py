@@ -36,7 +36,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
     context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
-    lies = checked.plan.patient_orientation
+    lies = checked.plan.lies
     context.have_done(
         Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, attach the spheres")
     )

@@ -90,7 +90,7 @@ def main() -> None:
         arguments = list(map(str, case._phantom.args))  # type: ignore[arg-type]
         spoil(Path(arguments[arguments.index("--out") + 1]), kind)
 
-    SimulatedCase.await_patient = await_spoilt  # type: ignore[method-assign]
+    SimulatedCase.await_patient = await_spoilt  # type: ignore[assignment,method-assign]
     procedure()
 
 

@@ -65,7 +65,7 @@ class OrientedHead:
     def pair(self, random: np.random.Generator) -> Correspondence:
         """The result of the step; it raises what the step raises."""
         context = _Context(self, random)
-        return cast(Correspondence, STEP.run(cast(StepContext, context)).result)
+        return STEP.run(cast(StepContext, context)).result
 
 
 class _Context:

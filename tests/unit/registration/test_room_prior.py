@@ -60,7 +60,7 @@ def test_the_tracker_sees_no_sphere_through_the_head() -> None:
 def test_every_mirror_is_a_reflection_of_the_axes() -> None:
     for mirror in MIRRORS:
         assert np.linalg.det(mirror) == pytest.approx(-1.0)
-        np.testing.assert_array_equal(np.abs(mirror).sum(axis=0), np.ones(3))
+        assert np.abs(mirror).sum(axis=0).tolist() == [1.0, 1.0, 1.0]
 
 
 def test_no_landmark_is_needed_without_a_mirror_image_that_fits() -> None:

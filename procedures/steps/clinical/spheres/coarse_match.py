@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.planning.plan.model import FiducialKind, PatientPosition
+from procedures.planning.plan.model import FiducialKind
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
@@ -28,9 +28,8 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 
 def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
     """What gravity, the patient's position and the tracker's sight allow of the pose robot <- CT."""
-    position: PatientPosition = plan.plan.patient_orientation
     return RoomPrior(
-        lying_up=np.array(UP_LPS[position.value[2:]]),
+        lying_up=np.array(UP_LPS[plan.plan.lies.value[2:]]),
         recline_deg=settings.recline_deg,
         tolerance_deg=settings.head_turn_deg,
         sight=HeadSight(

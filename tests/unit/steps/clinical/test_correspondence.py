@@ -210,6 +210,14 @@ def test_a_plan_for_another_patient_position_than_gravity_allows_is_refused(
         )
 
 
+def test_a_patient_may_lie_on_the_table_otherwise_than_in_the_scanner(cell: ClinicalCell) -> None:
+    planned = checked_plan()
+    scanned_prone = {"patient_orientation": PatientPosition.HFP, "table_position": PatientPosition.HFS}
+    planned = planned.model_copy(update={"plan": planned.plan.model_copy(update=scanned_prone)})
+    found = cell.run(localized_fiducials(), global_localization(), planned, STEP).result
+    assert found.status is MatchStatus.UNIQUE
+
+
 @pytest.mark.hazard(7)
 @pytest.mark.parametrize(("recline_deg", "accepted"), [((0.0, 60.0), True), ((0.0, 10.0), False)])
 def test_how_far_a_patient_may_be_reclined_is_stated_by_the_theatre_file(
