@@ -41,9 +41,7 @@ class MotionLimits:
     rotation_rad_s: float = WORKING_ROTATION_RAD_S
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
-    body_speed_mm_s: float = (
-        ANY_SPEED_MM_S  # for any moving body: the operating mode's limit, at every fraction
-    )
+    body_speed_mm_s: float = ANY_SPEED_MM_S  # of everything that moves, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
     cycle_s: float = 0.004  # from one set-point to the next
 
