@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol, runtime_checkable
 
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
+from ronna_hw.devices.robot import OperatingMode
 
 # By name, over all kinds of devices. For `None` only matters whether the call raised.
 ANSWERS: dict[str, Any] = {
@@ -19,6 +21,7 @@ ANSWERS: dict[str, Any] = {
     "move_joints": ArmReading,
     "move_linear": ArmReading,
     "preview": PathPreview,
+    "limits": MotionLimits,
     "link_statistics": LinkStatistics,
     **dict.fromkeys(("configure", "activate", "deactivate", "resume"), None),
     **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
@@ -26,7 +29,11 @@ ANSWERS: dict[str, Any] = {
 # Properties that may change on their own; each access is an answer.
 LOOKS: dict[str, Any] = {"to_confirm": str | None}
 # What a device knows about itself once one of these calls is done; recorded with its answer.
-PROPERTIES: dict[str, Any] = {"serials": tuple[str, str], "notices": tuple[str, ...]}
+PROPERTIES: dict[str, Any] = {
+    "serials": tuple[str, str],
+    "notices": tuple[str, ...],
+    "operating_mode": OperatingMode,
+}
 TELLING = ("connect", "configure")
 
 

@@ -12,6 +12,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
 from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, answers_of
 
@@ -35,7 +36,11 @@ class _Replayed:
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
         self._device = device
         self._answers = answers
-        self.last_properties: dict[str, object] = {"serials": ("", ""), "notices": ()}
+        self.last_properties: dict[str, object] = {
+            "serials": ("", ""),
+            "notices": (),
+            "operating_mode": OperatingMode.AUTOMATIC,
+        }
         self._known: LastKnown[object] = LastKnown(Lifecycle.DISCONNECTED, None, None)
 
     @property

@@ -22,6 +22,7 @@ WORKING_ROTATION_RAD_S2 = math.radians(120.0)
 REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
+ANY_SPEED_MM_S = 1e6  # faster than any arm, and a number that a record can hold
 LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 
@@ -40,7 +41,7 @@ class MotionLimits:
     rotation_rad_s: float = WORKING_ROTATION_RAD_S
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
-    body_speed_mm_s: float = math.inf  # for any moving body: the operating mode's limit, at every fraction
+    body_speed_mm_s: float = ANY_SPEED_MM_S  # of everything that moves, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
     cycle_s: float = 0.004  # from one set-point to the next
 

@@ -15,7 +15,10 @@ from recording_cell import HOME, RecordingArm, RecordingDevice
 from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import SingularMeasure
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.preview import PathPreview
+from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices import OpticalTracker, RobotArm
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
@@ -48,6 +51,7 @@ GIVEN: dict[str, Any] = {
     "grab_pair": StereoReading(STAMP, Validity.MISSING, IMAGE, None),
     "read_state": ArmReading(STAMP, Validity.OK, HOME, None, moving=False),
     "read_tool_identity": ToolIdentity(STAMP, 2),
+    "limits": working_limits(kr6_r900("kr6_r900_sixx")),  # without a limit for bodies
     "link_statistics": LinkStatistics(9, 1, 2, 3, 4.5, 5.5, (0.0, 1.0), (7,)),
     "preview": PathPreview(
         1.0,
@@ -70,7 +74,7 @@ def test_every_kind_of_answer_is_read_back_unchanged(call: str) -> None:
         kept.append(pixels)
         return {"number": 0}
 
-    plain = json.loads(json.dumps(as_plain(GIVEN[call], put)))
+    plain = parse_json(json.dumps(as_plain(GIVEN[call], put)).encode())
     assert as_recorded(ANSWERS[call], plain, lambda where: kept[where["number"]]) == GIVEN[call]
 
 
