@@ -133,7 +133,6 @@ class RoomWatch:
     robot_from_tracker: Transform
     spheres_mm: Array  # (n, 3) those on the head, tracker frame
     references: list[RoomReading] = field(default_factory=list)
-    hidden_from: Transform | None = None  # where the last reading showed too little of the head
     seen_s: float = 0.0  # theatre time at which the head was last seen in its place
     approach: Approach | None = None
 
@@ -200,7 +199,6 @@ class RoomWatch:
         findings: list[str] = []
         base = self.base_shift(reading)
         head = shift_of(self.spheres_mm, reading.spheres_mm)
-        self.hidden_from = reading.robot_from_flange if head is None else None
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         apart_mm = math.inf
         if head is not None and head_mm is not None and base is not None:
@@ -254,10 +252,6 @@ class RoomWatch:
         apart = np.linalg.norm(reading.spheres_mm[:, None] - self.spheres_mm[None], axis=2).min(axis=1)
         ghosts = (apart >= NEAR_MM) & ghosts_of(self.spheres_mm, reading.markers_mm, reading.spheres_mm)
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
-
-    def hides_head(self, robot_from_flange: Transform) -> bool:
-        """Whether the arm is where, at the last reading, it hid the head from the tracker."""
-        return self.hidden_from is not None and _same_pose(self.hidden_from, robot_from_flange)
 
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
         """Earlier readings to compare with, the limit that each is held to, and whether the pose is the same.

@@ -35,7 +35,7 @@ from sim.world.faults import parse_faults
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(14_400)]
 
 CASES = 200
-CASE_S = 34.0  # theatre time of a case without faults
+CASE_S = 42.0  # theatre time of a case without faults
 LARGEST_ERROR_MM = 1.5
 PROGRAM_FAULT = "CLI-002"
 WARM_UP = 10  # cases until every module is imported and every cache is full

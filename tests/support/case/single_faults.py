@@ -141,6 +141,7 @@ ROWS = (
         theatre_s=5,
         branch="GUARD_UNMET",
     ),
+    Row("tracker occlude tool robot_frame", "positioning", "PRO-022", theatre_s=5),
     Row("tracker occlude tool robot_frame", OTHERS, DONE),
     Row("tracker occlude tool robot_frame marker 1", OTHERS, DONE),
     Row("tracker bend tool robot_frame 2 mm", "positioning at_target", "PRO-017", theatre_s=15),

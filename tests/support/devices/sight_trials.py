@@ -21,7 +21,7 @@ from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
 from procedures.planning.sight.tracker import TrackerSight
-from procedures.registration.shift import LEAST_POINTS
+from procedures.registration.shift import LEAST_POINTS, shift_of
 from ronna_hw.arm.clearance.surroundings import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
@@ -155,7 +155,7 @@ class CoveredApproach:
             watch.check(self.case.reading(watch, place))
         watch.seen_s = 0.0
         self._rest(home)
-        if watch.hidden_from is not None:
+        if not self._head_seen:
             return How.HELD
         watch.approach = Approach(lambda: False, under_way=True)
         for start, end, frames in ((home, self._over, GO_FRAMES), (self._over, self._at, INSERT_FRAMES)):
@@ -198,6 +198,7 @@ class CoveredApproach:
         reading = RoomReading(
             whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen], whole.markers_mm
         )
+        self._head_seen = shift_of(self._watch.spheres_mm, reading.spheres_mm) is not None
         self._watch.check(reading, self._now_s)
         return self._watch.overdue(self._now_s)
 

@@ -24,14 +24,14 @@ def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
 ) -> None:
     faults, answers = tmp_path / "faults.txt", tmp_path / "answers.toml"
     # A fault lasts as long as its step.
-    steps = ("positioning", "registration", "at_target", "retreat")
+    steps = ("positioning", "registration", "at_target", "retreat", "confirmation")
     faults.write_text("".join(f"when step == {step}: room shift head 0.9 -1.2 0.8 mm\n" for step in steps))
     answers.write_text('default = "first"\n')
     options = ("--faults", str(faults), "--answers", str(answers), "--out", str(tmp_path / "runs"))
     done = subprocess.run(
         commands.line("ronna-procedure", "step", "--sim", *CASE, *options),
         env=commands.environment,
-        input="to positioning:T1\nto retreat:T1\nquit\n",
+        input="to positioning:T1\nto confirmation:T1\nquit\n",
         capture_output=True,
         text=True,
         timeout=300,
@@ -45,6 +45,7 @@ def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
     former, followed = [line for line in lines if line.get("step") == "registration:T1" and "record" in line]
     old, new = (read_record(run / "records" / f"{line['record']}.json") for line in (former, followed))
     assert old.parents == new.parents
+    assert not [line for line in lines if line["entry"] == "finding" and line.get("targets")]
     assert new.payload["followed"]["way_mm"] == pytest.approx(MOVE_MM, abs=0.15)
     (target,) = json.loads((run / "report" / "truth.json").read_text())["targets"]
     assert target["application_error_mm"] <= LARGEST_ERROR_MM

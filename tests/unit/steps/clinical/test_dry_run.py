@@ -12,6 +12,7 @@ from prepared_results import checked_paths, checked_plan, coarse, localized_fidu
 from procedures.engine.step import StepKey
 from procedures.planning.path_check.motions import HOME
 from procedures.steps.clinical import tool_check
+from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -104,13 +105,14 @@ def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell,
     assert first.startswith("move T1/sphere 1 to T1/sphere 2, ")
 
 
+@pytest.mark.parametrize("key", [StepKey(CheckedTool.kind), StepKey(ConfirmedTarget.kind, "T1")], ids=str)
 def test_the_motions_over_the_gauge_are_told_with_distance_speed_and_clearance(
-    cell: ClinicalCell, paths: CheckedPaths
+    cell: ClinicalCell, paths: CheckedPaths, key: StepKey
 ) -> None:
     cell.arm.joints_rad = HOME_RAD
     engine = cell.begin(checked_plan(), localized_fiducials(), paths, *coarse(), tool_check.STEP)
     engine.run_to(engine.order.sequence[-2])
-    there, again, _, back = would_move(engine.case, StepKey(CheckedTool.kind), cell.setting()) or ()
+    there, again, _, back = would_move(engine.case, key, cell.setting()) or ()
     facts = r"the guide moves (\d+) mm, joints turn up to [\d.]+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
     far = re.fullmatch(f"move home to the gauge, {facts}", there)
     home = re.fullmatch(f"move the gauge to home, {facts}", back)
