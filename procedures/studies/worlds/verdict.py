@@ -2,7 +2,8 @@
 
 A target is warned of when, since the change, the journal has a finding, a failed or refused step, or results
 voided or doubted, that names it. An entry that names no trajectory touches that of its step, or else all.
-Superseded results touch only the trajectories that they belong to.
+Superseded results touch only the trajectories that they belong to. That the arm hid the spheres in a pose is
+noted in honest cases as well: it warns of nothing unless the entry states its `targets`.
 """
 
 from __future__ import annotations
@@ -20,6 +21,10 @@ from ronna_hw.wire.room_tasks import INSERT
 
 WARNINGS = (Entry.FINDING, Entry.FAILED, Entry.REFUSED, Entry.VOIDED, Entry.DOUBTED)
 SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # these name all that they touch
+# Of sight in one pose, not of a result; these are findings of honest cases too.
+SIGHT = re.compile(
+    r"fewer than three known spheres in this pose|not see the frame on the arm|has not seen the head for"
+)
 GROSS = 2.0  # times the limit, which no error may exceed unseen
 LAST_LOCALIZATION = "relocalization"
 UNUSUAL_TOPICS = frozenset(
@@ -148,7 +153,7 @@ def _warnings(
             step = str(line.get("step", ""))
         if theatre_time_s(line) < since_s:
             continue
-        if line["entry"] in WARNINGS:
+        if line["entry"] in WARNINGS and not _of_sight(line):
             named = _named(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
@@ -160,6 +165,10 @@ def _warnings(
             if topic in UNUSUAL_TOPICS:
                 said.append(f"asked: {line.get('subject')}")
     return frozenset(touched), tuple(said)
+
+
+def _of_sight(line: Line) -> bool:
+    return line["entry"] == Entry.FINDING and "targets" not in line and bool(SIGHT.search(_words(line)))
 
 
 def _named(line: Line, trajectories: Sequence[str]) -> set[str]:

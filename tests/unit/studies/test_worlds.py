@@ -110,6 +110,13 @@ def test_a_finding_before_the_change_does_not_warn_of_it() -> None:
     assert verdict({"T1": 0.9}, finding("T1 in doubt", 10.5)) is Verdict.SILENT2
 
 
+def test_that_the_arm_hides_the_spheres_in_a_pose_warns_of_no_error() -> None:
+    hidden = finding("at T1: the tracker sees fewer than three known spheres in this pose", 15.0)
+    assert verdict({"T1": 0.9}, hidden) is Verdict.SILENT2
+    assert verdict({"T1": 0.1}, hidden, change=None) is Verdict.OK
+    assert verdict({"T1": 0.9}, {**hidden, "targets": ["T1"]}) is Verdict.WARNED
+
+
 def test_superseded_results_warn_only_of_their_own_trajectories() -> None:
     voided = {
         "entry": "voided",
