@@ -455,6 +455,7 @@ ROWS = (
 ELSEWHERE = {
     "CT_DISAGREEMENT": "a fault of the scanner: the result says so, and the case goes on",
     "CART_MISPLACED": "a proposed place in the folder of the case",
+    "MIRRORED_CT": "a CT or a plan that is mirrored before the case begins",
     "MOVE_FOLLOWED": "an operator who repeats the registration",
     "NOT_CLEAR_NOW": "a registration far from the coarse one",
     "KEPT_REGISTRATION": "a fault of the arm that was acknowledged",
