@@ -144,7 +144,8 @@ ROWS = (
     Row("tracker occlude tool robot_frame", "positioning", "PRO-022", theatre_s=5),
     Row("tracker occlude tool robot_frame", OTHERS, DONE),
     Row("tracker occlude tool robot_frame marker 1", OTHERS, DONE),
-    Row("tracker bend tool robot_frame 2 mm", "positioning at_target", "PRO-017", theatre_s=15),
+    Row("tracker bend tool robot_frame 2 mm", "positioning", "PRO-019", theatre_s=15),
+    Row("tracker bend tool robot_frame 2 mm", "at_target", "PRO-017", theatre_s=15),
     Row("tracker bend tool robot_frame 2 mm", OTHERS, DONE),
     Row(
         "tracker turn tool robot_frame 3 deg",
@@ -175,16 +176,16 @@ ROWS = (
     # The tracker: the unit and its line. The way out is never held up.
     *(
         Row(f"tracker {fault}", steps, ends, host_s=host_s)
-        for fault, code in (
-            ("bump", "NDI-021"),
-            ("cold", "NDI-022"),
-            ("hot", "NDI-022"),
-            ("alert 3", "NDI-020 NDI-037"),
-            ("power off", "NDI-001 NDI-002 NDI-007 NDI-008"),
+        for fault, code, looks in (  # how the look after the way out ends
+            ("bump", "NDI-021", ""),
+            ("cold", "NDI-022", DONE),
+            ("hot", "NDI-022", DONE),
+            ("alert 3", "NDI-020 NDI-037", ""),
+            ("power off", "NDI-001 NDI-002 NDI-007 NDI-008", DONE),
         )
         for steps, ends, host_s in (
             ("set_up", code, 20),
-            ("retreat", DONE, None),
+            ("retreat", looks or code, 60),
             (OTHERS, code, 15),
         )
     ),
@@ -454,6 +455,7 @@ ROWS = (
 ELSEWHERE = {
     "CT_DISAGREEMENT": "a fault of the scanner: the result says so, and the case goes on",
     "CART_MISPLACED": "a proposed place in the folder of the case",
+    "MIRRORED_CT": "a CT or a plan that is mirrored before the case begins",
     "MOVE_FOLLOWED": "an operator who repeats the registration",
     "NOT_CLEAR_NOW": "a registration far from the coarse one",
     "KEPT_REGISTRATION": "a fault of the arm that was acknowledged",
