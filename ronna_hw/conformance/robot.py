@@ -369,8 +369,8 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
 @SUITE.case("R27", "the arm states its limits for every operating mode")
 def limits_are_stated(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.CONNECTED)
-    present = arm.limits()
-    check(present == arm.limits(arm.operating_mode), "by default the limits of the present mode", present)
+    now = arm.limits()
+    check(now == arm.limits(arm.operating_mode), "by default the limits of the present mode", now)
     full = arm.kinematics.full_speed_rad_s
     for mode in OperatingMode:
         limits = arm.limits(mode)

@@ -122,11 +122,9 @@ def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
     limits = setting.limits
-    there = {HOME: setting.start_rad, GAUGE: setting.gauge_rad}
-    for start, end in ((HOME, GAUGE), (GAUGE, HOME)):
-        yield Motion(
-            start, end, plan_joint_move(setting.kinematics, there[start], there[end], limits), around
-        )
+    onto = plan_joint_move(setting.kinematics, setting.start_rad, setting.gauge_rad, limits)
+    yield Motion(HOME, GAUGE, onto, around)
+    yield from _home(setting, (GAUGE, setting.gauge_rad), limits, around)
 
 
 def previews_of(

@@ -11,7 +11,6 @@ from typing import Any
 from procedures.studies.errors import WorldNotRun
 from procedures.studies.worlds.verdict import RANKS, Judgement, Verdict, judge, limits_used_mm
 from procedures.studies.worlds.world import World
-from ronna_hw.errors import EXIT_DONE
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, chain_until_broken
 from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.host.child_process import command
@@ -20,6 +19,7 @@ from ronna_hw.records import read_record, write_whole
 
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 VERIFY_LIMIT_S = 120.0
+FINISHED = ("done", "in doubt")  # outcomes of a case whose steps were all done
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
 KEPT = RANKS[Verdict.FALSE_FINDING]  # from here on the run is worth reading
 
@@ -49,7 +49,7 @@ def carry_out(world: World, folder: Path) -> Judgement:
         limits_used_mm(chain.lines, _predictions(run.parent)),
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
-        done=ended.returncode == EXIT_DONE,
+        done=_printed(ended.stdout).get("outcome") in FINISHED,
         error=_error(ended.stdout),
     )
     write_whole(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
@@ -89,10 +89,16 @@ def _predictions(run: Path) -> dict[str, dict[str, float]]:
     return found
 
 
+def _printed(output: str) -> dict[str, Any]:
+    """The object that a run printed; empty if it printed none."""
+    try:
+        printed: dict[str, Any] = json.loads(output)
+    except ValueError:
+        return {}
+    return printed
+
+
 def _error(output: str) -> str:
     """What ended a run, by its own words."""
-    try:
-        error = json.loads(output).get("error") or {}
-    except ValueError:
-        return ""
+    error = _printed(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""

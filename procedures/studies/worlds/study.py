@@ -18,7 +18,7 @@ from procedures.studies.worlds.world import MINI, World, draw_world
 WORST = 15  # rows of the table
 MOST_SILENT = 0.05  # share of cases with an error beyond its limit and no finding
 SILENT = (Verdict.SILENT, Verdict.SILENT2)
-TOLD = 100  # characters of what was said
+LONGEST_WARNING = 100  # characters of a row
 
 
 @dataclass(frozen=True)
@@ -92,14 +92,14 @@ class WorldsStudy:
         targets = [Target(**{one.name: row[one.name] for one in fields(Target)}) for row in case["targets"]]
         worst = worst_of(targets)
         change = world.change
-        told = "; ".join(dict.fromkeys([*case["said"], case["error"]])).strip("; ")
+        warnings = "; ".join(dict.fromkeys([*case["said"], case["error"]])).strip("; ")
         options = f"--seed {self.seed} --scene {self.scene}{' --quiet' if self.quiet else ''}"
         return [
             *(number, case["verdict"], world.scene_seed),
             "none" if change is None else change.words,
             "" if change is None else change.moment + ("" if case["happened"] else " (not reached)"),
             *((None, None, None) if worst is None else (worst.identifier, worst.error_mm, worst.limit_mm)),
-            told if len(told) <= TOLD else f"{told[:TOLD]}...",
+            warnings if len(warnings) <= LONGEST_WARNING else f"{warnings[:LONGEST_WARNING]}...",
             f"ronna-campaign worlds {options} --only {number}",
         ]
 

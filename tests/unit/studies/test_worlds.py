@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import math
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from procedures.studies.errors import WorldNotRun
+from procedures.studies.worlds import case as world_case
 from procedures.studies.worlds.study import WorldsStudy
 from procedures.studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
 from procedures.studies.worlds.world import (
@@ -194,3 +197,12 @@ def test_the_goals_are_missed_by_one_gross_error_or_one_false_finding(tmp_path: 
     quiet = WorldsStudy(20, 0, tmp_path, quiet=True)
     assert quiet.missed_goals(sums(Verdict.OK)) == []
     assert len(quiet.missed_goals(sums(Verdict.OK, Verdict.FALSE_FINDING))) == 1
+
+
+def test_a_case_that_never_began_is_an_error_with_its_last_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
+    monkeypatch.setattr(world_case, "finished_command", lambda *_arguments: ended)
+    with pytest.raises(WorldNotRun, match=r"STU-015.*no such scene"):
+        world_case.carry_out(draw_world(0, 0), tmp_path / "world")

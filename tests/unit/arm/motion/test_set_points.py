@@ -37,7 +37,7 @@ def _motion(plan: MotionPlan) -> PathMotion:
 
 def _run(motion: PathMotion, start: JointVector, stop_at: int | None = None) -> list[JointVector]:
     """All set-points sent; every one, and every stop that was ready beside it, passes the monitor."""
-    monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, start), start)
+    monitor = Monitor(monitor_limits(MODEL, TO_THE_ENDS, CYCLE_S, start), start)
     sent = [start]
     while not motion.finished:
         prepared = motion.prepare()
