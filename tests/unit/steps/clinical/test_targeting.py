@@ -52,8 +52,8 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
 
-# as the arm comes home before a target and after it, every joint from the same side
-SETTLED_HOME = (("joints", before_arriving(HOME_RAD, ONE_SIDE)), ("joints", HOME_RAD))
+HOMING = (before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives from the same side
+SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)
 
 
 @pytest.fixture(autouse=True)
@@ -114,7 +114,7 @@ def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) 
 @pytest.mark.hazard(36)
 def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
-    with pytest.raises(NotConfirmed, match=f"move over {FIRST}"):
+    with pytest.raises(NotConfirmed, match=f"move home, .*, then over {FIRST}"):
         run(begin(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
     assert cell.arm.calls == ["surround"]
@@ -218,6 +218,17 @@ def test_the_arm_parks_after_each_target_in_either_order(cell: ClinicalCell, ord
     assert engine.machine.state == "finished"
 
 
+def test_an_arm_that_came_home_from_a_target_is_not_sent_there_again_before_the_next(
+    cell: ClinicalCell,
+) -> None:
+    engine = begin(cell)
+    run(engine, *(f"{name}:{FIRST}" for name in TARGETING))
+    been = len(cell.arm.motions)
+    run(engine, f"positioning:{LAST}")
+    assert cell.operator.asked[-1].subject.startswith(f"move over {LAST}")
+    assert [kind for kind, _ in cell.arm.motions[been:]] == ["joints", "line"]
+
+
 @pytest.mark.hazard(24)
 def test_with_the_guide_before_an_entry_only_the_next_step_of_its_trajectory_may_run(
     cell: ClinicalCell,
@@ -296,11 +307,10 @@ def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guid
 @pytest.mark.branch("NOT_CLEAR_NOW")
 def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell) -> None:
     engine = begin(cell)
-    homing = {joints_rad for _, joints_rad in SETTLED_HOME}
-    cell.arm.blocked = lambda _start, target: target not in homing
+    cell.arm.blocked = lambda _start, target: target not in HOMING
     with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached: the way is not clear"):
         run(engine, f"positioning:{FIRST}")
-    assert {joints_rad for _, joints_rad in cell.arm.motions} == homing
+    assert {joints_rad for _, joints_rad in cell.arm.motions} == set(HOMING)
     assert cell.arm.joints_rad == HOME_RAD
     assert engine.machine.state == "held"
 
@@ -310,8 +320,9 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
 ) -> None:
     engine = begin(cell)
 
-    def block_the_line(_start: JointVector, _target: JointVector) -> bool:
-        cell.arm.failing = NotClear("the way is not clear")
+    def block_the_line(_start: JointVector, target: JointVector) -> bool:
+        if target not in HOMING:
+            cell.arm.failing = NotClear("the way is not clear")
         return False  # the way over the entry is
 
     cell.arm.blocked = block_the_line
