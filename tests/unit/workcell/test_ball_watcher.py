@@ -11,7 +11,7 @@ from recording_cell import RecordingCell
 from procedures.calibration.pose_set import calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.strategies.approach import APPROACH_RAD
+from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look
@@ -66,12 +66,12 @@ def test_every_pose_is_approached_from_the_same_side_in_every_joint(
 def test_a_blocked_way_is_replaced_by_one_via_home(cell: RecordingCell, watcher: BallWatcher) -> None:
     refuse(cell, 1)
     watcher.observe(PLACE.first_look)
-    assert len(targets(cell)) == 3
-    assert targets(cell)[0] == HOME_RAD
+    assert len(targets(cell)) == 4
+    assert targets(cell)[:2] == [before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD]
 
 
 def test_an_unreachable_acquisition_is_counted_and_skipped(cell: RecordingCell, watcher: BallWatcher) -> None:
-    refuse(cell, 1, 3)  # neither straight nor by way of home
+    refuse(cell, 1, 4)  # neither straight nor by way of home
     assert watcher.observe(PLACE.first_look) is None
     assert watcher.rejected == {"ARM-007": 1}
 
@@ -79,7 +79,7 @@ def test_an_unreachable_acquisition_is_counted_and_skipped(cell: RecordingCell, 
 def test_a_tripped_arm_is_not_taken_for_a_pose_out_of_reach(
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
-    refuse(cell, 1, 3)
+    refuse(cell, 1, 4)
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(NotClear):
         watcher.observe(PLACE.first_look)
@@ -94,7 +94,7 @@ def test_a_missing_ball_is_searched_for_and_then_refused(cell: RecordingCell, wa
 def test_a_search_for_a_ball_passes_over_poses_that_are_not_clear_and_still_says_what_was_not_found(
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
-    refuse(cell, 5, 7)  # of the second pose around, neither straight nor by way of home
+    refuse(cell, 5, 8)  # of the second pose around, neither straight nor by way of home
     with pytest.raises(SphereNotInView, match="STE-009: no sphere in 35 image pairs, 1 poses not clear"):
         watcher.find(PLACE.first_look)
 

@@ -9,7 +9,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.strategies.approach import APPROACH_RAD
+from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
@@ -20,6 +20,7 @@ from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
 WAY_MM = 60.0
+BELOW_HOME = before_arriving(HOME, ONE_SIDE)  # from where every joint turns onto home
 
 
 def turned(by_rad: float) -> JointVector:
@@ -63,6 +64,7 @@ def test_every_motion_is_recorded_as_an_intent_and_a_result(cell: RecordingCell)
     cell.workcell.settle(turned(0.2), (1,) * 6)
     cell.workcell.go_home()
     assert motions(cell) == [
+        ("placed", None),
         *[("motion", "go"), ("moved", None)],
         *[("motion", "settle"), ("moved", None)],
         *[("motion", "home"), ("moved", None)],
@@ -115,9 +117,9 @@ def test_a_failed_motion_is_recorded_in_the_journal(cell: RecordingCell) -> None
 def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.arm.joints_rad = turned(-0.1)
-    cell.arm.blocked = lambda start, _target: start not in (HOME,) and _target != HOME
+    cell.arm.blocked = lambda start, target: target == turned(0.1) and start != HOME
     cell.workcell.go(turned(0.1))
-    assert [to for _, to in cell.arm.motions] == [HOME, turned(0.1)]
+    assert [to for _, to in cell.arm.motions] == [BELOW_HOME, HOME, turned(0.1)]
 
 
 def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_was_before(
@@ -125,15 +127,15 @@ def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_
 ) -> None:
     cell.workcell.set_home()
     before, across, last = turned(0.5), turned(-0.5), turned(-0.6)
-    unclear = ({before, across}, {before, last}, {last, HOME})
+    unclear = ({before, across}, {before, last}, {last, BELOW_HOME})
     cell.arm.blocked = lambda start, target: {start, target} in unclear
     cell.workcell.go(before)
     cell.workcell.go(across)
-    assert [to for _, to in cell.arm.motions] == [before, HOME, across]
+    assert [to for _, to in cell.arm.motions] == [before, BELOW_HOME, HOME, across]
     cell.workcell.settle(last, None)
     cell.arm.motions.clear()
     cell.workcell.return_home()
-    assert [to for _, to in cell.arm.motions] == [last, across, HOME]
+    assert [to for _, to in cell.arm.motions] == [last, across, BELOW_HOME, HOME]
     assert cell.workcell.place.is_home
 
 

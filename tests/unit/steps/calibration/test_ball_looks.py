@@ -188,7 +188,7 @@ def test_a_check_uses_the_joints_of_the_baseline_and_returns_home(
     done = visited(cell, baseline)
     places = [one.joints_rad for one in baseline.looks[:CHECK_ORIENTATIONS]]
     assert [one.joints_rad for one in done.looks] == places * VISITS
-    assert [to for _, to in cell.arm.motions[1::2]] == places * VISITS
+    assert [to for _, to in cell.arm.motions[1::2]] == [*places * VISITS, HOME_RAD]
     assert cell.arm.joints_rad == HOME_RAD
     assert done.calibration == cell.calibrations.stereo_head.identifier
 

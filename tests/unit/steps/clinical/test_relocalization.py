@@ -6,7 +6,7 @@ from itertools import count, pairwise
 import numpy as np
 import pytest
 from clinical_case import FIRST, HOME_RAD, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell, shifted
-from prepared_results import APPROACH_MM, ONE_SIDE, checked_paths, checked_plan, coarse, localized_fiducials
+from prepared_results import APPROACH_MM, ARRIVING, checked_paths, checked_plan, coarse, localized_fiducials
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
@@ -65,7 +65,7 @@ def test_every_measuring_pose_is_approached_in_the_joint_directions_of_the_targe
         if at in places and math.dist(at, back) < 3 * APPROACH_RAD
     ]
     assert len(ways) == len(places) >= len(SPHERES_MM)
-    np.testing.assert_allclose(ways, np.tile(ONE_SIDE, (len(ways), 1)), atol=1e-6)
+    np.testing.assert_allclose(ways, np.tile(ARRIVING, (len(ways), 1)), atol=1e-6)
 
 
 def test_the_surroundings_are_exact_at_the_spheres_and_not_at_home(

@@ -43,6 +43,7 @@ from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.errors import ToolSeenElsewhere
+from procedures.strategies.approach import ONE_SIDE, before_arriving
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
@@ -50,6 +51,9 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
+
+HOMING = (before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives from the same side
+SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)
 
 
 @pytest.fixture(autouse=True)
@@ -92,7 +96,8 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 ) -> None:
     run(begin(cell), f"positioning:{trajectory}")
     assert lower_end_mm(cell) == pytest.approx(before_entry_mm(trajectory), abs=1e-6)
-    (_, over), (kind, held) = cell.arm.motions
+    below, home, (_, over), (kind, held) = cell.arm.motions
+    assert (below, home) == SETTLED_HOME
     assert kind == "line"
     way_mm = math.dist(tool_pose(over, cell).translation_mm, tool_pose(held, cell).translation_mm)
     assert way_mm == pytest.approx(60.0)
@@ -109,7 +114,7 @@ def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) 
 @pytest.mark.hazard(36)
 def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
-    with pytest.raises(NotConfirmed, match=f"move over {FIRST}"):
+    with pytest.raises(NotConfirmed, match=f"move home, .*, then over {FIRST}"):
         run(begin(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
     assert cell.arm.calls == ["surround"]
@@ -192,11 +197,11 @@ def test_an_arm_off_its_position_is_not_at_the_target(cell: ClinicalCell) -> Non
 @pytest.mark.hazard(24)
 def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
     run(begin(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
-    (_, over), (_, _), (kind, back), (_, home) = cell.arm.motions
+    *before, (_, over), (_, _), (kind, back), below, home = cell.arm.motions
     assert kind == "line"
     assert back == pytest.approx(over, abs=1e-6)
-    assert home == HOME_RAD
-    assert not cell.workcell.place.in_front_of
+    assert tuple(before) == (below, home) == SETTLED_HOME
+    assert not cell.workcell.place.on_axis
 
 
 TARGETING = ("positioning", "at_target", "retreat")
@@ -211,6 +216,17 @@ def test_the_arm_parks_after_each_target_in_either_order(cell: ClinicalCell, ord
         assert cell.arm.joints_rad == HOME_RAD
         assert cell.arm.state is Lifecycle.CONFIGURED
     assert engine.machine.state == "finished"
+
+
+def test_an_arm_that_came_home_from_a_target_is_not_sent_there_again_before_the_next(
+    cell: ClinicalCell,
+) -> None:
+    engine = begin(cell)
+    run(engine, *(f"{name}:{FIRST}" for name in TARGETING))
+    been = len(cell.arm.motions)
+    run(engine, f"positioning:{LAST}")
+    assert cell.operator.asked[-1].subject.startswith(f"move over {LAST}")
+    assert [kind for kind, _ in cell.arm.motions[been:]] == ["joints", "line"]
 
 
 @pytest.mark.hazard(24)
@@ -291,10 +307,11 @@ def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guid
 @pytest.mark.branch("NOT_CLEAR_NOW")
 def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell) -> None:
     engine = begin(cell)
-    cell.arm.blocked = lambda _start, _target: True
+    cell.arm.blocked = lambda _start, target: target not in HOMING
     with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached: the way is not clear"):
         run(engine, f"positioning:{FIRST}")
-    assert cell.arm.motions == []
+    assert {joints_rad for _, joints_rad in cell.arm.motions} == set(HOMING)
+    assert cell.arm.joints_rad == HOME_RAD
     assert engine.machine.state == "held"
 
 
@@ -303,8 +320,9 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
 ) -> None:
     engine = begin(cell)
 
-    def block_the_line(_start: JointVector, _target: JointVector) -> bool:
-        cell.arm.failing = NotClear("the way is not clear")
+    def block_the_line(_start: JointVector, target: JointVector) -> bool:
+        if target not in HOMING:
+            cell.arm.failing = NotClear("the way is not clear")
         return False  # the way over the entry is
 
     cell.arm.blocked = block_the_line
@@ -402,5 +420,5 @@ def test_an_arm_that_is_elsewhere_returns_home_and_the_head_is_checked_there_bef
     cell.arm.blocked = seen_again
     with pytest.raises(PatientMoved):
         run(engine, f"positioning:{LAST}")
-    assert cell.arm.motions[been:] == [("joints", HOME_RAD)]
+    assert tuple(cell.arm.motions[been:]) == SETTLED_HOME
     assert cell.operator.asked[-1].subject.startswith("move home, where the tracker sees head and arm")

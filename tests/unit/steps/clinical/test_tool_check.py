@@ -44,10 +44,11 @@ def check(cell: ClinicalCell, *beside_mm: float) -> CheckedTool:
 
 def test_the_arm_approaches_the_gauge_from_the_same_side_and_returns_home(cell: ClinicalCell) -> None:
     checked = check(cell, 0.02, 0.0, 0.02, 0.02, 0.0)
-    *approaches, home = (to for _, to in cell.arm.motions)
-    for back, there in zip(approaches[::2], approaches[1::2], strict=True):
+    ways = [to for _, to in cell.arm.motions]
+    *at_gauge, home = ways[1::2]
+    for back, there in zip(ways[::2], ways[1::2], strict=True):
         assert all(before < after for before, after in zip(back, there, strict=True))
-        assert checked.joints_rad == there
+    assert at_gauge == [checked.joints_rad] * APPROACHES
     assert home == cell.workcell.home_rad
     assert checked.off_mm == pytest.approx(0.0283, abs=1e-4)
     assert checked.tilt_deg == 0.0
