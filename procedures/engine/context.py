@@ -139,9 +139,10 @@ class StepContext:
         self._read[stored.record.identifier] = stored.record
         return stored
 
-    def done_for(self, model: type[StepResult]) -> tuple[str, ...]:
-        """The trajectories with a standing result of a step of each trajectory; none is read by that."""
-        return tuple(name for name in self.trajectories if self._case.stands(StepKey(model.kind, name)))
+    def done_for(self, model: type[R], accept: Callable[[R], bool] = lambda _result: True) -> tuple[str, ...]:
+        """The trajectories with a standing result of a step that is accepted; none is read by that."""
+        found = ((name, self._case.find(model, name)) for name in self.trajectories)
+        return tuple(name for name, one in found if one is not None and accept(one.result))
 
     @property
     def read(self) -> tuple[Record, ...]:

@@ -17,6 +17,7 @@ from procedures.results.result import StepResult
 from ronna_hw.config import describe_mistakes
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.records import BadRecord, OtherVersion, Record
+from ronna_hw.wire.room_tasks import INSERT
 
 R = TypeVar("R", bound=StepResult)
 
@@ -64,12 +65,11 @@ class RunFolder:
 
 
 def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
-    """Targets that may be off by more than was predicted, and why. Work done anew at one begins anew."""
+    """Targets that may be off by more than was predicted, and why; until an instrument goes in once more."""
     doubts: dict[str, tuple[str, ...]] = {}
     for line in journal:
-        _, _, worked_at = str(line.get("step", "")).partition("at_target:")
-        if line["entry"] == Entry.RESULT and worked_at:
-            doubts.pop(worked_at, None)
+        if line["entry"] == Entry.STAGE and line.get("task") == INSERT and line.get("done") is False:
+            doubts.pop(str(line["trajectory"]), None)
         elif line["entry"] == Entry.FINDING and isinstance(targets := line.get("targets"), list):
             for name in map(str, targets):
                 doubts[name] = (*doubts.get(name, ()), str(line.get("text")))

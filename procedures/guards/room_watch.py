@@ -225,6 +225,8 @@ class RoomWatch:
                     raise _screw_moved(head, alone_mm, limit_mm)
                 raise _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
             findings.append(f"the tracker was moved by {_in_words(base.way_mm)}; arm and head agree")
+            self._localized_mm = self._localized_mm + head.mean_mm  # both are compared from here on
+            self.spheres_mm, self.references = self.spheres_mm + head.mean_mm, []
         if reading.frame_mm is not None:
             self.references.append(reading)
         if head is not None:

@@ -9,7 +9,7 @@ notice is a share of the predicted error.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING
@@ -63,13 +63,18 @@ class Watched:
         return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
 
 
+CONFIRMATION = "confirmation"
+LOOKS_AT_ROOM = (
+    *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
+    CONFIRMATION,
+)
 WATCHED = (
     Watched(
         Subject.HEAD,
         "the spheres on it, by the tracker",
         f"{HEAD_NOTICEABLE_MM:g} mm rms",
         ("global_localization", "registration"),
-        ("global_localization", "tool_check", "positioning", "confirmation"),
+        LOOKS_AT_ROOM,
         HEAD_NOTICEABLE_MM,
     ),
     Watched(
@@ -77,7 +82,7 @@ WATCHED = (
         "the frame on the arm, by tracker and arm",
         f"{BASE_NOTICEABLE_MM:g} mm",
         ("cart_lock", "global_localization"),
-        ("global_localization", "tool_check", "positioning", "confirmation"),
+        LOOKS_AT_ROOM,
         BASE_NOTICEABLE_MM,
     ),
     Watched(
@@ -85,7 +90,7 @@ WATCHED = (
         "dials of the gauge",
         f"{GUIDE_NOTICEABLE_MM:g} mm at its end",
         ("tool_check",),
-        ("tool_check", "confirmation"),
+        ("tool_check", CONFIRMATION),
         GUIDE_NOTICEABLE_MM,
     ),
     Watched(
@@ -100,13 +105,17 @@ WATCHED = (
 )
 
 
-def last_seen_s(journal: Iterable[Line]) -> dict[Subject, float]:
-    """Theatre time at which each subject was last seen to be as it was, according to a journal."""
+def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool]) -> dict[Subject, float]:
+    """Theatre time at which each subject was last seen to be as it was, according to a journal.
+
+    `confirms` says of a look after a target, by its record, whether it saw a subject unchanged.
+    """
     seen_s: dict[Subject, float] = {}
     for line in journal:
         step = str(line.get("step", "")).partition(":")[0]
         for one in WATCHED:
             looked = line["entry"] == Entry.RESULT and step in one.looked_at
+            looked = looked and (step != CONFIRMATION or confirms(str(line.get("record")), one.subject))
             if looked or (not one.looked_at and line["entry"] in (Entry.INTENT, Entry.MOTION)):
                 seen_s[one.subject] = theatre_time_s(line)
     return seen_s

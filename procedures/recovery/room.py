@@ -17,8 +17,12 @@ from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
-from procedures.steps.clinical.validity.room import frame_at_home
+from procedures.steps.clinical.validity.followed_move import (
+    frame_at_home,
+    spheres_followed,
+    that_followed,
+    watch_over,
+)
 from procedures.workcell import MountedTool
 
 

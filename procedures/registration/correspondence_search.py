@@ -183,7 +183,8 @@ class CorrespondenceSearch:
 
     def _explain(self, nearest: list[Candidate], outside_prior: bool) -> Match:
         """Why no pairing passes, with the nearest miss."""
-        miss = max(nearest, key=lambda one: (one.size, one.score_nats))
+        excluded = [one for one in nearest if outside_prior and self._objection(one)]
+        miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
         if outside_prior:
             reason = (
                 f"the points agree only in an orientation that the prior excludes: {self._objection(miss)}"

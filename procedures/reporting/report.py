@@ -114,9 +114,14 @@ def write_report(
         "tool_checks": reading.standing(CheckedTool),
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),
-        "confirmed": reading.standing(ConfirmedTarget),
+        "confirmed": (confirmed := reading.standing(ConfirmedTarget)),
         "watched": WATCHED,
-        "last_seen_s": last_seen_s(reading.run.journal),
+        "last_seen_s": last_seen_s(
+            reading.run.journal,
+            lambda record, subject: any(
+                one.result.confirms(subject) for one in confirmed if one.record.identifier == record
+            ),
+        ),
         "links": (links := _links(reading)),
         "link_counters": link_counters(reading.log),
         "questions": questions(reading.run.journal),
@@ -246,8 +251,9 @@ def _read_twice(
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
     """Health of the robot link, by stream, with the tool the arm carried."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
-    retreats = [stored.result.link for stored in reading.standing(Retreated)]
-    return [*changes, *(("guide", link) for link in retreats)]
+    retreats = (stored.result.link for stored in reading.standing(Retreated))
+    looks = (stored.result.link for stored in reading.standing(ConfirmedTarget))
+    return [*changes, *(("guide", link) for link in (*retreats, *looks) if link is not None)]
 
 
 def _moment(reading: RunReading, place: int) -> str:

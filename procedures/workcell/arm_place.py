@@ -41,7 +41,7 @@ class ArmPlace:
 
     @property
     def is_out(self) -> bool:
-        """Whether the arm may be away from its home. An arm that the run has not moved is where it was."""
+        """Whether the arm may be away from its home, by a motion of the run or as it was measured."""
         return not self.is_home and (self.moved or self.where is not Where.UNKNOWN)
 
     @property
@@ -63,7 +63,7 @@ class ArmPlace:
 
     @property
     def instrument_in_words(self) -> str | None:
-        """What to say of an instrument that is or may be inside."""
+        """The instrument that is or may be inside, in words."""
         if (inside := self.instrument_may_be_inside) is None:
             return None
         return f"an instrument {'may still be' if self.assumed else 'is still'} in {inside}"

@@ -196,8 +196,8 @@ class Workcell:
 
     @property
     def settled_home(self) -> bool:
-        """Whether the arm went home last with every joint arriving from the same side as ever."""
-        return self._way_home.settled
+        """Whether the arm stands at home, each joint having arrived from the same side as ever."""
+        return self._way_home.settled and self.place.is_home
 
     def set_home(self) -> JointVector:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
@@ -222,6 +222,7 @@ class Workcell:
         joints_rad = self.joints_rad()
         at_home = stands_at(joints_rad, self.home_rad)
         if at_home != self.place.is_home or self.place.where is Where.UNKNOWN:
+            self._way_home.settled = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def found_on_axis(self, axis: Insertion) -> None:

@@ -140,6 +140,7 @@ def _outcome(
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
     from procedures.reporting.used_registrations import registrations_of
+    from procedures.steps.clinical.confirmation import ConfirmedTarget
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan
     from procedures.steps.clinical.retreat import Retreated
@@ -153,6 +154,11 @@ def _outcome(
     links = [
         *(() if changed is None else (changed.result.link,)),
         *(one.result.link for name in names if (one := case.find(Retreated, name)) is not None),
+        *(
+            look.result.link
+            for name in names
+            if (look := case.find(ConfirmedTarget, name)) and look.result.link
+        ),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     measured_mm = {name: _measured_error_mm(case, name) for name in names}

@@ -14,7 +14,7 @@ from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
+from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged, Subject
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -29,15 +29,21 @@ from procedures.steps.clinical.tool_check import CheckedTool, read_on_gauge
 from procedures.steps.clinical.validity.followed_move import MOST_FOLLOWED_MM
 from procedures.steps.clinical.validity.room import ROOM_READS, room_watch
 from procedures.steps.conditions import away_from_head, carries
+from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
 from ronna_hw.errors import RonnaError
 
 
 class ConfirmedTarget(StepResult, kind="confirmation"):
-    """What a look after a target showed of everything that had to stay still."""
+    """Result of the look after a target."""
 
     seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
     in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")
+    link: LinkHealth | None = Field(description="Health of the robot link over the gauge; none if unused.")
+
+    def confirms(self, subject: Subject) -> bool:
+        """Whether a subject was seen unchanged."""
+        return any(one.unchanged for one in self.seen if one.subject == subject)
 
 
 def run(context: StepContext) -> Outcome[ConfirmedTarget]:
@@ -50,12 +56,13 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     context.workcell.check_mounted(MountedTool.GUIDE)
     remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
     guide = _guide(context, remain)
+    link = link_health(context) if context.workcell.streaming else None
     context.workcell.rest()  # it may have been the last target
     look = _room(context, remain)
     seen = (SeenUnchanged.head(look.head_mm), SeenUnchanged.base(look.base), guide)
     in_doubt = () if look.in_place and guide.unchanged else unconfirmed(context)
     return Outcome(
-        ConfirmedTarget(seen=seen, in_doubt=in_doubt),
+        ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link),
         summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),
     )
 
@@ -101,9 +108,10 @@ def _room(context: StepContext, remain: bool) -> RoomLook:
 
 
 def unconfirmed(context: StepContext) -> tuple[str, ...]:
-    """The targets worked at since the last look that showed nothing."""
-    confirmed = context.done_for(ConfirmedTarget)
-    return tuple(name for name in context.done_for(ReachedTarget) if name not in confirmed)
+    """The targets worked at, or begun to be, since the last look that showed nothing."""
+    confirmed = context.done_for(ConfirmedTarget, lambda look: not look.in_doubt)
+    stages = context.workcell.instrument.stages
+    return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
 
 
 def doubt(context: StepContext, reason: str) -> None:

@@ -70,7 +70,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     with refused_by_name(trajectory):
         approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
-    by_home = not (workcell.place.is_home and workcell.settled_home)
+    by_home = not workcell.settled_home
     with refused_by_name(trajectory):
         workcell.supervised.confirm(
             Topic.APPROACH,

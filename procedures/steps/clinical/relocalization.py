@@ -103,6 +103,8 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
         workcell.start(cameras=True)
         workcell.return_home()
         frame_mm = check_room(context, where, CAREFUL_FRAMES).reading.frame_mm
+        if frame_mm is None:
+            context.find(f"{where}: the tracker does not see the frame on the arm, with the arm home")
     else:
         check_room(context, where)
         workcell.start(cameras=True)

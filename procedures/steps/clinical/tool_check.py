@@ -179,7 +179,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
             read_s = context.setting.clock.now_s()
         context.have_instrument_out()
         found = GuideOnGauge(tuple(readings), *compared(guide.gauge, readings), reached.joints_rad)
-        if number + 1 >= APPROACHES and not found.differs:
+        if number + 1 == APPROACHES and not found.differs:
             break
     park(workcell, "park the arm from the gauge")
     require_recent(context, "the dials of the gauge", read_s)

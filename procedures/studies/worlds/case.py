@@ -19,6 +19,7 @@ from ronna_hw.records import read_record, write_whole
 
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 VERIFY_LIMIT_S = 120.0
+NO_TARGET = "SIM-006"
 FINISHED = ("done", "in doubt")  # outcomes of a case whose steps were all done
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
 KEPT = RANKS[Verdict.FALSE_FINDING]  # from here on the run is worth reading
@@ -75,6 +76,8 @@ def _true_errors_mm(run: Path) -> dict[str, float]:
     ended = finished_command(
         "ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S
     )
+    if not ended.stdout and NO_TARGET not in ended.stderr:  # else no instrument reached a target
+        raise WorldNotRun(f"{run.name} cannot be judged: {ended.stderr[-300:]}")
     targets = json.loads(ended.stdout)["targets"] if ended.stdout else []
     return {str(one["id"]): float(one["application_error_mm"]) for one in targets}
 

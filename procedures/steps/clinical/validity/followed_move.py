@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -33,6 +33,9 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text.beyond import beyond, side_by_side
+
+if TYPE_CHECKING:
+    from procedures.steps.clinical.relocalization import Relocalization
 
 Array = NDArray[np.float64]
 
@@ -141,6 +144,7 @@ def _measured(context: StepContext) -> MeasuredMove | None:
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
     watch = watch_over(workcell, "", localized, pairs)
+    watch.refer(frame_at_home(context))
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = frames_at_rest(workcell.tracker, context.setting.clock)
     reading = room_reading(workcell, frames, watch.robot_from_tracker)
@@ -226,3 +230,14 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
             "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")
+
+
+def frame_at_home(context: StepContext) -> Array | None:
+    """Place of the frame on the arm, home, before the spheres were localized again (3,) mm."""
+    from procedures.steps.clinical.relocalization import Relocalization  # which checks the room
+
+    def first(made: Sequence[Relocalization]) -> Relocalization | None:
+        return next((one for one in made if one.frame_at_home_mm is not None), None)
+
+    found = context.result_among(Relocalization, first)
+    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)

@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import PatientUnseen
@@ -20,14 +16,14 @@ from procedures.planning.sight.tracker import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.validity.followed_move import spheres_followed, that_followed, watch_over
+from procedures.steps.clinical.validity.followed_move import (
+    frame_at_home,
+    spheres_followed,
+    that_followed,
+    watch_over,
+)
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
-
-if TYPE_CHECKING:
-    from procedures.steps.clinical.relocalization import Relocalization
-
-Array = NDArray[np.float64]
 
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
@@ -35,8 +31,8 @@ ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks
 def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLook:
     """Read the tracker and compare with the global localization and the readings since.
 
-    The arm rests meanwhile. What is not seen is a finding. Raises PRO-019 and PRO-020; then the localization
-    is superseded, or the registrations that may follow the move, and all that descends from them.
+    The arm rests meanwhile. Raises PRO-019 and PRO-020; then the localization is superseded, or the
+    registrations that may follow the move, and all that descends from them.
     """
     from procedures.steps.clinical.confirmation import void_moved  # as in `room_watch`
 
@@ -124,14 +120,3 @@ def room_watch(context: StepContext) -> RoomWatch:
     followed = partial(that_followed, trajectory=context.key.trajectory)
     watch.follow(spheres_followed(context.result_among(RegisteredRobot, followed)))
     return watch
-
-
-def frame_at_home(context: StepContext) -> Array | None:
-    """How the tracker saw the frame on the arm at home before the spheres were localized again (3,) mm."""
-    from procedures.steps.clinical.relocalization import Relocalization  # which checks the room
-
-    def first(made: Sequence[Relocalization]) -> Relocalization | None:
-        return next((one for one in made if one.frame_at_home_mm is not None), None)
-
-    found = context.result_among(Relocalization, first)
-    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)

@@ -31,8 +31,6 @@ def test_working_speed_is_below_an_eighth_of_full_axis_speed() -> None:
 def test_a_joint_target_out_of_range_names_the_axis_and_the_limit() -> None:
     limits = r"A5 .* limit -119\.5 to 119\.5 deg with the margin of 0\.5, got 121\.000"
     with pytest.raises(OutOfJointRange, match=limits):
-        OutOfJointRange, match=r"A5 .* limit -119\.5 to 119\.5 deg with the margin of 0\.5, got 121\.000"
-    ):
         plan_joint_move(MODEL, START, radians6(0, -90, 90, 0, 121, 0), LIMITS)
 
 
