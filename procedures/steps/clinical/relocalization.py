@@ -98,13 +98,17 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     where, frame_mm = "before the spheres are localized again", None
-    if workcell.place.is_home:  # what moves from here on shows when the arm is home again
+    if workcell.place.is_home or not context.stands(Relocalization):  # what moves from here on shows at home
         check_room(context, where)
         workcell.start(cameras=True)
         workcell.return_home()
         frame_mm = check_room(context, where, CAREFUL_FRAMES).reading.frame_mm
         if frame_mm is None:
-            context.find(f"{where}: the tracker does not see the frame on the arm, with the arm home")
+            raise GateFailed(
+                f"{where}, the tracker does not see the frame on the arm",
+                expected="the frame in view, with the arm home",
+                action="Clear the line of sight between tracker and arm, then repeat the step.",
+            )
     else:
         check_room(context, where)
         workcell.start(cameras=True)
