@@ -260,7 +260,7 @@ def shift(cell: ClinicalCell, by_mm: float) -> None:
 
 
 def before_the_approach(cell: ClinicalCell) -> Engine:
-    cell.carrying(MountedTool.GUIDE)
+    cell.carrying(MountedTool.GUIDE).settled()
     given = (*before(cell), registered_robot(), mounted_guide(), checked_tool())
     engine = cell.begin(*given, positioning.STEP)
     engine.run_to(engine.order.sequence[len(given) - 1])

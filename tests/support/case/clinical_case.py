@@ -192,6 +192,14 @@ class ClinicalCell(RecordingCell):
         self.workcell.set_home()
         return self
 
+    def settled(self) -> ClinicalCell:
+        """The arm has come home with every joint from the same side, as a check of the tool leaves it."""
+        self.workcell.start()
+        self.workcell.return_home()
+        self.workcell.rest()
+        self.arm.motions.clear()
+        return self
+
     def begin(self, *steps: StepSpec[StepResult] | StepResult) -> Engine:
         """An engine for these steps; for a result, a step that leaves it."""
         specs = [given(step) if isinstance(step, StepResult) else step for step in steps]

@@ -33,8 +33,8 @@ def voiding(engine: Engine) -> Callable[[RonnaError], None]:
 
 
 def watched(cell: ClinicalCell) -> Engine:
-    """An engine that stands before the first positioning, with the guide mounted."""
-    cell.carrying(MountedTool.GUIDE)
+    """An engine that stands before the first positioning, with the guide mounted and the arm home."""
+    cell.carrying(MountedTool.GUIDE).settled()
     engine = cell.begin(
         *(
             checked_set_up(cell),

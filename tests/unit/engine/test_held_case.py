@@ -45,6 +45,7 @@ def test_no_step_starts_while_a_device_is_in_fault_and_the_fault_is_named(cell: 
         engine.run_step(engine.order.find("image"))
 
 
+HOMEWARD = ["joints", "joints"]  # a little before home, then onto it
 EMERGENCY = LinkTimeout("the arm was stopped: emergency stop is active")
 STOP = Fact("emergency stop", "pressed", ready=False, advice="Release it.")
 MESSAGE = Fact("messages", "1 is not acknowledged", ready=False, advice="Remove its cause.")
@@ -137,7 +138,7 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     engine = with_the_guide_on_its_axis(cell)
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
-    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
+    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
     assert cell.arm.joints_rad == HOME
     assert not cell.workcell.place.on_axis
     assert engine.machine.state == "held"
@@ -181,7 +182,7 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.checkpoint.pause()
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
-    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
+    assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
     assert not cell.workcell.place.on_axis
     assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"

@@ -203,7 +203,7 @@ class Rolls:
 
 def rolling(cell: ClinicalCell, target: str, at: int) -> Engine:
     """A case from the path check on, with a cart that rolls."""
-    cell.carrying(MountedTool.GUIDE)
+    cell.carrying(MountedTool.GUIDE).settled()
     engine = cell.begin(
         *(checked_paths(cell), checked_plan(), localized_fiducials(), *coarse(), mounted_guide()),
         *(checked_tool(), done_later(locked_cart())),
@@ -216,7 +216,8 @@ def rolling(cell: ClinicalCell, target: str, at: int) -> Engine:
 
 
 AT_ONE = 2  # motions: over a target and along its axis
-LOOKED_AFTER = 2 + 2 * APPROACHES + 1  # back and home; three times onto the gauge; home
+HOME = 2  # a little before, then onto it
+LOOKED_AFTER = 1 + HOME + 2 * APPROACHES + HOME  # back and home; three times onto the gauge; home
 BOTH_FINISHED = AT_ONE + LOOKED_AFTER + AT_ONE
 
 
@@ -250,7 +251,7 @@ def test_the_arm_stays_and_the_case_does_not_end_without_consent(tmp_path: Path)
 
 def test_a_cart_that_moves_on_the_way_out_of_the_first_target_is_locked_again(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
-    engine = rolling(cell, FIRST, 2)
+    engine = rolling(cell, FIRST, AT_ONE)
     engine.run_to()
     done = [step for _, step in cell.entries("result")]
     assert [done.count(f"at_target:{name}") for name in TRAJECTORIES] == [1, 1]
@@ -262,7 +263,7 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = ClinicalCell(tmp_path)
-    engine = rolling(cell, FIRST, 2)
+    engine = rolling(cell, FIRST, AT_ONE)
     engine.run_to()
     assert {engine.status(key) for key in engine.order.sequence} == {"done", "finished"}
     broken_off(cell)

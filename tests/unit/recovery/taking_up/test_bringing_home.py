@@ -37,7 +37,7 @@ def test_the_guide_is_withdrawn_first_and_the_run_then_resumes_as_before(cell: C
     order = case_order(cell)
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     assert bring_home(engine, left)
-    assert [kind for kind, _ in again.arm.motions] == ["line", "joints"]
+    assert [kind for kind, _ in again.arm.motions] == ["line", "joints", "joints"]
     assert again.workcell.place.is_home
     assert again.entries("accepted", "home", "result")[-2:] == [("accepted", ""), ("home", "")]
     broken_off(again)
