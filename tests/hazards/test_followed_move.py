@@ -31,6 +31,7 @@ from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.workcell import MountedTool
@@ -59,7 +60,7 @@ def under_the_guide(cell: ClinicalCell) -> Engine:
     before = (*coarse(), checked_plan(), localized_fiducials(), relocalization(), checked_paths(cell))
     engine = cell.begin(*before, registration.STEP, mounted_guide(), checked_tool(), positioning.STEP)
     engine.run_to(engine.order.find("tool_check"))
-    cell.carrying(MountedTool.GUIDE)
+    cell.carrying(MountedTool.GUIDE).settled()
     return engine
 
 
@@ -233,8 +234,9 @@ def test_a_step_that_watches_the_head_where_a_registration_followed_it_descends_
     looking = replace(done_later(checked_tool(), *ROOM_READS), run=looks)
     engine = cell.begin(*before, registration.STEP, mounted_guide(), looking, positioning.STEP)
     engine.run_to(engine.order.find("tool_check"))
-    cell.carrying(MountedTool.GUIDE)
-    room = {cell.case.get(model).record.identifier for model in ROOM_READS}
+    cell.carrying(MountedTool.GUIDE).settled()
+    models = (*ROOM_READS, Relocalization)  # the last by how the frame on the arm was seen before it
+    room = {cell.case.get(model).record.identifier for model in models}
     assert set(cell.case.get(CheckedTool).record.parents) == room  # nothing of the registrations was used
     cell.tracker.spheres_mm = SMALL_MM
     with pytest.raises(PatientMoved):

@@ -114,9 +114,10 @@ def unconfirmed(context: StepContext) -> tuple[str, ...]:
     return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
 
 
-def doubt(context: StepContext, reason: str) -> None:
-    """Record a finding on each of the unconfirmed targets."""
-    if targets := unconfirmed(context):
+def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
+    """Record a finding on the unconfirmed targets; unless `again`, on those without a look only."""
+    looked = () if again else context.done_for(ConfirmedTarget)
+    if targets := tuple(name for name in unconfirmed(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 
 

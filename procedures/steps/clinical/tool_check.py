@@ -75,7 +75,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         return _checked(context)
     except ToolBesideGauge as problem:
         context.find(problem.summary)
-        doubt(context, problem.summary)  # targets that it served before a restart or a fault
+        doubt(context, problem.summary, again=False)  # targets that it served before a restart or a fault
         tip = context.workcell.calibrations.tool_tip
         question = TOOL_BESIDE_GAUGE.question(
             "the guide differs from its record: mount it again",
