@@ -290,6 +290,19 @@ def test_a_head_that_the_tracker_does_not_see_is_not_approached(tmp_path: Path, 
     engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
+@pytest.mark.hazard(12)
+def test_a_jogged_arm_goes_home_and_no_further_while_the_head_is_hidden(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.1, *others)
+    cell.tracker.spheres_mm = SPHERES_MM[:2]
+    with pytest.raises(PatientUnseen, match="PRO-022"):
+        engine.run_to()
+    assert [kind for kind, _ in cell.arm.motions] == ["joints", "joints"]  # home
+    assert cell.workcell.place.is_home
+
+
 @pytest.mark.hazard(13)
 def test_no_head_is_approached_while_the_frame_on_the_arm_is_hidden(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
