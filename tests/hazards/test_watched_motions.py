@@ -57,11 +57,16 @@ def head_moves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("REFERENCE_MOVED")
-def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registration(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("jogged_rad", "motion"), [(0.0, "go"), (0.1, "home")])  # first of all it goes home
+def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registration(
+    tmp_path: Path, jogged_rad: float, motion: str
+) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + jogged_rad, *others)
     on_the_way(cell, head_moves(cell))
-    with pytest.raises(PatientMoved, match=r"moved.*, during the motion 'go'"):
+    with pytest.raises(PatientMoved, match=rf"moved.*, during the motion '{motion}'"):
         positioned(engine)
     assert cell.arm.motions == []  # it has not arrived
     assert cell.entries("voided", "failed") == [
