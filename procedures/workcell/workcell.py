@@ -392,7 +392,7 @@ class Workcell:
 
     def _joint_motion(self, what: MotionName, *legs: JointMove, by_home: bool = False) -> CellMotion:
         home_rad = self._way_home.known_rad if by_home else None
-        otherwise = () if home_rad is None else (JointMove(home_rad), *legs)
+        otherwise = () if home_rad is None else (*_legs(MotionName.HOME, home_rad), *legs)
         return CellMotion(what, f"the {self.tool}", legs[-1].target_rad, legs, otherwise)
 
     def _line_motion(

@@ -144,7 +144,7 @@ def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_moti
         another_target(engine)
         return False  # the way is clear
 
-    cell.arm.blocked = change_on_the_way
+    cell.settled().arm.blocked = change_on_the_way
     with pytest.raises(InputChanged):
         engine.run_step(engine.order.find(POSITIONING))
     assert motions(cell) == ["joints"]

@@ -165,6 +165,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         ConfirmedTarget(
             seen=(SeenUnchanged.head(0.1 + 0.2), SeenUnchanged.base(None), SeenUnchanged.guide(0.01)),
             in_doubt=("T1",),
+            link=None,
         ),
         BallPlace(ball_mm=(1.0, 2.0, 1 / 3), others_mm=((0.0, 0.0, 0.0),)),
         ObservedBall(observed=observed, remarks=("a remark",)),

@@ -94,7 +94,8 @@ def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_cove
     once: ClinicalCell,
 ) -> None:
     driven = [str(line["what"]) for step, line in motions_in(once) if step == "relocalization"]
-    over = [what for what in driven if what != MotionName.STEP]
+    settled, *over = [what for what in driven if what != MotionName.STEP]
+    assert settled == MotionName.HOME
     assert len(driven) > len(over) > len(TRAJECTORIES)
     asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
     assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
@@ -116,9 +117,11 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
             ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
             ends["back", pose] = tuple(before.translation_mm.tolist())
     driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionName.STEP]
-    driven = [to for to, _ in groupby(driven)]
-    assert len(driven) == len(paths.motions)
-    for to, motion in zip(driven, paths.motions, strict=True):
+    settled, *driven = [to for to, _ in groupby(driven)]
+    assert settled == pytest.approx(HOME_RAD)
+    onto_home = [one for one in paths.motions if one.start == one.end == HOME]  # driven with the way there
+    assert len(driven) == len(paths.motions) - len(onto_home)
+    for to, motion in zip(driven, [one for one in paths.motions if one not in onto_home], strict=True):
         assert to == pytest.approx(ends[motion.kind, motion.end], abs=0.02 if motion.kind == "move" else 1.0)
 
 
