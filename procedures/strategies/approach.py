@@ -13,7 +13,6 @@ from procedures.strategies.arm_in_branch import Joints
 from procedures.strategies.orientation import back_along_axis
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
 ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
@@ -33,7 +32,7 @@ def arrival_signs(
     return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
 
 
-def before_arriving(joints_rad: JointVector, arriving: Sequence[int]) -> JointVector:
+def before_arriving(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
     """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
     A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (A[0], A[1], A[2], A[3], A[4], A[5])
