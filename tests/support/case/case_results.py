@@ -21,6 +21,10 @@ MEASURED = (
 )
 
 
+OF_ALL_READINGS = ("pushed_mm", "frame_at_home_mm")
+"""Payload keys whose figures depend on the number of readings, and so on the host's pace."""
+
+
 def outcome_of(case: OperatedCase) -> dict[str, Any]:
     """What the command printed at its end."""
     return dict(json.loads(case.output.read_text(encoding="utf-8")))
@@ -29,11 +33,12 @@ def outcome_of(case: OperatedCase) -> dict[str, Any]:
 def measured(run: Path) -> dict[str, Any]:
     """The results of its measurements, by record.
 
-    Without the largest push on a guide: it is one of all readings, and slow hands leave time for more.
+    Without what depends on how many readings came before: the largest push on a guide, and the frame
+    on the arm as it was seen beside the re-localization. Slow hands leave time for more readings.
     """
     records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
     return {
-        one["identifier"]: {key: value for key, value in one["payload"].items() if key != "pushed_mm"}
+        one["identifier"]: {key: value for key, value in one["payload"].items() if key not in OF_ALL_READINGS}
         for one in records
         if one["kind"] in MEASURED
     }
