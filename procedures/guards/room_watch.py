@@ -63,7 +63,7 @@ class RoomReading:
 
     @property
     def careful(self) -> bool:
-        """Whether it was averaged for as long as a look before or after a target must be."""
+        """Averaged over enough frames (`CAREFUL_FRAMES`) for a look before or after a target."""
         return self.frames >= CAREFUL_FRAMES
 
     @property

@@ -1,4 +1,4 @@
-"""What must stay still in a case: how it is seen, and the smallest change that would be noticed.
+"""Stability of the room during a case: how each part is seen, and the smallest change noticed.
 
 Before and after each target the arm is home, where the tracker sees everything and the arm stands as it did
 before: only there is a change noticed that is small enough to matter at a target. What moves between two such
@@ -147,7 +147,7 @@ class SeenUnchanged(Values):
 
     @property
     def unchanged(self) -> bool:
-        """Whether it was seen, and in its place."""
+        """Seen, and moved by less than would be noticed."""
         return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
 
     def __str__(self) -> str:

@@ -54,7 +54,7 @@ class HeadSight:
 
 @dataclass(frozen=True, eq=False)
 class RoomPrior:
-    """What gravity, the patient's body and the tracker's sight allow.
+    """Poses of the head that gravity, the patient's body and the tracker's line of sight allow.
 
     `lying_up` (3,) is the patient's side that is up when lying flat; `recline_deg` is the range by which the
     upper body is raised from there, `tolerance_deg` how far the head may be turned or tilted beyond it. The

@@ -121,7 +121,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
 
 
 def _unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
-    """What a series that was mirrored or reordered on its way may look like, and some others do."""
+    """Warnings for orientations of a mirrored or reordered series; a sound one may have them too."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
     elif normal[2] < 0.0:

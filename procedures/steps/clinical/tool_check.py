@@ -141,7 +141,7 @@ class GuideOnGauge:
 
     @property
     def differs(self) -> bool:
-        """Whether it is not as it was when its tip was calibrated."""
+        """Bent or badly seated: off its calibrated pose by more than would be noticed."""
         return self.off_mm > GUIDE_NOTICEABLE_MM or self.tilt_deg > TILT_LIMIT_DEG
 
 

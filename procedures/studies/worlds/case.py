@@ -102,6 +102,6 @@ def _printed(output: str) -> dict[str, Any]:
 
 
 def _error(output: str) -> str:
-    """What ended a run, by its own words."""
+    """Code and message of the error that ended a run, empty without one."""
     error = _printed(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""

@@ -39,7 +39,7 @@ own = replace(SETTINGS, port=port, parent_pid=os.getpid(), heartbeat_limit_s=10.
 link = LinkClient(lambda memory, event: replace(own, mailbox_fd=memory, event_fd=event), 60.0)
 print(link.state.phase.name)
 os.killpg(0, signal.SIGINT)
-time.sleep(0.1)
+time.sleep(0.1)  # nothing to await: the link is to outlive the signal
 print(link.alive)
 link.close()
 """

@@ -1,4 +1,4 @@
-"""What gravity, the patient's body and the tracker's sight say of a pose, and what tells a mirror image."""
+"""Poses refused by gravity, the patient's body and the tracker's line of sight; mirror images told apart."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 
 
 def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
-    """What gravity, the patient's position and the tracker's sight allow of the pose robot <- CT."""
+    """Prior on the pose robot <- CT from the planned patient position and the tracker's line of sight."""
     return RoomPrior(
         lying_up=np.array(UP_LPS[plan.plan.lies.value[2:]]),
         recline_deg=settings.recline_deg,
