@@ -192,6 +192,11 @@ class ProcedureSettings(Strict):
         description="Displacement of a sphere refitted after the CT from its CT position, per axis, one "
         "standard deviation.",
     )
+    sphere_diameter_mm: Annotated[float, Field(ge=11.0, le=12.0), Length] = Field(
+        default=11.5,
+        description="Diameter of the spheres as the stereo head sees their film, such as `2 radius_mm` of "
+        "spheres measured right after its calibration; a median that differs by 0.05 % refuses the head.",
+    )
     servo_area_px: tuple[SensorPixels, SensorPixels] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor read by the visual servo."
     )

@@ -23,7 +23,10 @@ from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import named_scene
 
 SEEDS = range(20)
-TURNED = ("left 0.2", "left -0.2", "right 0.2", "right -0.2")
+TURNED = (
+    *(["left 0.2"], ["left -0.2"], ["right 0.2"], ["right -0.2"]),
+    *(["left 0.2", "right -0.2"], ["left -0.2", "right 0.2"]),
+)
 RADIUS_MM = 5.75
 STATED_MM = 0.02  # error of the theatre's stereo head records
 
@@ -37,6 +40,14 @@ def test_positions_from_a_head_with_a_turned_camera_are_refused(tmp_path: Path) 
         cell.run(*before, STEP)
     assert refused.value.exit_code == EXIT_REFUSED
     assert len(SPHERES_MM) == 4
+
+
+@pytest.mark.hazard(26)
+def test_spheres_of_a_wrong_size_are_refused_also_when_both_outlines_agree() -> None:
+    turned = [(RADIUS_MM * 1.0026, RADIUS_MM * 1.0026)] * 3
+    with pytest.raises(HeadTurned, match=r"STE-014.*size is wrong; limit 0.05%.*got 0.26"):
+        check_head(turned, [0.01] * 3, STATED_MM)
+    check_head(turned, [0.01] * 3, STATED_MM, sphere_diameter_mm=2.0 * RADIUS_MM * 1.0026)
 
 
 @pytest.mark.hazard(26)
@@ -64,6 +75,6 @@ def test_a_turn_of_a_fifth_of_a_degree_is_detected_on_every_head_and_an_intact_h
 
     check(cell.centre(start))
     for turned in TURNED:
-        cell.world.set_fault_script(f"at 0 s: camera twist {turned} deg")
+        cell.world.set_fault_script("\n".join(f"at 0 s: camera twist {one} deg" for one in turned))
         with pytest.raises(HeadTurned):
             check(cell.centre(start))

@@ -33,6 +33,7 @@ from procedures.registration import (
 )
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.shared_residual import UnnoticedPoint
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult, Values
@@ -40,7 +41,12 @@ from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.arm import arm_errors, unknown_sides_mm2
 from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
-from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
+from procedures.steps.clinical.error_budget.gate import (
+    arm_covariance_mm2,
+    moved_spheres,
+    residual_gate,
+    unnoticed_sphere,
+)
 from procedures.steps.clinical.error_budget.held_guide import held_guide
 from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -167,6 +173,9 @@ class _Pairs:
 
     def gate(self, arm_mm: float) -> FreGate:
         return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
+
+    def unnoticed(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
+        return unnoticed_sphere(fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm)
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -317,6 +326,7 @@ def predict_tip_error(
         OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)),
         *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
     )
+    worst = pairs.unnoticed(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,
@@ -329,6 +339,8 @@ def predict_tip_error(
         limit_mm=predicted.limit_mm(DEFAULT_CONFIDENCE),
         confidence=DEFAULT_CONFIDENCE,
         formula="covariance propagation, joint by joint",
+        excluded=f"{NOT_PREDICTED}; one sphere moved since the CT: {worst.at_target_mm:.2f} mm "
+        f"(sphere {pairs.fiducials[worst.index] + 1}, by {worst.displaced_mm:.1f} mm) until the fit shows",
         budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
 

@@ -141,7 +141,8 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
         _check_last(offsets_mm, [one.fiducial for one in spheres], context)
     gaps_mm = tuple(sphere.ray_gap_mm for sphere in spheres)
     radii_mm = tuple(sphere.radii_mm for sphere in spheres)
-    check_head(radii_mm, gaps_mm, workcell.calibrations.stereo_head.stated_error_mm)
+    stated_mm = workcell.calibrations.stereo_head.stated_error_mm
+    check_head(radii_mm, gaps_mm, stated_mm, settings.sphere_diameter_mm)
     check_room(context, "after the spheres were localized again")
     return Outcome(
         Relocalization(

@@ -11,6 +11,7 @@ from typing import Any
 from procedures.studies.errors import WorldNotRun
 from procedures.studies.worlds.verdict import RANKS, Judgement, Verdict, judge, limits_used_mm
 from procedures.studies.worlds.world import World
+from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, chain_until_broken
 from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.host.child_process import command
@@ -20,6 +21,7 @@ from ronna_hw.records import read_record, write_whole
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 VERIFY_LIMIT_S = 120.0
 NO_TARGET = "SIM-006"
+BY_THE_PROCEDURE = (EXIT_REFUSED, EXIT_SAFETY_STOP)  # not a link that was lost or a device that failed
 FINISHED = ("done", "in doubt")  # outcomes of a case whose steps were all done
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
 KEPT = RANKS[Verdict.FALSE_FINDING]  # from here on the run is worth reading
@@ -51,7 +53,7 @@ def carry_out(world: World, folder: Path) -> Judgement:
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
         done=_printed(ended.stdout).get("outcome") in FINISHED,
-        error=_error(ended.stdout),
+        error=_error(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
     )
     write_whole(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
     if RANKS[found.verdict] < KEPT:

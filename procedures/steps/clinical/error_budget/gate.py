@@ -8,8 +8,9 @@ from numpy.typing import NDArray
 from procedures.registration import register
 from procedures.registration.error_theory import FreGate, chi_square_limit, degrees_of_freedom
 from procedures.registration.errors import CollinearPoints
+from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.shared_residual import chi_square_of_shared
+from procedures.registration.shared_residual import UnnoticedPoint, chi_square_of_shared, unnoticed_point
 
 Array = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 GATE_ARM_RESERVE = 1.5
 ALIKE_MM = 1e-6  # shared displacements that differ by less are one
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
+GROSS_MM = 3.0  # a sphere on its screw that is off by more is seen by eye (unconfirmed)
 
 
 def residual_gate(
@@ -32,7 +34,7 @@ def residual_gate(
     axis, `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
     REG-006.
     """
-    allowed = measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
+    allowed = _allowed_mm2(measured_mm2, arm_mm)
     fit = register(image_mm, physical_mm, covariance_mm2=allowed)
     if float(np.ptp(shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
         return fit.gate(confidence=GATE_CONFIDENCE)
@@ -58,6 +60,33 @@ def moved_spheres(
         if gate.passed:
             found.append((gate.fre_mm, index))
     return tuple(index for _, index in sorted(found))
+
+
+def unnoticed_sphere(
+    fit: Registration,
+    target_mm: Array,
+    gate: FreGate,
+    measured_mm2: Array,
+    arm_mm: float,
+    shared_mm: Array,
+) -> UnnoticedPoint:
+    """Find the sphere that, moved since the CT, puts a target off furthest while the `gate` still passes.
+
+    `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
+    """
+    return unnoticed_point(
+        np.asarray(fit.transform.apply(fit.image_mm), dtype=float),
+        target_mm,
+        _allowed_mm2(measured_mm2, arm_mm),
+        shared_mm,
+        None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
+        gate,
+        GROSS_MM,
+    )
+
+
+def _allowed_mm2(measured_mm2: Array, arm_mm: float) -> Array:
+    return measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
 
 
 def arm_covariance_mm2(arm_mm: float) -> Array:
