@@ -11,9 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.figures import Figure
 from procedures.planning.markers.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import match, register
-from procedures.studies.campaign.unit import add_up
-from procedures.studies.correspondence.readings import draw_readings
-from procedures.studies.correspondence.study import (
+from studies.campaign.unit import add_up
+from studies.correspondence.readings import draw_readings
+from studies.correspondence.study import (
     FALSE,
     SUCCESS,
     UNSUCCESSFUL,
@@ -21,14 +21,14 @@ from procedures.studies.correspondence.study import (
     Method,
     verdict,
 )
-from procedures.studies.heads import (
+from studies.heads import (
     IMAGE_SIGMA_MM,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
     per_axis_mm,
     sites_mm,
 )
-from procedures.studies.registration import ISOTROPIC, RegistrationStudy, tables
+from studies.registration import ISOTROPIC, RegistrationStudy, tables
 
 RUNS_PER_CELL = {
     "5 to 8 markers": 200,

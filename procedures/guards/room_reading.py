@@ -53,14 +53,24 @@ def room_reading(
     """What these frames show, with the arm in its present pose."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
-    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * len(frames)))
+    least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
+    seen = mean_pose(frames, on_arm, least)
     joints = workcell.joints_rad()
     by_arm = robot_from_marker(workcell, joints)
     frame_mm = None
     if seen is not None:
         frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
     frame = robot_from_tracker.inverse() @ by_arm if seen is None else seen
-    markers = frame.apply(workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool])
+    markers = [frame.apply(workcell.tracker.markers_mm[on_arm])]
+    for name, places_mm in workcell.tracker.markers_mm.items():  # the guide's make ghosts as well
+        other = None if name == on_arm else mean_pose(frames, name, least)
+        if other is not None:
+            markers.append(other.apply(places_mm))
     return RoomReading(
-        workcell.flange_pose(joints), frame_mm, spheres, markers, len(frames), workcell.settled_home
+        workcell.flange_pose(joints),
+        frame_mm,
+        spheres,
+        np.vstack(markers),
+        len(frames),
+        workcell.settled_home,
     )

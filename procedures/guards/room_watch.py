@@ -50,8 +50,9 @@ class RoomReading:
 
     `robot_from_flange` is the arm's pose, by its calibration or else nominal, `frame_mm` (3,) the frame by
     the tracker minus the frame by the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are
-    strays and `markers_mm` (k, 3) the markers of the frame, tracker frame. `frames` of the tracker were
-    averaged. `settled` says that every joint came to rest from the same side as ever, at home.
+    strays and `markers_mm` (k, 3) the markers of the frame and of other tools in view, tracker frame.
+    `frames` of the tracker were averaged. `settled` says that every joint came to rest from the same side
+    as ever, at home.
     """
 
     robot_from_flange: Transform

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from ronna_hw.errors import ConfigurationError
 
-OWN_PACKAGES = ("drivers", "sim", "procedures")
+OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
 
 
 class ForeignPackage(ConfigurationError):

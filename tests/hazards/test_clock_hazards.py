@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("ronna_hw", "drivers", "sim", "procedures")
+PACKAGES = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies")
 WALL_CLOCK = {
     "time.time", "time.time_ns", "time.localtime", "time.gmtime",
     "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
@@ -22,7 +22,7 @@ WORDS = re.compile(rf"\.\s*({'|'.join(sorted(ASKED))})\b|\bfrom\s+time\b")
 # Where a date is wanted: on records, journal, events, recorded bytes, reports, and against an expiry date.
 DATING = {
     "ronna_hw/records.py",
-    "ronna_hw/conformance/report.py",
+    "conformance/report.py",
     "sim/theatre/theatre_file.py",
     "sim/phantom",
     "procedures/journal/journal.py",

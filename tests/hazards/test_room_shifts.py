@@ -20,17 +20,19 @@ from prepared_results import (
     registered_robot,
 )
 from room_trials import STILL, TrackedCase
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
+from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import NEAR_HEAD_MM, RoomReading
 from procedures.registration.shift import NEAR_MM
 from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.validity.room import require_unmoved
 from procedures.workcell import MountedTool
+from ronna_hw.frames import Frame, Transform
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.optics.phantoms import phantoms
 
@@ -195,6 +197,18 @@ def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_s
     )
     looked = watch.compare(crossed)
     assert (looked.head_mm, looked.moved, looked.findings) == (None, None, ())
+
+
+@pytest.mark.hazard(12)
+def test_markers_of_the_mounted_guide_are_known_as_ends_of_lines_as_those_of_the_frame_are(
+    tmp_path: Path,
+) -> None:
+    for mounted, frames in ((MountedTool.STEREO_HEAD, 1), (MountedTool.GUIDE, 2)):
+        cell = ClinicalCell(tmp_path / mounted.name).carrying(mounted)
+        reading = read_room(
+            cell.workcell, cell.clock, Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.identity())
+        )
+        assert len(reading.markers_mm) == sum(map(len, list(cell.tracker.markers_mm.values())[:frames]))
 
 
 @pytest.mark.hazard(12)

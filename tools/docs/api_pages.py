@@ -19,10 +19,10 @@ from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
 from procedures.exchange import raw_readings
 from procedures.strategies import strategy, trajectory
-from procedures.studies.own import contracts
 from ronna_hw import frames, simulation, theatre
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, motion, readings
 from ronna_hw.devices.byte_sink import RecordsBytes
+from studies.own import contracts
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

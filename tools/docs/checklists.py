@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from page_tables import table
 
-from ronna_hw.conformance.case import Suite
-from ronna_hw.conformance.protocol import composed, load_protocol
+from conformance.case import Suite
+from conformance.protocol import composed, load_protocol
 
 
 def checklist(generic: Suite, wire_protocol: str) -> str:

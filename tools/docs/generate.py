@@ -19,11 +19,14 @@ from open_questions import parameter_table, robot_parameters
 from page_tables import table
 from scanner_table import scanner_faults
 
+import conformance
 import console
 import drivers
 import procedures.steps
 import ronna_hw
 import sim
+import studies
+from conformance import robot, stereo, tracker
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
@@ -37,14 +40,13 @@ from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import clinical_steps
 from ronna_hw.config import TheatreFile
-from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.world.faults import FAULT_KINDS
 from sim.world.scene.model import Scene
 
-PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures, console)
+PACKAGES: tuple[ModuleType, ...] = (ronna_hw, conformance, drivers, sim, procedures, studies, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 

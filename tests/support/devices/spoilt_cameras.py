@@ -11,11 +11,11 @@ from typing import Any
 
 import pytest
 
+from conformance.device_under_test import DeviceUnderTest
+from conformance.gige.protocol import PROTOCOL
+from conformance.report import CaseResult, run_case
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.gige.protocol import PROTOCOL
-from ronna_hw.conformance.report import CaseResult, run_case
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
 from sim.basler.camera.device import Camera
 from sim.basler.control.bootstrap import XML_ADDRESS

@@ -14,7 +14,7 @@ import atheris  # type: ignore[import-not-found]
 import psutil
 from bounded_cost import MEMORY_BYTES, bounded_cost
 
-OURS = ["ronna_hw", "drivers", "sim", "procedures"]
+OURS = ["ronna_hw", "conformance", "drivers", "sim", "procedures", "studies"]
 LONGEST_BYTES = 100_000
 HANGS_S = 60  # of host time; what takes processor time is refused long before
 

@@ -24,8 +24,8 @@ from enum import StrEnum
 from itertools import count
 from pathlib import Path
 
-from ronna_hw.conformance.disturbed_line import DisturbedLine
-from ronna_hw.conformance.kuka.tap import RsiTap
+from conformance.disturbed_line import DisturbedLine
+from conformance.kuka.tap import RsiTap
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_HEADER_BYTES, GVCP_PORT, Bootstrap, GvcpCommand
 from ronna_hw.wire.polaris import BX_CRC_BYTES, BX_HEADER_BYTES, BX_START, crc16

@@ -20,6 +20,8 @@ from bounded_cost import LIMIT_S
 from good_inputs import JOURNAL_OF_A_RUN, PLACE, TEMPLATE
 from painted_ct import compress_slice, write_series
 
+from conformance.case import Nonconformity
+from conformance.polaris.bx_reply import read_body
 from drivers.basler_stereo.images import pixels_of
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
@@ -37,13 +39,7 @@ from procedures.reporting.link_counters import link_counters
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
 from procedures.steps.calibration.recipe import Recipe
-from procedures.studies.campaign import ledger
-from procedures.studies.campaign.unit import add_up
-from procedures.studies.correspondence import frame_readings
-from procedures.studies.registration import RegistrationStudy
 from ronna_hw.bounded_input import parse_json
-from ronna_hw.conformance.case import Nonconformity
-from ronna_hw.conformance.polaris.bx_reply import read_body
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
@@ -70,6 +66,10 @@ from sim.world.left_world import read_left_world
 from sim.world.scene.named_scenes import named_scene
 from sim.world.truth import read_samples
 from sim.world.world import World
+from studies.campaign import ledger
+from studies.campaign.unit import add_up
+from studies.correspondence import frame_readings
+from studies.registration import RegistrationStudy
 
 Take = Callable[[bytes], object]
 ROOM_REQUESTS = (

@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 from spoilt_cameras import Stand
 
+from conformance.case import Case, Outcome
+from conformance.device_under_test import DeviceUnderTest
+from conformance.report import run_case
+from conformance.stereo import SUITE
 from drivers.basler_stereo.errors import (
     BadOptions,
     NoCamera,
@@ -22,10 +26,6 @@ from drivers.basler_stereo.pylon.pair import PylonStereoPair
 from drivers.basler_stereo.pylon.probe import probe
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.case import Case, Outcome
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.report import run_case
-from ronna_hw.conformance.stereo import SUITE
 from ronna_hw.devices import Lifecycle, StereoPair
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import AreaOfInterest, Validity

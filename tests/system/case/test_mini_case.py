@@ -21,9 +21,6 @@ from procedures.cli.procedure import app as ronna_procedure
 from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.results.result import FramedPose
-from procedures.studies.accuracy.postures import ARM, TOOL_MM
-from procedures.studies.accuracy.random_arms import RandomArms
-from procedures.studies.accuracy.solving import PlannedPoses, centred
 from procedures.workcell.tracker_look import FRAMES
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
@@ -32,6 +29,9 @@ from sim.cli import app as ronna_sim
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import read_scene
 from sim.world.scene.seating import spheres_in_theatre
+from studies.accuracy.postures import ARM, TOOL_MM
+from studies.accuracy.random_arms import RandomArms
+from studies.accuracy.solving import PlannedPoses, centred
 
 LARGEST_ERROR_MM = 1.5
 TRACKER_MM = 0.2  # of 1,500 drawn scenes the largest is 0.12 mm: the smooth error of both frames is the same

@@ -15,7 +15,7 @@ def test_a_few_worlds_are_judged_by_truth_and_kept(tmp_path: Path) -> None:
     out = tmp_path / "worlds"
     arguments = ["worlds", "--cases", "3", "--seed", "0", "--workers", "1", "--out", str(out), "--json"]
     ended = subprocess.run(
-        [sys.executable, "-m", "procedures.cli.campaign", *arguments],
+        [sys.executable, "-m", "studies.cli", *arguments],
         capture_output=True,
         text=True,
         timeout=600,

@@ -12,11 +12,11 @@ import pytest
 from bad_inputs import BadInput, app_of, write_bench
 from user_commands import in_this_process, one_error
 
-from procedures.studies.own import trial
 from sim.world.control import Room
 from sim.world.control_port import ControlPort
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
+from studies.own import trial
 
 BAD_INPUTS = BadInput.read(Path(__file__).with_name("bad_inputs.txt"))
 FEWEST = 150

@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 from user_commands import Commands, in_this_process
 
-from procedures.cli.campaign import app
-from procedures.studies.campaign.unit import Sums, Unit
-from procedures.studies.registration import RegistrationStudy
+from studies.campaign.unit import Sums, Unit
+from studies.cli import app
+from studies.registration import RegistrationStudy
 
 STARTED_S = 60.0  # hang guard: the first units of a pool that has to import SciPy on a busy computer
 UNITS_BEFORE_THE_KILL = 10

@@ -11,8 +11,8 @@ import pytest
 from documented import write_files
 from user_commands import in_this_process
 
-from procedures.cli.campaign import app
-from procedures.studies.own import trial
+from studies.cli import app
+from studies.own import trial
 
 PAGE = "docs/how-to/research/own-methods.md"
 

@@ -11,7 +11,7 @@ import pytest
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 
-SUITE = "ronna_hw.conformance.cli"
+SUITE = "conformance.cli"
 
 
 def _run(*arguments: str) -> tuple[int, dict[str, object]]:

@@ -10,11 +10,11 @@ import time
 import pytest
 from polaris_mutations import COMMANDS_TO_RECOVER, MUTATIONS, Delivery, whole_binary
 
+from conformance.disturbed_line import DisturbedLine
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.endpoints import parse_endpoint

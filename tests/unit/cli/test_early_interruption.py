@@ -16,7 +16,7 @@ def _ended(program: str) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("package", ["procedures.cli", "sim.cli", "ronna_hw.conformance.cli"])
+@pytest.mark.parametrize("package", ["procedures.cli", "sim.cli", "conformance.cli"])
 def test_an_interrupt_during_import_prints_one_word(package: str) -> None:
     done = _ended(f"import {package}; raise KeyboardInterrupt")
     assert (done.returncode, done.stdout, done.stderr) == (EXIT_INTERRUPTED, "", "interrupted\n")

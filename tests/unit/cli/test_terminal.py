@@ -318,7 +318,7 @@ def test_an_unknown_level_or_logger_is_a_usage_error(arguments: str, environment
 
 def test_every_logger_in_the_sources_can_be_named() -> None:
     parts = set()
-    for folder in ("ronna_hw", "drivers", "sim", "procedures", "console"):
+    for folder in ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console"):
         for source in (ROOT / folder).rglob("*.py"):
             parts |= set(re.findall(r'[^`]logger\(part="([^"]+)"', source.read_text()))
     assert parts == set(PARTS)

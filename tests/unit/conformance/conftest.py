@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from ideal_device import IdealDevice
 
+from conformance import device_under_test
+from conformance.device_under_test import DeviceUnderTest
+from conformance.protocol import ProtocolCases
 from ronna_hw import registry
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance import device_under_test
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.protocol import ProtocolCases
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import ConnectError

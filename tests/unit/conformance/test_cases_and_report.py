@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from ronna_hw.conformance import case as conformance_case
-from ronna_hw.conformance.case import (
+from conformance import case as conformance_case
+from conformance.case import (
     HOST_TIME,
     MOTION,
     Case,
@@ -23,10 +23,10 @@ from ronna_hw.conformance.case import (
     check,
     refused,
 )
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.errors import NoSuchCase
-from ronna_hw.conformance.protocol import ProtocolCases, composed
-from ronna_hw.conformance.report import run_case, run_suite
+from conformance.device_under_test import DeviceUnderTest
+from conformance.errors import NoSuchCase
+from conformance.protocol import ProtocolCases, composed
+from conformance.report import run_case, run_suite
 from ronna_hw.errors import ConnectError
 
 MakeDut = Callable[..., DeviceUnderTest]

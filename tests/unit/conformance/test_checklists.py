@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.conformance import robot, stereo, tracker
-from ronna_hw.conformance.case import DESTRUCTIVE, Suite
-from ronna_hw.conformance.checklist import Checklist
-from ronna_hw.conformance.gige.checklist import GIGE_CHECKLIST
-from ronna_hw.conformance.gige.protocol import PROTOCOL as GIGE
-from ronna_hw.conformance.kuka.checklist import KUKA_CHECKLIST
-from ronna_hw.conformance.kuka.protocol import PROTOCOL as KUKA
-from ronna_hw.conformance.polaris.checklist import POLARIS_CHECKLIST
-from ronna_hw.conformance.polaris.protocol import PROTOCOL as POLARIS
-from ronna_hw.conformance.protocol import composed
+from conformance import robot, stereo, tracker
+from conformance.case import DESTRUCTIVE, Suite
+from conformance.checklist import Checklist
+from conformance.gige.checklist import GIGE_CHECKLIST
+from conformance.gige.protocol import PROTOCOL as GIGE
+from conformance.kuka.checklist import KUKA_CHECKLIST
+from conformance.kuka.protocol import PROTOCOL as KUKA
+from conformance.polaris.checklist import POLARIS_CHECKLIST
+from conformance.polaris.protocol import PROTOCOL as POLARIS
+from conformance.protocol import composed
 
 ROOT = Path(__file__).parents[3]
 TRACKER = composed(tracker.SUITE, POLARIS)

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from conformance import cli
 from ronna_hw.command_line.terminal import exit_code_of
-from ronna_hw.conformance import cli
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND
 
 NOBODY = "tcp://127.0.0.1:1"

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from ronna_hw.conformance.disturbed_line import DisturbedLine
+from conformance.disturbed_line import DisturbedLine
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 
 

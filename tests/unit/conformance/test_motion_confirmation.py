@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
+from conformance import cli
+from conformance.report import Report
 from ronna_hw.command_line.terminal import exit_code_of
-from ronna_hw.conformance import cli
-from ronna_hw.conformance.report import Report
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -30,7 +30,7 @@ def confirmed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         names.append(confirmed_by)
         return Report("robot", "kuka_rsi", {}, Identity("", "", "", ""), "", (), confirmed_by)
 
-    monkeypatch.setattr("ronna_hw.conformance.report.run_suite", begin)
+    monkeypatch.setattr("conformance.report.run_suite", begin)
     return names
 
 

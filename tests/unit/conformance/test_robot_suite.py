@@ -10,14 +10,14 @@ import pytest
 from ideal_arm import Controller, IdealArm
 from ur5 import Ur5
 
+from conformance import robot
+from conformance.case import MOTION, Outcome
+from conformance.device_under_test import DeviceUnderTest
+from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance import robot
-from ronna_hw.conformance.case import MOTION, Outcome
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.report import run_case
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity

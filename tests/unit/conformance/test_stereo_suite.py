@@ -9,13 +9,13 @@ from typing import Any
 import pytest
 from ideal_pair import LEFT, RIGHT, IdealPair, Rig, altered
 
+from conformance import device_under_test, stereo
+from conformance.case import Outcome
+from conformance.device_under_test import DeviceUnderTest
+from conformance.report import run_case
 from ronna_hw import registry
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.conformance import device_under_test, stereo
-from ronna_hw.conformance.case import Outcome
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.report import run_case
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import StateError

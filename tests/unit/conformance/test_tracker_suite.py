@@ -10,10 +10,10 @@ from typing import Any
 
 import pytest
 
-from ronna_hw.conformance.case import Outcome
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.report import run_case
-from ronna_hw.conformance.tracker import SUITE
+from conformance.case import Outcome
+from conformance.device_under_test import DeviceUnderTest
+from conformance.report import run_case
+from conformance.tracker import SUITE
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle

@@ -11,7 +11,7 @@ import imported
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-PACKAGES = ("ronna_hw", "drivers", "sim", "procedures", "console")
+PACKAGES = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 # Modules, and commands that show their help, with what they must not import: in this order in one process, as
 # what is imported stays.
@@ -142,8 +142,8 @@ def test_no_process_imports_packages_that_it_does_not_need_and_every_command_sho
 
 # Readers without bounds. What these read is ours, the kernel's, or already within bounds.
 READS_WHOLE = {
-    "procedures/studies/worlds/case.py": "what it has written",
-    "procedures/studies/worlds/study.py": "what it has written",
+    "studies/worlds/case.py": "what it has written",
+    "studies/worlds/study.py": "what it has written",
     "console/feed/engine_socket.py": "another process of ours",
     "console/web/library.py": "our pages",
     "console/planning/structure_panel.py": "an upload within bounds",
@@ -159,10 +159,10 @@ READS_WHOLE = {
     "procedures/imaging/dicom/frame_decoder.py": "another process of ours",
     "procedures/reporting/files.py": "a file of known length",
     "procedures/reporting/second_reading.py": "text within bounds, by another parser than the report",
-    "procedures/studies/campaign/code.py": "our modules",
-    "procedures/studies/campaign/ledger.py": "what it has written",
-    "procedures/studies/localization/phantom_scans.py": "another process of ours, and its files",
-    "procedures/studies/own/beside.py": "modules that are run",
+    "studies/campaign/code.py": "our modules",
+    "studies/campaign/ledger.py": "what it has written",
+    "studies/localization/phantom_scans.py": "another process of ours, and its files",
+    "studies/own/beside.py": "modules that are run",
     "ronna_hw/arm/clearance/surroundings.py": "another process of ours",
     "ronna_hw/bounded_input/json_text.py": "text within bounds",
     "ronna_hw/bounded_input/toml_text.py": "text within bounds",

@@ -19,7 +19,9 @@ NO_LIMITS = {
 }
 
 
-@pytest.mark.parametrize("package", ["ronna_hw", "drivers", "sim", "procedures", "console"])
+@pytest.mark.parametrize(
+    "package", ["ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console"]
+)
 def test_every_subpackage_is_listed_once(package: str) -> None:
     section = PAGE.partition(f"\n## `{package}`\n")[2].partition("\n## ")[0]
     listed = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)

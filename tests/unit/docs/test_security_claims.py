@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = (ROOT / "docs/explanation/security.md").read_text(encoding="utf-8")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
-OURS = ("ronna_hw", "drivers", "sim", "procedures", "console")
+OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 SERVERS = {"create_server", "ThreadingTCPServer", "ThreadingHTTPServer", "HTTPServer", "TCPServer"}
 LISTENING = re.compile(
     rf"\b({'|'.join((*sorted(SERVERS), 'bind'))})\b"
@@ -39,7 +39,7 @@ def test_every_module_that_opens_a_listening_socket_is_named() -> None:
         for path in (ROOT / package).rglob("*.py")
         if LISTENING.search(source := path.read_text(encoding="utf-8")) and _listens(ast.parse(source))
     }
-    named = re.findall(r"`((?:ronna_hw|drivers|sim|procedures|console)/[\w/.]*)`", PAGE)
+    named = re.findall(r"`((?:ronna_hw|conformance|drivers|sim|procedures|studies|console)/[\w/.]*)`", PAGE)
     assert [module for module in sorted(found) if not any(module.startswith(name) for name in named)] == []
     assert [name for name in named if not any(module.startswith(name) for module in found)] == []
 

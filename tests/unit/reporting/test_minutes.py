@@ -8,8 +8,8 @@ import pytest
 
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.reporting.minutes import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
-from procedures.studies.errors import NoRunToTime
-from procedures.studies.times import ALGORITHM_S, OPERATOR_S, times_of
+from studies.errors import NoRunToTime
+from studies.times import ALGORITHM_S, OPERATOR_S, times_of
 
 
 @pytest.fixture

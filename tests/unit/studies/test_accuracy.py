@@ -9,28 +9,28 @@ import pytest
 
 from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
-from procedures.studies import application_error
-from procedures.studies.accuracy.identified import BelievedArm, identified, identified_errors
-from procedures.studies.accuracy.phantom import Markers, phantom, place
-from procedures.studies.accuracy.postures import postures
-from procedures.studies.accuracy.predicting import predictions
-from procedures.studies.accuracy.random_arms import RandomArms, Source
-from procedures.studies.accuracy.scenarios import FINE_CT_MM, SCENARIOS, SET_S
-from procedures.studies.accuracy.scene import Scene
-from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
-from procedures.studies.application_error import ApplicationErrorStudy
-from procedures.studies.campaign.unit import Unit
-from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
-from procedures.studies.strategies import identified as by_looks
-from procedures.studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
-from procedures.studies.strategies.pairs import SCENARIOS as PAIRED
-from procedures.studies.strategies.pairs import pairs
-from procedures.studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
-from procedures.studies.strategies.tables import plots, tables
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 from sim.world.arm.true_arm import TrueArm
 from sim.world.scene.arm_truth import draw_arm
+from studies import application_error
+from studies.accuracy.identified import BelievedArm, identified, identified_errors
+from studies.accuracy.phantom import Markers, phantom, place
+from studies.accuracy.postures import postures
+from studies.accuracy.predicting import predictions
+from studies.accuracy.random_arms import RandomArms, Source
+from studies.accuracy.scenarios import FINE_CT_MM, SCENARIOS, SET_S
+from studies.accuracy.scene import Scene
+from studies.accuracy.trials import Chance, Sizes, target_errors
+from studies.application_error import ApplicationErrorStudy
+from studies.campaign.unit import Unit
+from studies.errors import PhantomOutOfReach, PoseNotSolved
+from studies.strategies import identified as by_looks
+from studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
+from studies.strategies.pairs import SCENARIOS as PAIRED
+from studies.strategies.pairs import pairs
+from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
+from studies.strategies.tables import plots, tables
 
 HERE = place(1)
 SMALL = phantom(Markers.FREE, (30.0, 120.0), 2)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from procedures.studies.campaign import bounds, plots
-from procedures.studies.campaign.plots import bars, curves
+from studies.campaign import bounds, plots
+from studies.campaign.plots import bars, curves
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.studies.campaign.unit import Unit
-from procedures.studies.correspondence import clinical as clinical_pairing
-from procedures.studies.correspondence import frame_readings
-from procedures.studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
-from procedures.studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
-from procedures.studies.localization.study import AUTOMATIC
-from procedures.studies.localization.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
+from studies.campaign.unit import Unit
+from studies.correspondence import clinical as clinical_pairing
+from studies.correspondence import frame_readings
+from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
+from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
+from studies.localization.study import AUTOMATIC
+from studies.localization.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 
 
 def readings(count: int, sigma_mm: float = 0.15) -> np.ndarray:

@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 
 from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
-from procedures.studies.campaign.ledger import Ledger
-from procedures.studies.campaign.unit import Unit, add_up
-from procedures.studies.campaign.workers import run_study
-from procedures.studies.errors import NotForJudging, PhantomFailed, UnitFailed
-from procedures.studies.localization import phantom_scans
-from procedures.studies.localization import study as study_module
-from procedures.studies.localization.goals import goals
-from procedures.studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
-from procedures.studies.localization.study import (
+from sim.phantom.families.catalogue import FAMILIES, Purpose
+from studies.campaign.ledger import Ledger
+from studies.campaign.unit import Unit, add_up
+from studies.campaign.workers import run_study
+from studies.errors import NotForJudging, PhantomFailed, UnitFailed
+from studies.localization import phantom_scans
+from studies.localization import study as study_module
+from studies.localization.goals import goals
+from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
+from studies.localization.study import (
     AUTOMATIC,
     JUDGING,
     TUNING,
     LocalizationStudy,
     Method,
 )
-from procedures.studies.localization.tables import plots, tables
-from sim.phantom.families.catalogue import FAMILIES, Purpose
+from studies.localization.tables import plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
 

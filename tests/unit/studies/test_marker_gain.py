@@ -9,10 +9,10 @@ import numpy as np
 from procedures.planning.head.shape import HeadEllipsoid
 from procedures.planning.markers.sites import allowed, clear_of, propose_markers
 from procedures.planning.markers.template import sites_on
-from procedures.studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, phantom
-from procedures.studies.accuracy.random_arms import RandomArms
-from procedures.studies.accuracy.scene import Scene
-from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
+from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, phantom
+from studies.accuracy.random_arms import RandomArms
+from studies.accuracy.scene import Scene
+from studies.accuracy.trials import CT_FLE_MM, Sizes
 
 ARMS, BY_CHANCE, SPHERES = range(20), 6, 5
 LEAST_GAIN = 0.1  # of the rms error; by the markers' errors alone it is 0.29, by these arms 0.24

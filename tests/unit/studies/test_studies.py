@@ -15,27 +15,27 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
-from procedures.studies.campaign.code import code
-from procedures.studies.campaign.ledger import FILE, Ledger
-from procedures.studies.campaign.publish import publish
-from procedures.studies.campaign.table import Table
-from procedures.studies.campaign.unit import Unit, add_up, blocks, generator
-from procedures.studies.campaign.workers import run_study
-from procedures.studies.correspondence import study as study_module
-from procedures.studies.correspondence.readings import draw_readings
-from procedures.studies.correspondence.shares import Series, shares
-from procedures.studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from procedures.studies.correspondence.tables import bars_beside_thesis, plots, tables
-from procedures.studies.errors import (
+from studies.campaign.code import code
+from studies.campaign.ledger import FILE, Ledger
+from studies.campaign.publish import publish
+from studies.campaign.table import Table
+from studies.campaign.unit import Unit, add_up, blocks, generator
+from studies.campaign.workers import run_study
+from studies.correspondence import study as study_module
+from studies.correspondence.readings import draw_readings
+from studies.correspondence.shares import Series, shares
+from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
+from studies.correspondence.tables import bars_beside_thesis, plots, tables
+from studies.errors import (
     ExtraMissing,
     LedgerUnreadable,
     OtherStudy,
     SchedulerUnreachable,
     UnitFailed,
 )
-from procedures.studies.heads import NoiseReading, disturbance, sites_mm
-from procedures.studies.registration import RegistrationStudy
-from procedures.studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
+from studies.heads import NoiseReading, disturbance, sites_mm
+from studies.registration import RegistrationStudy
+from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
 NO_SETTINGS = '{"study": "correspondence", "fingerprint": "another", "settings": %s}'
@@ -106,7 +106,7 @@ def test_arms_and_strategies_have_the_same_errors_on_dask_workers(scheduler: str
 
 
 def test_an_unreachable_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.studies.campaign.workers.SCHEDULER_LIMIT_S", 0.2)
+    monkeypatch.setattr("studies.campaign.workers.SCHEDULER_LIMIT_S", 0.2)
     with pytest.raises(SchedulerUnreachable, match="STU-003"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
 
@@ -155,7 +155,7 @@ def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
 
 def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Ledger(tmp_path, SMALL)
-    monkeypatch.setattr("procedures.studies.campaign.ledger.code", lambda: "other")
+    monkeypatch.setattr("studies.campaign.ledger.code", lambda: "other")
     with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
         Ledger(tmp_path, SMALL)
 
@@ -320,7 +320,7 @@ def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_weighting_gains_as_much_as_the_goals_require(tmp_path: Path) -> None:
-    from procedures.studies.registration import tables as of_registration
+    from studies.registration import tables as of_registration
 
     formulas, gains = of_registration(results(RegistrationStudy(400, fiducials=(5,)), tmp_path, workers=1))
     ((_, _, fle_ratio, one_space_ratio, _, _, _, tre_ratio, _, _),) = formulas.rows

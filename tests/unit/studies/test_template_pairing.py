@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from procedures.studies.campaign.unit import Unit
-from procedures.studies.correspondence.study import condition_key
-from procedures.studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm, tables
-from procedures.studies.heads import NoiseReading
+from studies.campaign.unit import Unit
+from studies.correspondence.study import condition_key
+from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm, tables
+from studies.heads import NoiseReading
 
 
 def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:

@@ -7,15 +7,15 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from procedures.studies.localization.study import AUTOMATIC, Method
-from procedures.studies.localization.thesis_protocol import (
+from studies.localization.study import AUTOMATIC, Method
+from studies.localization.thesis_protocol import (
     SCALE_DRAWS,
     ThesisLocalizationStudy,
     points_as_sums,
     points_of,
 )
-from procedures.studies.localization.thesis_protocol_tables import fle_mm, tables
-from procedures.studies.localization.thesis_scans import (
+from studies.localization.thesis_protocol_tables import fle_mm, tables
+from studies.localization.thesis_scans import (
     FRAME_MM,
     LARGEST_SCALE_ERROR,
     PHANTOM,

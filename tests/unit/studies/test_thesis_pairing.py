@@ -12,11 +12,11 @@ from functools import cache
 import pytest
 
 from procedures.registration.pairing_validation import REFUSED_SHARE
-from procedures.studies.campaign.unit import Unit
-from procedures.studies.correspondence.shares import Series, Shares, shares
-from procedures.studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from procedures.studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
-from procedures.studies.heads import PATIENTS, NoiseReading
+from studies.campaign.unit import Unit
+from studies.correspondence.shares import Series, Shares, shares
+from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
+from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
+from studies.heads import PATIENTS, NoiseReading
 
 RUNS, SMALL_E_MM, LARGE_E_MM = 150, 1.5, 2.5
 STRICT_SHARE, STRICT_RUNS = 0.015, 5_000  # of the correct pairings refused; false ones are one in a thousand

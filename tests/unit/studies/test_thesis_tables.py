@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
-from procedures.studies.thesis_tables import (
+from studies.thesis_tables import (
     AVERAGE_OPERATOR,
     FIDUCIALS_OF_TABLE_3,
     HUMAN_OPERATORS,

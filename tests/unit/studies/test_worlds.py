@@ -10,11 +10,13 @@ from typing import Any
 
 import pytest
 
-from procedures.studies.errors import WorldNotRun
-from procedures.studies.worlds import case as world_case
-from procedures.studies.worlds.study import WorldsStudy
-from procedures.studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
-from procedures.studies.worlds.world import (
+from sim.world.faults import check_faults, parse_faults
+from sim.world.scene.named_scenes import named_scene
+from studies.errors import WorldNotRun
+from studies.worlds import case as world_case
+from studies.worlds.study import WorldsStudy
+from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
+from studies.worlds.world import (
     MOST_BENT_MM,
     MOST_DEG,
     MOST_MM,
@@ -22,8 +24,6 @@ from procedures.studies.worlds.world import (
     What,
     draw_world,
 )
-from sim.world.faults import check_faults, parse_faults
-from sim.world.scene.named_scenes import named_scene
 
 LIMITS_MM = {"T1": 0.3, "T2": 0.4}
 CHANGE = ("positioning:T1", 1.0)  # begins at 11 s

@@ -14,7 +14,6 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process
 
-from procedures.cli.campaign import app as campaign
 from procedures.cli.case.case_inputs import clinical_input
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest
@@ -40,6 +39,7 @@ from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.evidence.seal import SEAL_FILE
 from ronna_hw.recording.byte_lines import BYTES_FOLDER
 from ronna_hw.recording.flight_recorder import FlightRecorder
+from studies.cli import app as campaign
 
 
 def test_verify_reports_that_a_run_is_intact_or_names_the_changed_files(run: Path) -> None:

@@ -8,8 +8,8 @@ import pytest
 import spoilt_cameras as spoil
 from spoilt_cameras import Mistake, Patch, Stand
 
-from ronna_hw.conformance.case import Outcome
-from ronna_hw.conformance.gige.protocol import PROTOCOL
+from conformance.case import Outcome
+from conformance.gige.protocol import PROTOCOL
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 from sim.basler.control.bootstrap import XML_ADDRESS
 from sim.basler.control.feature_registers import address_of
@@ -24,7 +24,7 @@ WAITING = {"G14", "G15", "G33"}
 
 @pytest.fixture
 def make_stand(monkeypatch: Patch) -> Iterator[Callable[[], Stand]]:
-    monkeypatch.setattr("ronna_hw.conformance.gige.stream.FRAME_LIMIT_S", FRAME_LIMIT_S)
+    monkeypatch.setattr("conformance.gige.stream.FRAME_LIMIT_S", FRAME_LIMIT_S)
     made: list[Stand] = []
 
     def make() -> Stand:
@@ -141,9 +141,9 @@ def test_each_mistake_is_found_by_its_case(
 
 def test_good_cameras_pass_every_case(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
     for module in ("link", "stream"):
-        monkeypatch.setattr(f"ronna_hw.conformance.gige.{module}.SILENCE_S", GOOD_SILENCE_S)
+        monkeypatch.setattr(f"conformance.gige.{module}.SILENCE_S", GOOD_SILENCE_S)
     stand = make_stand()
-    monkeypatch.setattr("ronna_hw.conformance.gige.stream.FRAME_LIMIT_S", GOOD_FRAME_LIMIT_S)
+    monkeypatch.setattr("conformance.gige.stream.FRAME_LIMIT_S", GOOD_FRAME_LIMIT_S)
     results = [stand.run(case.number) for case in PROTOCOL.cases if case.number not in WAITING]
     assert {result.number: result.reason for result in results if result.outcome is not Outcome.PASS} == {}
 

@@ -11,9 +11,9 @@ from typing import cast
 
 import pytest
 
-from ronna_hw.conformance.case import Nonconformity, NotShown
-from ronna_hw.conformance.device_under_test import DeviceUnderTest
-from ronna_hw.conformance.polaris import frame_cases
+from conformance.case import Nonconformity, NotShown
+from conformance.device_under_test import DeviceUnderTest
+from conformance.polaris import frame_cases
 
 Counter = Callable[[], int]
 

@@ -7,12 +7,12 @@ from typing import IO
 
 import pytest
 
-from ronna_hw.conformance.case import Nonconformity
-from ronna_hw.conformance.polaris.bx_reply import placed, read_body
-from ronna_hw.conformance.polaris.definitions import looking_away, markers_of, published, shifted
-from ronna_hw.conformance.polaris.link import PolarisLink
-from ronna_hw.conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
-from ronna_hw.conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
+from conformance.case import Nonconformity
+from conformance.polaris.bx_reply import placed, read_body
+from conformance.polaris.definitions import looking_away, markers_of, published, shifted
+from conformance.polaris.link import PolarisLink
+from conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
+from conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
 from ronna_hw.wire.polaris import HandleStatus
 from sim.polaris.tools.definition import parse_definition
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from ronna_hw.conformance.polaris.tap import PolarisTap, text_reply
+from conformance.polaris.tap import PolarisTap, text_reply
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 
 BINARY = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")

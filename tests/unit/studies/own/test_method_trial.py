@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 
 from procedures.strategies.ocs import OrientationCorrection
-from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
-from procedures.studies.own.contracts import MethodKind
-from procedures.studies.own.method import own_method
-from procedures.studies.own.strategy import OwnStrategy
-from procedures.studies.own.trial import tried, tried_apart
+from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
+from studies.own.contracts import MethodKind
+from studies.own.method import own_method
+from studies.own.strategy import OwnStrategy
+from studies.own.trial import tried, tried_apart
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY

@@ -8,18 +8,18 @@ from pathlib import Path
 
 import pytest
 
-from procedures.studies.campaign.ledger import Ledger
-from procedures.studies.campaign.silence import Silence
-from procedures.studies.campaign.unit import Sums, add_up
-from procedures.studies.campaign.workers import run_study
-from procedures.studies.correspondence.study import CorrespondenceStudy
-from procedures.studies.errors import MethodFailed, MethodRefused, OtherStudy
-from procedures.studies.heads import NoiseReading
-from procedures.studies.own.beside import modules_beside
-from procedures.studies.own.contracts import MethodKind
-from procedures.studies.own.method import OwnMethod, own_method
-from procedures.studies.own.trial import tried
-from procedures.studies.registration import RegistrationStudy
+from studies.campaign.ledger import Ledger
+from studies.campaign.silence import Silence
+from studies.campaign.unit import Sums, add_up
+from studies.campaign.workers import run_study
+from studies.correspondence.study import CorrespondenceStudy
+from studies.errors import MethodFailed, MethodRefused, OtherStudy
+from studies.heads import NoiseReading
+from studies.own.beside import modules_beside
+from studies.own.contracts import MethodKind
+from studies.own.method import OwnMethod, own_method
+from studies.own.trial import tried
+from studies.registration import RegistrationStudy
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 

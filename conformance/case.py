@@ -1,0 +1,139 @@
+"""Cases: small functions, each with a number, a statement of behaviour and its requirements."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, TypeVar
+
+from conformance.errors import NoSuchCase
+
+if TYPE_CHECKING:
+    from conformance.device_under_test import DeviceUnderTest
+
+
+@dataclass(frozen=True)
+class Need:
+    """A requirement of a case on the device under test, and why the case is skipped without it."""
+
+    name: str
+    reason: str
+
+
+MOTION = Need("motion", "it moves the device: allow it with --allow motion")
+DESTRUCTIVE = Need(
+    "destructive", "it resets the device or changes its settings: allow it with --allow destructive"
+)
+LINE_FAULTS = Need("line faults", "no proxy can be put between this driver and this endpoint")
+CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no known checksums")
+HOST_TIME = Need("host time", "the theatre's clock is not the host's")
+
+
+class Outcome(StrEnum):
+    """How a case ended."""
+
+    PASS = "PASS"
+    FAIL = "FAIL"
+    SKIP = "SKIP"
+
+
+class NotShown(Exception):
+    """Raised by a case that cannot be decided here, for example without a stray in view; says why."""
+
+
+class Nonconformity(AssertionError):
+    """Raised by a case when the device behaves differently."""
+
+
+Run = Callable[["DeviceUnderTest"], object]
+E = TypeVar("E", bound=Exception)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One behaviour under a stable number.
+
+    T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
+    """
+
+    number: str
+    statement: str
+    needs: tuple[Need, ...]
+    run: Run
+
+
+class CaseList:
+    """Cases in the order in which they are defined."""
+
+    def __init__(self, cases: Iterable[Case] = ()) -> None:
+        self.cases = list(cases)
+
+    def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
+        """Add the decorated function as a case; raises ValueError if the number is already used."""
+        if any(other.number == number for other in self.cases):
+            raise ValueError(f"two cases have number {number}")
+
+        def add(run: Run) -> Run:
+            self.cases.append(Case(number, statement, needs, run))
+            return run
+
+        return add
+
+
+class Suite(CaseList):
+    """All cases for one kind of device.
+
+    `driver` is tested unless another is named; `motions` describes what the cases that need "motion" move.
+    """
+
+    def __init__(self, kind: str, driver: str, *, motions: str = "", cases: Iterable[Case] = ()) -> None:
+        super().__init__(cases)
+        self.kind = kind
+        self.driver = driver
+        self.motions = motions
+
+    def with_cases(self, cases: Iterable[Case]) -> Suite:
+        """A suite of the same kind with these cases."""
+        return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
+
+    def moving(self) -> list[str]:
+        """Numbers of the cases that move the device."""
+        return [case.number for case in self.cases if MOTION in case.needs]
+
+    def only(self, prefixes: Sequence[str]) -> Suite:
+        """The cases whose number starts with one of `prefixes`, all of them without any; raises CNF-003."""
+        if not prefixes:
+            return self
+        cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]
+        if not cases:
+            raise NoSuchCase(f"no case of the {self.kind} suite starts with {' or '.join(prefixes)}")
+        return self.with_cases(cases)
+
+
+def check(condition: bool, expected: str, found: object = "") -> None:
+    """Raise Nonconformity unless `condition` holds, with expected and actual behaviour."""
+    if not condition:
+        raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
+
+
+@contextmanager
+def read_as(expected: str) -> Iterator[None]:
+    """Around, or as decorator of, what decodes a device's bytes: Nonconformity if they are not `expected`."""
+    try:
+        yield
+    except (ValueError, OverflowError, struct.error) as error:
+        raise Nonconformity(f"expected {expected}, got {error}") from error
+
+
+def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
+    """The error raised by `call`; Nonconformity if there is none, or one of another class."""
+    try:
+        call()
+    except kind as error:
+        return error
+    except Exception as error:
+        raise Nonconformity(f"expected {what} to raise {kind.__name__}, got {error!r}") from error
+    raise Nonconformity(f"expected {what} to raise {kind.__name__}, but it was carried out")

@@ -1,0 +1,116 @@
+"""Cases that any device must pass: activation for a block, observation from outside, a probe."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from conformance.case import Case, Nonconformity, check
+from conformance.device_under_test import DeviceUnderTest
+from ronna_hw.devices.last_known import LastKnown
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.registry import load_probe
+
+LOOK_LIMIT_S = 1.0  # observing takes microseconds; the rest is for a busy computer
+READINGS = 3
+
+
+class Interruption(Exception):
+    """Raised by a case inside a block."""
+
+
+@dataclass(frozen=True)
+class DeviceCases:
+    """The cases for one kind of device: `read` takes a reading, `limit_s` limits the time for stopping."""
+
+    read: Callable[[Any], object]
+    limit_s: float
+
+    def numbered(self, letter: str, first: int) -> list[Case]:
+        """The cases with consecutive numbers, such as T23 and on."""
+        statements = {
+            "a block makes a disconnected device active and leaves it configured": self.active_block,
+            "a block left by an exception deactivates the device and lets the exception through": self.left,
+            "observing works in every state, from any thread, and changes nothing": self.observed,
+            "the driver's probe recognizes the device and disconnects": self.probed,
+        }
+        return [
+            Case(f"{letter}{number:02d}", statement, (), run)
+            for number, (statement, run) in enumerate(statements.items(), first)
+        ]
+
+    def active_block(self, dut: DeviceUnderTest) -> None:
+        device = dut.make()
+        for _ in range(2):  # from disconnected, then from configured
+            with device.active() as same:
+                check(same is device, "the device itself", same)
+                check(device.state is Lifecycle.ACTIVE, "state active inside the block", device.state)
+                self.read(device)
+            check(device.state is Lifecycle.CONFIGURED, "state configured after the block", device.state)
+
+    def left(self, dut: DeviceUnderTest) -> None:
+        device = dut.make()
+        left_at_s = math.inf
+        try:
+            with device.active():
+                self.read(device)
+                left_at_s = time.monotonic()
+                raise Interruption
+        except Interruption:
+            took_s = time.monotonic() - left_at_s
+        else:
+            raise Nonconformity("expected the exception raised in the block, got none: it was swallowed")
+        check(took_s < self.limit_s, f"an end within {self.limit_s:g} s", f"{took_s:.1f} s")
+        check(device.state is Lifecycle.CONFIGURED, "state configured after the exception", device.state)
+
+    def observed(self, dut: DeviceUnderTest) -> None:
+        device = dut.make()
+        observe(device, Lifecycle.DISCONNECTED)
+        for call, state in (
+            (device.connect, Lifecycle.CONNECTED),
+            (device.configure, Lifecycle.CONFIGURED),
+            (device.activate, Lifecycle.ACTIVE),
+        ):
+            call()
+            observe(device, state)
+        for _ in range(READINGS):
+            self.read(device)
+            newest = observe(device, Lifecycle.ACTIVE).reading
+            check(newest is not None, "the newest reading", newest)
+        device.deactivate()
+        observe(device, Lifecycle.CONFIGURED)
+        device.close()
+        observe(device, Lifecycle.CLOSED)
+
+    def probed(self, dut: DeviceUnderTest) -> None:
+        identity = dut.make().connect()
+        dut.release()
+        shares: list[float] = []
+        diagnostics = load_probe(dut.config.driver)(dut.name, dut.config, shares.append)
+        for diagnostic in diagnostics:
+            check(bool(diagnostic.subject and diagnostic.seen), "a subject and what was seen", diagnostic)
+            check(diagnostic.well or bool(diagnostic.advice), "advice for what is not OK", diagnostic)
+        recognized = [
+            f for f in diagnostics if f.well and (identity.model in f.seen or identity.serial in f.seen)
+        ]
+        check(bool(recognized), f"a diagnostic that names {identity.model} {identity.serial}", diagnostics)
+        check(all(0 <= share <= 1 for share in shares), "progress between 0 and 1", shares)
+        again = dut.make().connect()
+        check(again == identity, "a device that the probe has released", again)
+
+
+def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
+    """What another thread sees of a device in this state; observing must be immediate and change nothing."""
+    fault, seen = device.fault, list[LastKnown[object]]()
+    observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
+    observer.start()
+    observer.join(LOOK_LIMIT_S)
+    check(bool(seen), f"an observation within {LOOK_LIMIT_S:g} s while {state}", "none")
+    check(seen[0].state is state, f"state {state} observed", seen[0].state)
+    check(seen[0].fault is fault, "the device's own fault observed", seen[0].fault)
+    check(device.state is state and device.fault is fault, f"a device that stays {state}", device.state)
+    return seen[0]

@@ -1,0 +1,189 @@
+"""A camera's stream, packet by packet, without resends."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from conformance.case import check, read_as
+from conformance.gige.features import GigeFeatures
+from conformance.gige.link import GigeLink, controlled
+from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
+
+FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly
+SILENCE_S = 0.3  # a stream without packets for this long is silent
+WIDTH_PX, HEIGHT_PX = 256, 64
+PACKET_BYTES = 1500
+BUFFER_BYTES = 4 << 20
+LEADER, TRAILER, PAYLOAD = 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Packet:
+    """One stream packet; `raw` is everything after the status."""
+
+    status: int
+    block_id: int
+    kind: int
+    packet_id: int
+    content: bytes
+    raw: bytes
+
+
+@dataclass(frozen=True)
+class Leader:
+    """Content of a leader."""
+
+    payload_type: int
+    ticks: int
+    pixel_format: int
+    width: int
+    height: int
+    x: int
+    y: int
+
+
+class GigeStream:
+    """A socket that receives a camera's stream."""
+
+    def __init__(self, link: GigeLink) -> None:
+        self.link = link
+        self.features = GigeFeatures(link)
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+        self._socket.bind((link.local_address, 0))
+
+    def __enter__(self) -> GigeStream:
+        return self
+
+    def __exit__(self, *reason: object) -> None:
+        self.close()
+
+    def latched(self) -> int:
+        """The camera's present tick count."""
+        self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
+        high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
+        return high << 32 | low
+
+    @property
+    def port(self) -> int:
+        """UDP port to which the camera must send."""
+        return int(self._socket.getsockname()[1])
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def open_channel(self, destination: str | None = None) -> None:
+        """Set the camera's destination; the host's own address by default."""
+        address = socket.inet_aton(destination or self.link.local_address)
+        self.link.write(Bootstrap.SCDA, int.from_bytes(address, "big"))
+        self.link.write(Bootstrap.SCP, self.port)
+        self.link.write(Bootstrap.SCPS, PACKET_BYTES)
+
+    def small_frames(self, **choices: int | str) -> None:
+        """Known settings: power-on values, a small area, one frame per software trigger, then `choices`."""
+        features = self.features
+        features.execute("AcquisitionStop")
+        features.set("UserSetSelector", "Default")
+        features.execute("UserSetLoad")
+        for name, value in {
+            "AcquisitionMode": "Continuous",
+            "TriggerSelector": "FrameStart",
+            "TriggerSource": "Software",
+            "TriggerMode": "On",
+            "Width": WIDTH_PX,
+            "Height": HEIGHT_PX,
+            **choices,
+        }.items():
+            features.set(name, value)
+
+    def trigger(self) -> None:
+        """Take one frame."""
+        self.features.execute("TriggerSoftware")
+
+    def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
+        """The next packet, or None if none arrives."""
+        data = self.datagram(limit_s)
+        if data is None:
+            return None
+        check(len(data) >= 8, "a stream header of 8 bytes", len(data))
+        status, block_id, word = struct.unpack_from(">HHI", data)
+        return Packet(status, block_id, word >> 24 & 0x7F, word & 0xFFFFFF, data[8:], data[2:])
+
+    def datagram(self, limit_s: float) -> bytes | None:
+        """The next datagram."""
+        self._socket.settimeout(limit_s)
+        try:
+            return self._socket.recv(65536)
+        except TimeoutError:
+            return None
+
+    def frame(self) -> list[Packet]:
+        """All packets up to the next trailer; raises Nonconformity if none arrives."""
+        found: list[Packet] = []
+        deadline_s = time.monotonic() + FRAME_LIMIT_S
+        while not found or found[-1].kind != TRAILER:
+            packet = self.packet(max(0.001, deadline_s - time.monotonic()))
+            check(packet is not None, "a whole image", f"{len(found)} packets")
+            assert packet is not None
+            found.append(packet)
+        return found
+
+    def silent(self) -> bool:
+        """Whether no packet arrives for `SILENCE_S`."""
+        return self.datagram(SILENCE_S) is None
+
+    def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
+        """The packets until none arrives for this long; raises Nonconformity if they do not end."""
+        found: list[Packet] = []
+        deadline_s = time.monotonic() + FRAME_LIMIT_S
+        while (packet := self.packet(silence_s)) is not None:
+            found.append(packet)
+            check(time.monotonic() < deadline_s, "an end of the stream", f"{len(found)} more packets")
+        return found
+
+    def request_resend(self, block_id: int, first: int, last: int) -> None:
+        """Request packets of a block again."""
+        self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
+
+
+def leader_of(frame: list[Packet]) -> Leader:
+    """The leader of a frame, which must be its first packet."""
+    check(frame[0].kind == LEADER and frame[0].packet_id == 0, "the leader first", frame[0].kind)
+    return decode_leader(frame[0])
+
+
+@read_as("a whole leader")
+def decode_leader(packet: Packet) -> Leader:
+    """Decode a leader."""
+    _, payload_type, ticks, pixel_format, width, height, x, y, _, _ = struct.unpack_from(
+        ">HHQIIIIIHH", packet.content
+    )
+    return Leader(payload_type, ticks, pixel_format, width, height, x, y)
+
+
+@contextmanager
+def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
+    """The stream of a controlled camera with small frames; leaves the camera with power-on settings."""
+    with controlled(link):
+        stream = GigeStream(link)
+        try:
+            stream.small_frames()
+            stream.open_channel()
+            yield stream
+        finally:
+            link.write(*stream.features.command("AcquisitionStop"))
+            link.write(Bootstrap.SCP, 0)
+            link.write(*stream.features.command("UserSetLoad"))
+            stream.close()
+
+
+def started(stream: GigeStream) -> GigeStream:
+    """The same stream with the acquisition running."""
+    stream.features.execute("AcquisitionStart")
+    return stream

@@ -1,0 +1,149 @@
+"""A tap between a KUKA controller and its driver: sees every telegram and reply, and can hold back telegrams.
+
+It modifies and invents nothing; a stalled computer or network also delays telegrams.
+"""
+
+from __future__ import annotations
+
+import select
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Self
+
+from conformance.disturbed_line import DisturbedLine
+from ronna_hw.endpoints import Endpoint
+
+MOST_BYTES = 65536
+LOOK_EVERY_S = 0.02
+LOOPBACK = "127.0.0.1"
+
+
+@dataclass
+class Traffic:
+    """The traffic in order: telegrams as received by the driver, and its replies."""
+
+    telegrams: list[bytes] = field(default_factory=list)
+    replies: list[bytes] = field(default_factory=list)
+
+
+class RsiTap:
+    """Listens where the controller sends, and forwards to where the driver listens."""
+
+    def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
+        self._driver = (driver.host, driver.port)
+        self._outside = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._outside.bind((controller_sends_to.host, controller_sends_to.port))
+        self._inside = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._inside.bind((LOOPBACK, 0))
+        self._controller: tuple[str, int] | None = None
+        self._held: list[bytes] = []
+        self._holding = self._ended = False
+        self._lock = threading.Lock()
+        self._passed = Traffic()
+        self._thread = threading.Thread(target=self._serve, name="RSI tap", daemon=True)
+
+    def traffic(self) -> Traffic:
+        """The traffic since the last call."""
+        with self._lock:
+            passed, self._passed = self._passed, Traffic()
+        return passed
+
+    @property
+    def replies(self) -> int:
+        """Number of replies since the last `traffic`."""
+        return len(self._passed.replies)
+
+    @property
+    def holds(self) -> int:
+        """Number of telegrams held back."""
+        return len(self._held)
+
+    def hold(self) -> None:
+        """Hold back the controller's telegrams."""
+        self._holding = True
+
+    def release(self) -> None:
+        """Forward everything held back at once, in order."""
+        with self._lock:
+            held, self._held = self._held, []
+            self._holding = False
+            self._passed = Traffic(telegrams=held)
+            for telegram in held:
+                self._inside.sendto(telegram, self._driver)
+
+    def discard(self) -> None:
+        """Drop what was held back, and forward telegrams again."""
+        with self._lock:
+            self._held.clear()
+            self._holding = False
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._thread.join()
+        self._outside.close()
+        self._inside.close()
+
+    def _serve(self) -> None:
+        while not self._ended:
+            ready, _, _ = select.select([self._outside, self._inside], [], [], LOOK_EVERY_S)
+            for end in ready:
+                try:
+                    data, sender = end.recvfrom(MOST_BYTES)
+                except OSError:  # the driver's socket is not open yet, or has been closed
+                    continue
+                with self._lock:
+                    if end is self._outside:
+                        self._from_controller(data, sender)
+                    else:
+                        self._from_driver(data)
+
+    def _from_controller(self, telegram: bytes, sender: tuple[str, int]) -> None:
+        self._controller = sender
+        if self._holding:
+            self._held.append(telegram)
+            return
+        self._passed.telegrams.append(telegram)
+        self._inside.sendto(telegram, self._driver)
+
+    def _from_driver(self, reply: bytes) -> None:
+        self._passed.replies.append(reply)
+        if self._controller is not None:
+            self._outside.sendto(reply, self._controller)
+
+
+class PiecewiseLine(DisturbedLine):
+    """A line on which the device's bytes arrive one by one, or several elements at once."""
+
+    gather_s = 0.0  # bytes within this time arrive together
+
+    def __init__(self, device: Endpoint) -> None:
+        super().__init__(device)
+        self.asked: list[bytes] = []  # data from the driver, read by read
+
+    def _from_driver(self, data: bytes) -> None:
+        self.asked.append(data)
+
+    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
+        if self.gather_s:
+            return [(self.gather_s, data)]
+        return [(0.0, data[at : at + 1]) for at in range(len(data))]
+
+
+def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
+    """True as soon as `condition()` is; False when time is up."""
+    until_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > until_s:
+            return False
+        time.sleep(LOOK_EVERY_S / 4)
+    return True

@@ -1,0 +1,66 @@
+"""Cases for a wire protocol, found by name among the entry points.
+
+A package with a driver for its own protocol can also provide cases for it::
+
+    [project.entry-points."ronna_hw.conformance"]
+    my-protocol = "my_package.conformance:PROTOCOL"
+
+They follow the generic cases if the driver's `wire_protocol` has that name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
+
+from conformance.case import Case, Suite
+from conformance.checklist import Checklist
+from ronna_hw.registry import load_driver
+
+if TYPE_CHECKING:
+    from conformance.device_under_test import DeviceUnderTest
+
+GROUP = "ronna_hw.conformance"
+
+
+def _nothing(_dut: DeviceUnderTest) -> frozenset[str]:
+    return frozenset()
+
+
+@dataclass(frozen=True)
+class ProtocolCases:
+    """What a package provides for one wire protocol.
+
+    `offers` names the needs that it can meet for a given device under test. `simulator` returns the arguments
+    of `ronna-sim` for a device that speaks the protocol.
+    """
+
+    cases: tuple[Case, ...] = ()
+    checklist: Checklist | None = None
+    offers: Callable[[DeviceUnderTest], frozenset[str]] = _nothing
+    simulator: Callable[[], tuple[str, ...]] | None = None
+
+
+def load_protocol(wire_protocol: str) -> ProtocolCases:
+    """What the installed packages provide for a wire protocol; empty if none do."""
+    for point in entry_points(group=GROUP, name=wire_protocol):
+        found: ProtocolCases = point.load()
+        return found
+    return ProtocolCases()
+
+
+def protocol_of(driver: str) -> ProtocolCases:
+    """The protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
+    return load_protocol(load_driver(driver).wire_protocol)
+
+
+def composed(suite: Suite, protocol: ProtocolCases) -> Suite:
+    """The cases of a suite followed by those of the protocol; raises ValueError on a repeated number."""
+    cases = (*suite.cases, *protocol.cases)
+    counts = Counter(case.number for case in cases)
+    if repeated := [number for number, count in counts.items() if count > 1]:
+        raise ValueError(f"several cases have the number {', '.join(repeated)}")
+    return suite.with_cases(cases)

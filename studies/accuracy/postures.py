@@ -1,0 +1,129 @@
+"""The nominal arm's joints at every sphere and every target, for one position of the phantom.
+
+Joint ranges, reach and wrist singularity are checked as in a case; collisions and line of sight are not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
+from procedures.planning.path_check.wrist import LEAST_BEND_RAD
+from procedures.strategies.approach import arrival_signs
+from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.errors import NoNearbyJoints
+from procedures.strategies.free_turns import OUTWARDS_RAD
+from procedures.strategies.strategy import Strategy
+from procedures.strategies.target import target_pose
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM
+from studies.accuracy.phantom import Phantom
+from studies.accuracy.solving import PlannedPoses
+from studies.errors import PhantomOutOfReach
+
+Array = NDArray[np.float64]
+
+ARM: Kinematics = kr6_r900()
+TOOL_MM = np.array(TOOL_IN_FLANGE_MM)
+TOOL = Transform(Frame.FLANGE, Frame.TOOL, RigidTransform.from_components(TOOL_MM, Rotation.identity()))
+
+
+@dataclass(frozen=True)
+class Postures:
+    """`localizations` are `sets` times all spheres: one set for each of `t` targets, or one for all."""
+
+    sets: int
+    localizations: PlannedPoses  # sets * n
+    targets: PlannedPoses  # t
+    arrival: Array  # (sets * n, 6) side of its backlash on which each joint rests at a sphere, -1 or 1
+    target_arrival: Array  # (t, 6)
+
+    def set_of(self, target: int) -> int:
+        """Number of the localization set that serves a target."""
+        return target if self.sets > 1 else 0
+
+
+def postures(
+    strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
+) -> Postures:
+    """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""
+    arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
+    localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
+    served = strategy.localizes_per_trajectory
+    turned = [_turned(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]
+    if served:
+        targets = turned
+    else:  # with the free angle of the localizations, as closely as the arm allows
+        targets = [
+            _reached(one, turned[0].free_angle_rad, robot_from_ct, arm) for one in phantom.trajectories
+        ]
+    looks = [
+        pose
+        for one in turned
+        for pose in strategy.localization_poses(one, phantom.spheres_mm, robot_from_ct, arm)
+    ]
+    joints, arrival = _entered(looks, arm)
+    target_joints, target_arrival = _entered([target_pose(one, robot_from_ct) for one in targets], arm)
+    if strategy.controls_approach:
+        arrival = np.repeat(target_arrival, len(phantom.spheres_mm), axis=0)
+    return Postures(
+        sets=len(turned),
+        localizations=PlannedPoses.of(ARM, TOOL_MM, joints),
+        targets=PlannedPoses.of(ARM, TOOL_MM, target_joints),
+        arrival=arrival,
+        target_arrival=target_arrival,
+    )
+
+
+def _entered(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
+    """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
+    joints = [arm.guide_at(pose) for pose in poses]
+    signs = [arrival_signs(ARM, pose, at, TOOL) for pose, at in zip(poses, joints, strict=True)]
+    return np.array(joints), np.array(signs, dtype=float)
+
+
+def _turned(
+    strategy: Strategy,
+    along: Trajectory,
+    phantom: Phantom,
+    robot_from_ct: Transform,
+    arm: ArmInBranch,
+    *,
+    with_target: bool,
+) -> Trajectory:
+    """The trajectory at the best turn with everything in reach."""
+    for turn in strategy.turns_rad(along, phantom.spheres_mm, robot_from_ct, arm):
+        turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
+        try:
+            poses = strategy.localization_poses(turned, phantom.spheres_mm, robot_from_ct, arm)
+            joints = [arm.guide_at(pose) for pose in poses]
+            if with_target:
+                joints.append(arm.guide_at(target_pose(turned, robot_from_ct)))
+        except (LimitError, NoNearbyJoints):
+            continue
+        if all(ARM.wrist_bend_rad(one) >= LEAST_BEND_RAD for one in joints):
+            return turned
+    raise PhantomOutOfReach(f"{strategy.name} does not reach all spheres for {along.identifier}")
+
+
+def _reached(
+    trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
+) -> Trajectory:
+    """The trajectory at the free angle nearest to the wanted one with the target in reach."""
+    for turn in OUTWARDS_RAD:
+        turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
+        try:
+            joints = arm.guide_at(target_pose(turned, robot_from_ct))
+        except LimitError:
+            continue
+        if ARM.wrist_bend_rad(joints) >= LEAST_BEND_RAD:
+            return turned
+    raise PhantomOutOfReach(f"the arm does not reach the target of {trajectory.identifier}")

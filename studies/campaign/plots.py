@@ -1,0 +1,146 @@
+"""Plots of the studies as PNG bytes. matplotlib is imported only when one is drawn."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from studies.campaign.bounds import CAPTION, Bounded
+
+DOTS_PER_INCH = 110
+SIZE_IN = (6.4, 4.0)
+BAND_ALPHA = 0.15  # of the bounds about a curve
+LEGEND = f"{CAPTION} bounds"
+CAP_POINTS = 2  # width of the ends of a bar's bounds
+
+Point = tuple[float, float | Bounded]
+Curve = Sequence[Point]
+
+
+def curves(
+    title: str,
+    x_label: str,
+    y_label: str,
+    lines: Mapping[str, Curve],
+    *,
+    bands: Mapping[str, tuple[float, float]] | None = None,
+) -> bytes:
+    """Named curves over a common axis, with named ranges of it; bounds are drawn as a band."""
+    figure, axes = _figure()
+    for name, points in lines.items():
+        places, values = [x for x, _ in points], _values(points)
+        (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
+        axes.fill_between(
+            places, *zip(*map(_ends, values), strict=True), color=line.get_color(), alpha=BAND_ALPHA, lw=0
+        )
+    if any(_ends(one)[0] < _ends(one)[1] for points in lines.values() for one in _values(points)):
+        axes.fill_between([], [], [], color="grey", alpha=BAND_ALPHA, lw=0, label=LEGEND)
+    for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
+        axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
+    axes.set_title(title)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    return _png(figure)
+
+
+def bars(
+    title: str,
+    y_label: str,
+    groups: Mapping[str, Mapping[str, float | Bounded]],
+    *,
+    logarithmic: bool = False,
+    x_label: str = "",
+) -> bytes:
+    """Groups of bars: group -> series -> value, with whiskers for its bounds.
+
+    A zero count has no bar: a downward triangle marks its upper bound.
+    """
+    figure, axes = _figure()
+    names = list(dict.fromkeys(name for group in groups.values() for name in group))
+    width = 0.8 / max(1, len(names))
+    none_counted = whiskers = False
+    for place, name in enumerate(names):
+        middles = [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))]
+        values = [_bounded(group.get(name, 0.0)) for group in groups.values()]
+        drawn = axes.bar(middles, [one.value for one in values], width, label=name)
+        colour = drawn.patches[0].get_facecolor()
+        for middle, one in zip(middles, values, strict=True):
+            low, high = _ends(one)
+            if one.low is None and one.high is not None:
+                none_counted = True
+                axes.plot([middle], [high], marker="v", markersize=4, color=colour)
+            elif high > low:
+                whiskers = True
+                axes.errorbar(
+                    [middle],
+                    [one.value],
+                    [[one.value - low], [high - one.value]],
+                    color="black",
+                    capsize=CAP_POINTS,
+                    lw=0.7,
+                )
+    if whiskers:
+        axes.plot([], [], "|", markersize=8, color="black", label=LEGEND)
+    if none_counted:
+        axes.plot([], [], "v", markersize=4, color="grey", label="none counted: at most")
+    axes.set_xticks(range(len(groups)), list(groups))
+    axes.set_title(title)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    if logarithmic:
+        axes.set_yscale("log")
+    figure.legend(fontsize=8, loc="outside right upper")  # outside the axes, so that it never covers a bar
+    return _png(figure)
+
+
+def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
+    """A box per group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
+    figure, axes = _figure()
+    axes.boxplot(
+        [np.asarray(values) for values in groups.values()],
+        tick_labels=list(groups),
+        showfliers=False,
+        showmeans=True,
+        meanprops={"marker": "x"},
+    )
+    axes.tick_params(axis="x", labelsize=7, rotation=60)
+    for label in axes.get_xticklabels():
+        label.set_horizontalalignment("right")
+    axes.set_title(title, fontsize=9)
+    axes.set_ylabel(y_label)
+    axes.grid(alpha=0.3)
+    return _png(figure)
+
+
+def _values(points: Curve) -> list[Bounded]:
+    return [_bounded(y) for _, y in points]
+
+
+def _bounded(value: float | Bounded) -> Bounded:
+    return value if isinstance(value, Bounded) else Bounded(value, None, None)
+
+
+def _ends(one: Bounded) -> tuple[float, float]:
+    """Bounds; the value itself replaces an unknown one."""
+    return one.value if one.low is None else one.low, one.value if one.high is None else one.high
+
+
+def _figure() -> tuple[Any, Any]:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=SIZE_IN, layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure, figure.add_subplot()
+
+
+def _png(figure: Any) -> bytes:
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=DOTS_PER_INCH)
+    return buffer.getvalue()

@@ -1,0 +1,158 @@
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from functools import partial
+from itertools import islice
+from typing import Any
+from urllib.parse import urlsplit
+
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.linear_algebra import processes_single_threaded
+from ronna_hw.host.worker_processes import fresh_processes
+from studies.campaign.ledger import Ledger
+from studies.campaign.silence import Silence, Tell
+from studies.campaign.unit import Study, Sums, Unit
+from studies.errors import (
+    ExtraMissing,
+    MethodAnswerWrong,
+    MethodFailed,
+    MethodRefused,
+    SchedulerUnreachable,
+    UnitFailed,
+)
+from studies.own.method import OwnMethod
+
+ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
+SCHEDULER_LIMIT_S = 10.0
+SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
+
+Finished = Iterator[tuple[Unit, Sums]]
+
+
+def run_study(
+    study: Study,
+    ledger: Ledger,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+    tell: Tell = lambda text: None,
+) -> None:
+    """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
+
+    User methods always run in other processes: a crash there does not end the campaign, and `tell` is called
+    with the name of one that does not respond. Raises STU-003 to STU-005, for user methods STU-012 to
+    STU-014. Units finished before an error or an interruption are kept.
+    """
+    missing = ledger.missing()
+    everything = len(study.units())
+    done = everything - len(missing)
+    progress(done / everything)
+    with _runner(study, missing, workers, scheduler, tell) as finished:
+        for unit, sums in finished:
+            ledger.add(unit, sums)
+            done += 1
+            progress(done / everything)
+
+
+@contextmanager
+def _runner(
+    study: Study, units: list[Unit], workers: int | None, scheduler: str | None, tell: Tell
+) -> Iterator[Finished]:
+    if scheduler is not None:
+        with _dask_client(scheduler) as client:
+            for file in dict.fromkeys(one.source for one in _own(study)):
+                if file is not None:
+                    client.upload_file(str(file))
+            yield _on_dask(client, study, units)
+    elif workers == 1 and not _own(study):
+        yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
+    else:
+        count = workers or len(os.sched_getaffinity(0))
+        with processes_single_threaded(), fresh_processes(count) as pool:
+            yield _on_pool(pool, study, units, count, Silence([one.name for one in _own(study)], tell))
+
+
+def _own(study: Study) -> tuple[OwnMethod, ...]:
+    """The user methods in a study, if it accepts any."""
+    return getattr(study, "own", ())
+
+
+def _on_pool(
+    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: Silence
+) -> Finished:
+    waiting = {pool.submit(study.run, unit): unit for unit in units}
+    lost = set()
+    while waiting:
+        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they start in order
+        for future in wait(waiting, silence.limit_s, FIRST_COMPLETED).done:
+            unit = waiting.pop(future)
+            if isinstance(future.exception(), BrokenProcessPool):  # so do all others that have not finished
+                lost.add(unit.key)
+            else:
+                yield unit, _result(unit, future.result)
+    if lost:
+        raise _ended(study, [unit.key for unit in units if unit.key in lost][:count])
+
+
+def _ended(study: Study, keys: list[str]) -> RonnaError:
+    """A worker's process is gone. Units start in order, so it was running one of the first that are lost."""
+    among = f", in {' or '.join(keys)}"
+    if own := _own(study):
+        return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
+    return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
+
+
+def _require_address(scheduler: str) -> None:
+    """Reject other text here: Dask's client would fail half constructed and complain much later."""
+    try:
+        parts = urlsplit(scheduler)
+        whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port
+    except ValueError:  # an invalid port
+        whole = None
+    if not whole:
+        raise SchedulerUnreachable(
+            "not an address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
+        )
+
+
+@contextmanager
+def _dask_client(scheduler: str) -> Iterator[Any]:
+    _require_address(scheduler)
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ExtraMissing("the package distributed is not installed") from error
+    try:
+        client = Client(scheduler, timeout=SCHEDULER_LIMIT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise SchedulerUnreachable(f"no Dask scheduler at {scheduler}") from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
+    from distributed import as_completed as dask_as_completed
+
+    waiting = {client.submit(study.run, unit, pure=False): unit for unit in units}
+    futures: Iterable[Any] = dask_as_completed(waiting, loop=client.loop)
+    for future in futures:
+        yield waiting[future], _result(waiting[future], future.result)
+
+
+def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
+    try:
+        return result()
+    except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the user's own, reported as such
+        where = f"{error.what}, in unit {unit.key}"
+        raise type(error)(where, expected=error.expected, got=error.got, action=error.advice) from error
+    except Exception as error:
+        raise UnitFailed(f"{unit.key}: {error}") from error

@@ -1,0 +1,442 @@
+"""`ronna-campaign`: Monte-Carlo studies on all cores, or on the workers of a Dask scheduler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line import terminal
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.errors import EXIT_FAILED
+from ronna_hw.text.counting import counted
+
+if TYPE_CHECKING:
+    from studies.campaign.table import Table
+    from studies.campaign.unit import Study, Sums
+    from studies.own.method import OwnMethod
+
+app = typer.Typer(
+    name="ronna-campaign",
+    help="Monte Carlo studies compared with the thesis: seeded, resumable, identical on any workers.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """Where a study runs, and where its results go."""
+
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this computer [one per core].")] = (
+        None
+    )
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://127.0.0.1:8786."),
+    ] = None
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the study [campaigns/<name>].")
+    ] = None
+    as_json: terminal.JsonOption = False
+
+
+OwnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        metavar="NAME|MODULE:FUNCTION",
+        help="A method of your own, run alongside ours; repeatable.",
+    ),
+]
+
+MOST_CASES_AT_ONCE = 2  # each starts five processes in real time
+THESIS_RUNS = 10_000  # per patient and cell
+Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
+Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
+
+
+@app.command()
+@with_option_records
+def correspondence(
+    runs: Annotated[
+        int | None,
+        typer.Option("--runs", min=1, help="Runs per patient and cell [10000], or readings [1415]."),
+    ] = None,
+    sweep: Annotated[
+        bool,
+        typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
+    ] = False,
+    template: Annotated[
+        bool,
+        typer.Option(
+            "--template", help="3 and 4 markers implanted with a template from `ronna-plan template`."
+        ),
+    ] = False,
+    methods: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--method",
+            metavar="NAME|MODULE:FUNCTION",
+            help="Only this method: clique, orientation, count, thesis, thesis-validated, or a pairing of "
+            "your own; repeatable [all of ours and the thesis'].",
+        ),
+    ] = None,
+    tolerances_mm: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--e",
+            min=0.1,
+            max=10.0,
+            metavar="MM",
+            help="Value of e of the thesis methods in mm; repeatable [1.5 and 2.5].",
+        ),
+    ] = None,
+    refused_share: Annotated[
+        float | None,
+        typer.Option(
+            "--refuse",
+            min=1e-6,
+            max=0.5,
+            metavar="SHARE",
+            help="Share of correct pairings that the validation of the thesis method refuses [0.001].",
+        ),
+    ] = None,
+    xframe: Annotated[
+        bool,
+        typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
+    ] = False,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
+
+    The thesis method is run both without and with validation of its pairs against the stated errors.
+    """
+    from procedures.registration.pairing_validation import REFUSED_SHARE
+    from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
+    from studies.correspondence import tables as correspondence_tables
+    from studies.correspondence.methods import chosen_methods
+    from studies.correspondence.study import (
+        OF_THE_THESIS,
+        USUAL_TOLERANCES_MM,
+        CorrespondenceStudy,
+    )
+
+    if xframe + sweep + template > 1:
+        raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
+    if (xframe or sweep or template) and (methods or tolerances_mm or refused_share):
+        raise UsageMistake(
+            "--method, --e and --refuse cannot be combined with --sweep, --xframe or --template, which have "
+            "their own"
+        )
+    if xframe:
+        _clinical(runs, asked)
+        return
+    runs = runs or THESIS_RUNS
+    if template:
+        from studies.correspondence import template as by_template
+
+        implanted = by_template.TemplateStudy(runs, asked.seed)
+        _run(implanted, by_template.tables, by_template.plots, asked)
+        return
+    chosen, own = chosen_methods(methods or (), terminal.tell)
+    values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
+    study = CorrespondenceStudy(
+        runs, asked.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
+    )
+    if sweep:
+        study = CorrespondenceStudy(
+            runs, asked.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
+        )
+    plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
+    _run(study, correspondence_tables.tables, plots, asked)
+
+
+def _clinical(
+    readings: int | None,
+    asked: StudyOptions,
+) -> None:
+    """The readings are taken first and kept in the folder of the study."""
+    from studies.correspondence import clinical
+    from studies.correspondence.frame_readings import recorded_readings
+
+    folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
+    with terminal.progress_bar("readings of the tracker") as progress:
+        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
+    study = clinical.ClinicalStudy(taken, asked.seed)
+    _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
+
+
+@app.command()
+@with_option_records
+def registration(
+    runs: Annotated[int, typer.Option("--runs", min=1, help="Runs per cell.")] = 6_000,
+    methods: OwnOption = None,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Rigid registration: how well its error formulas hold, and what weighting gains."""
+    from studies.registration import RegistrationStudy, plots, tables
+
+    own = _own("REGISTRATION", methods)
+    _run(RegistrationStudy(runs, asked.seed, own=own), tables, plots, asked)
+
+
+@app.command()
+@with_option_records
+def localization(
+    volumes: Annotated[
+        int, typer.Option("--volumes", min=1, help="Phantom scans per family and protocol.")
+    ] = 6,
+    sets: Annotated[
+        int, typer.Option("--sets", min=1, help="Sets of five scans of the x-shaped frame (tables 2 and 3).")
+    ] = 2,
+    tuning: Annotated[
+        bool, typer.Option("--tuning", help="Only the families of scans used to tune the localizer.")
+    ] = False,
+    frames: Annotated[
+        bool, typer.Option("--frames", help="Only the sets of the x-shaped frame (tables 2 and 3).")
+    ] = False,
+    thesis: Annotated[
+        bool,
+        typer.Option(
+            "--thesis", help="Only the thesis protocol: 20 scans, 116 spheres, scanners with scale errors."
+        ),
+    ] = False,
+    families: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--family",
+            metavar="NAME",
+            help="Only this family of scans, without the x-shaped frame; repeatable.",
+        ),
+    ] = None,
+    methods: OwnOption = None,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
+    from studies.localization.goals import tables_and_goals
+    from studies.localization.study import JUDGING, TUNING, LocalizationStudy
+    from studies.localization.tables import plots
+
+    if thesis + tuning + frames + bool(families) > 1:
+        raise UsageMistake("--thesis, --tuning, --frames and --family are separate studies: give one of them")
+    if thesis and methods:
+        raise UsageMistake("--method cannot be combined with --thesis: give --family, --frames or neither")
+    for family in families or ():
+        if family not in JUDGING:
+            raise UsageMistake(
+                f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
+            )
+    own = _own("LOCALIZER", methods)
+    if thesis:
+        from studies.localization import thesis_protocol_tables as thesis_localization_tables
+        from studies.localization.thesis_protocol import ThesisLocalizationStudy
+
+        protocol = ThesisLocalizationStudy(asked.seed)
+        protocol_tables = thesis_localization_tables
+        _run(protocol, protocol_tables.tables, protocol_tables.plots, asked)
+        return
+    study = LocalizationStudy(volumes, sets, asked.seed, own=own)
+    if tuning:
+        study = LocalizationStudy(volumes, sets, asked.seed, TUNING, name="localization-tuning", own=own)
+    if frames:
+        study = LocalizationStudy(0, sets, asked.seed, (), name="localization-frames", own=own)
+    if families:
+        only = tuple(dict.fromkeys(families))
+        study = LocalizationStudy(volumes, 0, asked.seed, only, name="localization-families", own=own)
+    _run(study, tables_and_goals, plots, asked)
+
+
+@app.command()
+@with_option_records
+def strategies(
+    arms: Annotated[
+        int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")
+    ] = 200,
+    identified: Annotated[
+        bool,
+        typer.Option(
+            "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
+        ),
+    ] = False,
+    methods: OwnOption = None,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
+    if identified and methods:
+        raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
+    if identified:
+        from studies.strategies import identified as by_looks
+
+        study = by_looks.IdentifiedStudy(arms, asked.seed)
+        _run(study, by_looks.tables, by_looks.plots, asked)
+        return
+    from studies.strategies.study import StrategiesStudy
+    from studies.strategies.tables import plots, tables
+
+    own = _own("STRATEGY", methods)
+    trials = StrategiesStudy(arms, asked.seed, "strategies-own" if own else "strategies", own)
+    _run(trials, tables, plots, asked)
+
+
+@app.command(name="application-error")
+@with_option_records
+def application_error(
+    arms: Annotated[
+        int, typer.Option("--arms", min=1, max=500, help="Random arms of parameter set S.")
+    ] = 200,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Error at superficial and deep targets on random arms, against RONNA G3."""
+    from studies.application_error import ApplicationErrorStudy, plots, tables
+
+    _run(ApplicationErrorStudy(arms, asked.seed), tables, plots, asked)
+
+
+@app.command()
+@with_option_records
+def worlds(
+    cases: Annotated[int, typer.Option("--cases", min=1, help="Worlds to draw.")] = 100,
+    scene: Annotated[
+        str, typer.Option("--scene", help="mini or default; the seed of each is drawn.")
+    ] = "mini",
+    quiet: Annotated[
+        bool, typer.Option("--quiet", help="Nothing changes: any finding is a false one.")
+    ] = False,
+    only: Annotated[
+        int | None, typer.Option("--only", min=0, metavar="K", help="Only this world, once more.")
+    ] = None,
+    *,
+    asked: StudyOptions,
+) -> None:
+    """Whole cases in worlds drawn at random, with one change in each, judged by the truth.
+
+    Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
+    once, or a finding where nothing changed.
+    """
+    from studies.worlds.case import carry_out, document
+    from studies.worlds.study import WorldsStudy, no_plots
+    from studies.worlds.world import SCENES
+
+    if scene not in SCENES:
+        raise UsageMistake(f"--scene: worlds are drawn for no scene {scene!r}", expected=" or ".join(SCENES))
+    name = "worlds-quiet" if quiet else "worlds"
+    study = WorldsStudy(cases, asked.seed, asked.out or Path("campaigns") / name, scene, quiet)
+    if only is not None:
+        world = study.world(only)
+        if world.change is not None:
+            terminal.tell(world.change.script.rstrip())
+        place = study.folder / f"only-{only}"
+        found = carry_out(world, place)
+        terminal.print_json(document(world, found))
+        terminal.tell(f"{found.verdict}: {place}")
+        return
+    sums = _run(
+        study, study.tables, no_plots, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
+    )
+    if missed := study.missed_goals(sums):
+        terminal.tell(f"missed: {'; '.join(missed)}")
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
+    """Own methods of a kind, each tried before the campaign."""
+    if not names:
+        return ()
+    from studies.own.contracts import MethodKind
+    from studies.own.trial import tried_apart
+
+    return tuple(tried_apart(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
+
+
+def _run(
+    study: Study,
+    tables: Tables,
+    plots: Plots,
+    asked: StudyOptions,
+) -> Mapping[str, Sums]:
+    from studies.campaign.ledger import Ledger
+    from studies.campaign.publish import publish
+    from studies.campaign.unit import add_up
+    from studies.campaign.workers import run_study
+
+    folder = asked.out or Path("campaigns") / study.name
+    ledger = Ledger(folder, study)
+    if kept := len(ledger.finished):
+        terminal.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
+    if ledger.damaged:
+        again = "its unit is rerun" if ledger.damaged == 1 else "their units are rerun"
+        terminal.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
+    try:
+        with terminal.progress_bar(study.name) as progress:
+            run_study(
+                study,
+                ledger,
+                workers=asked.workers,
+                scheduler=asked.scheduler,
+                progress=progress,
+                tell=terminal.tell,
+            )
+    except KeyboardInterrupt:
+        units = counted(len(ledger.finished), "unit")
+        terminal.tell(f"{units} kept in {folder}; the same command continues")
+        raise
+    sums = add_up(ledger.results())
+    found = tables(sums)
+    report = publish(folder, study.name, study.settings(), found, plots(sums))
+    if asked.as_json:
+        terminal.print_json(
+            {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
+        )
+        return sums
+    for table in found:
+        _show(table)
+    terminal.tell(f"report: {report}")
+    return sums
+
+
+@app.command()
+def times(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    as_json: terminal.JsonOption = False,
+) -> None:
+    """Where the time of runs went: phases, steps, people; against the times of the thesis."""
+    from ronna_hw.evidence.inspection import inspected
+    from studies.times import times_of
+
+    for run in runs:
+        inspected(run, every_file=False).require_unchanged()
+    found = times_of(runs)
+    if as_json:
+        terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
+        return
+    for table in found:
+        _show(table)
+
+
+def _show(table: Table) -> None:
+    from studies.campaign.table import shown
+
+    terminal.print_table(
+        table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    terminal.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,210 @@
+"""Three and four markers implanted with a template: do they match five to eight without one?
+
+The thesis' protocol (5.3.1) on its three heads, except for the sites: those of the template that `ronna-plan
+template` makes for each head, each sphere slightly off, instead of random ones displaced by up to 10 mm.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.markers.template import propose_template
+from procedures.registration.correspondence import Match, Prior
+from procedures.registration.matching import match
+from procedures.registration.template import match_by_template
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
+from studies.campaign import bounds
+from studies.campaign.table import Cell, Table
+from studies.campaign.unit import Sums, Unit, blocks, generator
+from studies.correspondence.readings import draw_readings
+from studies.correspondence.study import (
+    BLOCK_RUNS,
+    FALSE,
+    LOST,
+    OUTLIERS,
+    PART,
+    PRIOR_DISTURBED_RAD,
+    condition_key,
+    condition_of,
+    verdict,
+)
+from studies.correspondence.tables import (
+    GOAL_FALSE,
+    GOAL_UNSUCCESSFUL,
+    THESIS_FALSE,
+    THESIS_UNSUCCESSFUL,
+)
+from studies.heads import (
+    HALF_AXES_MM,
+    IMAGE_SIGMA_MM,
+    PATIENTS,
+    PHYSICAL_SIGMA_MM,
+    NoiseReading,
+    in_balls,
+    per_axis_mm,
+)
+
+Array = NDArray[np.float64]
+
+MARKERS = (3, 4)
+MARGIN_MM = 10.0  # the command's default
+IMPLANTED_MM = 0.5  # a sphere is anywhere within this distance of its template site
+PLAIN, COUNTED, TEMPLATE, ORIENTED = "distances", "+ planned count", "template", "template + orientation"
+
+
+@dataclass(frozen=True)
+class TemplateStudy:
+    """`runs` for each noise model, head, number of markers and number of outliers."""
+
+    runs: int
+    seed: int = 0
+    margin_mm: float = MARGIN_MM
+    name: str = "correspondence-template"
+
+    def settings(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {**asdict(self), "implanted_mm": IMPLANTED_MM}
+
+    def units(self) -> Sequence[Unit]:
+        """Conditions in the order noise model, patient, markers, outliers."""
+        return [
+            unit
+            for noise in NoiseReading
+            for patient in PATIENTS
+            for count in MARKERS
+            for outliers in OUTLIERS
+            for unit in blocks(condition_key(noise, patient, count, outliers), self.runs, BLOCK_RUNS)
+        ]
+
+    def run(self, unit: Unit) -> Sums:
+        """Outcomes of every method, as `method|outcome` -> count."""
+        noise, patient, count, outliers = condition_of(unit.condition)
+        random = generator(self.seed, unit)
+        template_mm = sites_mm(patient, count, self.margin_mm)
+        seen = draw_readings(template_mm, count, outliers, noise, unit.runs, random, IMPLANTED_MM)
+        tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
+        sums: Counter[str] = Counter()
+        for run, (pairs, prior) in enumerate(zip(seen.pairs.tolist(), tilts * seen.rotations, strict=True)):
+            right = frozenset((i, j) for i, j in pairs)
+            for method, found in _solved(
+                template_mm, seen.image_mm[run], seen.physical_mm[run], noise, Prior(prior)
+            ).items():
+                sums[f"{method}|{verdict(found.status, found.pairs, right)}"] += 1
+        return {key: float(value) for key, value in sums.items()}
+
+
+@cache
+def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
+    """The template's spheres (count, 3) on a head of the study."""
+    head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=HALF_AXES_MM[patient])
+    return np.array(propose_template(head, count, margin_mm).centres_mm)
+
+
+def _solved(
+    template_mm: Array, image_mm: Array, physical_mm: Array, noise: NoiseReading, prior: Prior
+) -> dict[str, Match]:
+    image_sigma_mm, physical_sigma_mm = (
+        per_axis_mm(sigma_mm, noise) for sigma_mm in (IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM)
+    )
+
+    def directly(expected: int | None) -> Match:
+        return match(
+            image_mm,
+            physical_mm,
+            sigma_image_mm=image_sigma_mm,
+            sigma_physical_mm=physical_sigma_mm,
+            expected=expected,
+        )
+
+    def by_template(known: Prior | None) -> Match:
+        return match_by_template(
+            template_mm,
+            image_mm,
+            physical_mm,
+            sigma_image_mm=image_sigma_mm,
+            sigma_physical_mm=physical_sigma_mm,
+            sigma_template_mm=IMPLANTED_SIGMA_MM,
+            prior=known,
+        )
+
+    return {
+        PLAIN: directly(None),
+        COUNTED: directly(len(template_mm)),
+        TEMPLATE: by_template(None),
+        ORIENTED: by_template(prior),
+    }
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """One row per noise model, method and number of markers, next to the result of five to eight."""
+    counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
+    for condition, content in sums.items():
+        noise, _, markers, outliers = condition_of(condition)
+        for key, number in content.items():
+            method, _, outcome = key.partition("|")
+            of_method = counted.setdefault((noise, markers, method), {})
+            of_method.setdefault(outliers, Counter())[outcome] += round(number)
+    rows: list[Sequence[Cell]] = []
+    for (noise, markers, method), conditions in counted.items():
+        lost = {outliers: _percent(one, LOST, PART) for outliers, one in conditions.items()}
+        pooled = sum(conditions.values(), Counter())
+        false = _percent(pooled, FALSE)
+        rows.append(
+            (
+                noise.value,
+                markers,
+                method,
+                pooled.total(),
+                _percent(pooled, LOST, PART),
+                bounds.percent(pooled[LOST] + pooled[PART], pooled.total()).text,
+                f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
+                false,
+                bounds.percent(pooled[FALSE], pooled.total()).text,
+                _word(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
+                _word(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
+            )
+        )
+    return [
+        Table(
+            "Markers implanted by a template",
+            (
+                "noise",
+                "markers",
+                "method",
+                "runs",
+                "unsuccessful %",
+                bounds.column("unsuccessful"),
+                "over 0 to 4 outliers",
+                "false %",
+                bounds.column("false"),
+                "as 5 to 8 in the thesis",
+                "as 5 to 8 here",
+            ),
+            rows,
+            f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of "
+            f"their positions. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and "
+            f"{THESIS_FALSE[5][1]} % false; here: at most {GOAL_UNSUCCESSFUL} % pooled and {GOAL_FALSE} "
+            f"% false. {bounds.NOTE}",
+        )
+    ]
+
+
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """None: the table is enough."""
+    return {}
+
+
+def _percent(outcomes: Counter[str], *which: str) -> float:
+    return 100.0 * sum(outcomes[one] for one in which) / outcomes.total()
+
+
+def _word(held: bool) -> str:
+    return "yes" if held else "NO"

@@ -1,0 +1,237 @@
+"""Spheres in phantom CTs: ours next to the thesis' two methods, on families not used for tuning.
+
+Also the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
+its known coordinates and to each other, and FLE is computed from FRE. Human picks are simulated with the FLE
+that the thesis reports for its four operators, so those rows check the protocol, not the people.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging import (
+    Localization,
+    ThesisFit,
+    Volume,
+    localize,
+    localize_as_thesis,
+    localize_picks,
+)
+from procedures.imaging.errors import MarkerCountWrong, PickRefused
+from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
+from procedures.registration.point_registration import register
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.errors import NotForJudging
+from studies.localization.phantom_scans import PhantomScan, phantom_scan
+from studies.own.localizer import OwnLocalizer
+from studies.own.method import OwnMethod
+from studies.thesis_tables import OPERATORS, TABLE_3
+
+Array = NDArray[np.float64]
+
+BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
+COVERED = ("bandage", "soaked")
+STREAKED = ("streaks", "rays", "posts")  # families whose posts cause streaks
+JUDGING = (
+    *("narrow", "broad", "clamp", "electrodes", "crowded", "edge", "streaks", "rays"),
+    *COVERED,
+    *BESIDE_OBJECTS,
+)
+TUNING = ("plain", "posts", "bands", "dressing", "rounded", "joined", "caps", "sizes")
+PROTOCOLS = ("good", "poor")
+FRAMES = "frames"
+FRAME_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "streaks")  # a set is one scan of each
+FRAME_PROTOCOL = "usual"
+SAME_SPHERE_MM = 2.0
+LARGE_ERROR_MM = 0.1
+TAIL = 0.01  # share of errors outside the stated 99 % region
+CHI2_AT_TAIL = 11.345  # of three degrees of freedom
+BIN_MM = 0.001
+SEED_BOUND = 2**31
+OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
+
+
+class Method(StrEnum):
+    """The localization method."""
+
+    OURS = "combined"
+    THESIS_LINE = "thesis-line"
+    THESIS_SPHERE = "thesis-sphere"
+    PERSON = "person"
+    REFINED = "person's picks refined"
+
+
+SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
+AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
+
+
+@dataclass(frozen=True)
+class LocalizationStudy:
+    """Number of volumes per family and protocol, and of sets of five scans of the frame."""
+
+    volumes: int
+    sets: int = 1
+    seed: int = 0
+    families: tuple[str, ...] = JUDGING
+    protocols: tuple[str, ...] = PROTOCOLS
+    name: str = "localization"
+    own: tuple[OwnMethod, ...] = ()
+
+    def settings(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {**without_empty_own(asdict(self)), "sums": SUMS}
+
+    def units(self) -> Sequence[Unit]:
+        """A unit per volume, then one per set."""
+        conditions = [f"{family}|{protocol}" for protocol in self.protocols for family in self.families]
+        volumes = [unit for condition in conditions for unit in blocks(condition, self.volumes, 1)]
+        return [*volumes, *blocks(f"{FRAMES}|{FRAME_PROTOCOL}", self.sets, 1)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Counts and sums of squares (mm2) over the spheres of one volume, or over one set."""
+        family, protocol = unit.condition.split("|")
+        random = generator(self.seed, unit)
+        sums: Counter[str] = Counter()
+        own = tuple(OwnLocalizer.of(one) for one in self.own)
+        if family == FRAMES:
+            sums.update(_frame_set(random, own))
+        else:
+            with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
+                if family in JUDGING and scan.purpose != "judging":
+                    raise NotForJudging(f"family {family} is for {scan.purpose}")
+                sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
+                for method in AUTOMATIC:
+                    sums.update(_judged(method, scan))
+                for localizer in own:
+                    sums.update(_counted(localizer.name, localizer(scan.volume), (), scan))
+        return {key: float(value) for key, value in sums.items()}
+
+
+def _localized(method: Method, volume: Volume) -> Localization | None:
+    try:
+        if method is Method.OURS:
+            return localize(volume)
+        return localize_as_thesis(volume, ThesisFit(method.value))
+    except MarkerCountWrong:
+        return None
+
+
+def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
+    """One of the built-in methods on one volume."""
+    result = _localized(method, scan.volume)
+    return _counted(
+        method, None if result is None else result.centres_mm, result.markers if result else (), scan
+    )
+
+
+def _counted(
+    who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
+) -> dict[str, float]:
+    """Counts for one volume, with covariances if there are markers.
+
+    Spheres cut by the field of view count neither as missed nor as false.
+    """
+    sums: dict[str, float] = defaultdict(float, spheres=scan.whole.sum(), cut=(~scan.whole).sum())
+    found = np.empty((0, 3)) if found_mm is None else found_mm
+    distance = np.linalg.norm(found[:, None] - scan.centres_mm[None], axis=2)
+    near = distance < SAME_SPHERE_MM
+    sums["false"] = len(found) - int(near.any(axis=0).sum())  # a second one near a sphere is false too
+    for sphere, centre in enumerate(scan.centres_mm):
+        if not near[:, sphere].any():
+            sums["missed" if scan.whole[sphere] else "cut missed"] += 1
+            continue
+        if not scan.whole[sphere]:
+            sums["cut found"] += 1
+            continue
+        hit = int(distance[:, sphere].argmin())
+        error = found[hit] - centre
+        length_mm = float(np.linalg.norm(error))
+        sums["found"] += 1
+        sums["error2"] += length_mm**2
+        sums["error4"] += length_mm**4
+        sums[f"bin {int(length_mm / BIN_MM)}"] += 1
+        if not markers:
+            continue
+        marker = markers[hit]
+        chi2 = float(error @ np.linalg.solve(marker.covariance_mm2, error))
+        sums["chi2"] += chi2
+        sums["tail"] += chi2 > CHI2_AT_TAIL
+        if length_mm > LARGE_ERROR_MM:
+            sums["large"] += 1
+            sums["large flagged"] += ESTIMATORS_DISAGREE in marker.flags
+    return {f"{who}|{key}": float(value) for key, value in sums.items()}
+
+
+def _frame_set(random: np.random.Generator, own: Sequence[OwnLocalizer] = ()) -> dict[str, float]:
+    """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
+    points: dict[str, list[Array]] = {}
+    for family in FRAME_FAMILIES:
+        seed = int(random.integers(SEED_BOUND))
+        with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
+            for method in AUTOMATIC:
+                result = _localized(method, scan.volume)
+                ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
+                if ordered is not None:
+                    points.setdefault(method.value, []).append(ordered)
+            for localizer in own:
+                ordered = _in_order(localizer(scan.volume), scan.centres_mm)
+                if ordered is not None:
+                    points.setdefault(localizer.name, []).append(ordered)
+            picks: list[Array] = []
+            for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
+                picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
+                points.setdefault(f"{Method.PERSON} {number}", []).append(picks[-1])
+            ordered = _refined(scan, picks[0])
+            if ordered is not None:
+                points.setdefault(Method.REFINED.value, []).append(ordered)
+    return fle_sums(points)
+
+
+def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
+    """Squared FREs (mm2) of all scans (4, 3) to the frame's coordinates and to each other."""
+    frame = np.array(SPHERE_CENTRES_MM)
+    sums: dict[str, float] = defaultdict(float, sets=1.0)
+    for who, scans in points.items():
+        for one in scans:
+            sums[f"{who}|truth fre2"] += register(frame, one).fre_mm ** 2
+            sums[f"{who}|truth runs"] += 1
+        for one, other in combinations(scans, 2):
+            sums[f"{who}|pair fre2"] += register(one, other).fre_mm ** 2
+            sums[f"{who}|pair runs"] += 1
+    return {key: float(value) for key, value in sums.items()}
+
+
+def _refined(scan: PhantomScan, picks_mm: Array) -> Array | None:
+    try:
+        result = localize_picks(scan.volume, picks_mm)
+    except PickRefused:
+        return None
+    return _in_order(result.centres_mm, scan.centres_mm)
+
+
+def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
+    """The found points in the order of the true ones; None unless they match one to one."""
+    if len(found_mm) == 0:
+        return None
+    distance = np.linalg.norm(found_mm[:, None] - centres_mm[None], axis=2)
+    nearest = distance.argmin(axis=0)
+    whole = bool((distance.min(axis=0) < SAME_SPHERE_MM).all()) and len(set(nearest.tolist())) == len(
+        centres_mm
+    )
+    return found_mm[nearest] if whole else None
+
+
+def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
+    """Sums over several cells."""
+    total: Counter[str] = Counter()
+    for condition in conditions:
+        total.update(sums.get(condition, {}))
+    return dict(total)

@@ -1,0 +1,238 @@
+"""Tables and plots of the localization study."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import sqrt
+
+from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
+from studies.campaign import bounds
+from studies.campaign.plots import bars
+from studies.campaign.table import Cell, Table
+from studies.campaign.unit import Sums
+from studies.localization.study import (
+    AUTOMATIC,
+    BIN_MM,
+    FRAMES,
+    STREAKED,
+    Method,
+    pooled,
+)
+from studies.thesis_tables import (
+    HUMAN_OPERATORS,
+    LINE_FIT,
+    OPERATORS,
+    SPHERE_FIT,
+    TABLE_2,
+    TABLE_3,
+)
+
+SPHERES = 4  # of the frame
+IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
+COLUMNS = (
+    "family",
+    "protocol",
+    "method",
+    "spheres",
+    "found %",
+    bounds.column("found"),
+    "false",
+    bounds.column("false"),
+    "rms µm",
+    bounds.column("rms"),
+    "95th percentile µm",
+    "rms / CRB",
+    "chi² / 3n",
+)
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """Pooled, by family, and the thesis' tables 2 and 3."""
+    frames = pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)])
+    of_frames = [_fle_table(frames)] if frames else []
+    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
+    if not conditions:
+        return of_frames
+    protocols = list(dict.fromkeys(condition.split("|")[1] for condition in conditions))
+    together: list[Sequence[Cell]] = []
+    for protocol in protocols:
+        of_protocol = [condition for condition in conditions if condition.endswith(f"|{protocol}")]
+        streaked = [condition for condition in of_protocol if condition.split("|")[0] in STREAKED]
+        others = [condition for condition in of_protocol if condition not in streaked]
+        together += _rows("without streaks on posts", protocol, pooled(sums, others))
+        together += _rows("with streaks on posts", protocol, pooled(sums, streaked))
+    single = [
+        row
+        for condition in conditions
+        for family, protocol in [condition.split("|")]
+        for row in _rows(family, protocol, sums[condition])
+    ]
+    found = [
+        Table(
+            "Localization, families together",
+            COLUMNS,
+            together,
+            (
+                "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
+                "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
+                "in white noise. "
+            )
+            + _cut(sums, conditions)
+            + (
+                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: "
+                "Poisson, in as many scans."
+            ),
+        ),
+        Table(
+            "Localization by family",
+            COLUMNS,
+            single,
+            "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 under a bandage.",
+        ),
+    ]
+    return [*found, *of_frames]
+
+
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """Rms per family and method, one plot per protocol."""
+    pictures = {}
+    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
+    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
+        groups = {
+            condition.split("|")[0]: {
+                method: _rms_um(sums[condition], method)
+                for method in methods_of(sums[condition])
+                if of_method(sums[condition], method, "found")
+            }
+            for condition in conditions
+            if condition.endswith(f"|{protocol}")
+        }
+        pictures[f"error-{protocol}.png"] = bars(
+            f"3-D error, {protocol} protocol", "rms, µm", groups, x_label="family of scans"
+        )
+    if frames := pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)]):
+        pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
+    return pictures
+
+
+def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
+    """Our figures and the thesis' side by side; empty where the thesis has none."""
+    groups: dict[str, dict[str, float]] = {}
+    for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
+        named = zip(
+            ("to the truth", "thesis, table 2", "between scans", "thesis, table 3"),
+            (truth_mm, table_2_mm, pair_mm, table_3_mm),
+            strict=True,
+        )
+        short = str(who).replace("thesis-", "").replace("person's picks ", "picks\n")
+        groups[short] = {name: value for name, value in named if isinstance(value, float)}
+    return groups
+
+
+def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
+    rows: list[Sequence[Cell]] = []
+    for method in methods_of(total):
+        spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
+        if not spheres:
+            continue
+        share, false = bounds.percent(found, spheres), bounds.number(of_method(total, method, "false"))
+        rms = _rms_um(total, method) if found else None
+        bound_mm = sqrt(total["bound2"] / total["volumes"])
+        rows.append(
+            (
+                family,
+                protocol,
+                method,
+                int(spheres),
+                share.value,
+                share.text,
+                int(false.value),
+                false.text,
+                None if rms is None else rms.value,
+                None if rms is None else rms.text,
+                percentile_um(total, method, found),
+                None if rms is None else 1e-3 * rms.value / bound_mm,
+                of_method(total, method, "chi2") / (3.0 * found) if found and method in AUTOMATIC else None,
+            )
+        )
+    return rows
+
+
+def _rms_um(total: Sums, method: str) -> bounds.Bounded:
+    sums = (1e6 * of_method(total, method, "error2"), 1e12 * of_method(total, method, "error4"))
+    return bounds.root_mean_square(*sums, of_method(total, method, "found"))
+
+
+def methods_of(total: Sums) -> list[str]:
+    """The built-in methods in order, then user methods."""
+    there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
+    known = [method.value for method in AUTOMATIC if method in there]
+    return [*known, *(one for one in there if one not in known)]
+
+
+def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
+    """Upper edge of the bin in which the share is reached."""
+    prefix = f"{method}|bin "
+    bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
+    reached = 0.0
+    for number, count in bins:
+        reached += count
+        if reached >= share * found:
+            return 1e3 * BIN_MM * (number + 1)
+    return None
+
+
+def _cut(sums: Mapping[str, Sums], conditions: Sequence[str]) -> str:
+    total = pooled(sums, conditions)
+    cut = int(of_method(total, Method.OURS, "cut"))
+    found = int(of_method(total, Method.OURS, "cut found"))
+    large = int(of_method(total, Method.OURS, "large"))
+    flagged = int(of_method(total, Method.OURS, "large flagged"))
+    return (
+        f"Of {cut} further spheres cut by the field of view, ours finds {found}. Of {large} of our errors"
+        f" above 0.1 mm, {flagged} are flagged."
+    )
+
+
+def _fle_table(total: Sums) -> Table:
+    """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
+    rows: list[Sequence[Cell]] = []
+    people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
+    known = [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]
+    own = [
+        who for key in total if key.endswith("|truth runs") and (who := key.partition("|")[0]) not in known
+    ]
+    for who in [*known, *own]:
+        runs, pairs = total.get(f"{who}|truth runs", 0.0), total.get(f"{who}|pair runs", 0.0)
+        if not (runs and pairs):
+            continue
+        truth_mm = fle_from_fre_mm(sqrt(total[f"{who}|truth fre2"] / runs), SPHERES)
+        pair_mm = fle_of_one_space_mm([sqrt(total[f"{who}|pair fre2"] / pairs)], SPHERES)
+        person = who in people
+        named = OPERATORS[people.index(who)] if person else IN_THE_THESIS.get(who, "")
+        table_2 = TABLE_2.get(HUMAN_OPERATORS if person else named)
+        table_3 = TABLE_3.get(named)
+        rows.append(
+            (
+                who,
+                int(runs),
+                truth_mm,
+                None if table_2 is None else table_2.printed_mm,
+                int(pairs),
+                pair_mm,
+                None if table_3 is None else table_3.printed_mm,
+            )
+        )
+    return Table(
+        "FLE as in tables 2 and 3 of the thesis",
+        ("who", "scans", "FLE mm, truth", "thesis, table 2", "pairs", "FLE mm, pairs", "thesis, table 3"),
+        rows,
+        "Four spheres of the x-shaped frame. People are simulated with the FLE of the thesis' "
+        "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of "
+        "scale and table feed.",
+    )
+
+
+def of_method(total: Sums, method: str, key: str) -> float:
+    """One sum of one method; 0 if nothing was counted."""
+    return total.get(f"{method}|{key}", 0.0)

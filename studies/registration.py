@@ -1,0 +1,241 @@
+"""Do the error formulas of rigid registration hold? FRE against FLE, TRE against eq. 39, gate, weighting.
+
+Head markers, a target 10 mm below their centre, and an FLE of 0.3 mm as in the reference
+experiment. Isotropic errors are split evenly between both spaces, as between two scans; the others
+are in the physical space.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, tre_principal_axes_mm
+from procedures.registration.point_registration import register
+from studies.campaign import bounds
+from studies.campaign.plots import Point, curves
+from studies.campaign.table import Cell, Table
+from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.heads import PATIENTS, any_pose, sites_mm
+from studies.own.method import OwnMethod
+from studies.own.registration import OwnRegistration
+
+Array = NDArray[np.float64]
+
+BLOCK_RUNS = 500
+FLE_MM = 0.3  # 3-D rms, both spaces together
+TARGET_BELOW_MM = 10.0
+FIDUCIALS = (3, 4, 5, 6, 8)
+GATE_CONFIDENCE = 0.95
+DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
+NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
+ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
+SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
+PLAIN, WEIGHTED, OWN = (
+    "tre",
+    "weighted",
+    "own ",
+)  # errors at the target: ours without and with covariances, user methods
+
+
+@dataclass(frozen=True)
+class RegistrationStudy:
+    """`runs` for each number of fiducials and each kind of error."""
+
+    runs: int
+    seed: int = 0
+    fiducials: tuple[int, ...] = FIDUCIALS
+    name: str = "registration"
+    own: tuple[OwnMethod, ...] = ()
+
+    def settings(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {**without_empty_own(asdict(self)), "sums": SUMS}
+
+    def units(self) -> Sequence[Unit]:
+        """Cells in the order kind of error, fiducials."""
+        conditions = [f"{ISOTROPIC}|{count}" for count in self.fiducials] + [f"{DEPTH}|5", f"{NOISY}|5"]
+        return [unit for condition in conditions for unit in blocks(condition, self.runs, BLOCK_RUNS)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Sums of squares (mm2) and counts over the runs."""
+        kind, count = unit.condition.split("|")
+        random = generator(self.seed, unit)
+        sums: Counter[str] = Counter()
+        own = tuple(OwnRegistration.of(one) for one in self.own)
+        residuals_mm: list[float] = []
+        for run in range(unit.runs):
+            sites = sites_mm(PATIENTS[run % len(PATIENTS)])
+            points = sites[random.choice(len(sites), int(count), replace=False)]
+            one = _one(points, kind, random, own)
+            residuals_mm.append(one.pop("fre"))
+            sums.update(one)
+        one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
+        return {key: float(value) for key, value in sums.items()} | {"one_space2": one_space2}
+
+
+def _one(
+    points: Array, kind: str, random: np.random.Generator, own: Sequence[OwnRegistration]
+) -> dict[str, float]:
+    """One registration and its error at the target."""
+    truth = any_pose(random)
+    covariance = _covariances(len(points), kind, random)
+    in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
+    image = points + _noise(covariance * in_image, random)
+    measured = truth.apply(points) + _noise(covariance * (1.0 - in_image), random)
+    target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
+    right = truth.apply(target)
+    plain = register(image, measured)
+    sums = {
+        "runs": 1.0,
+        "fre": plain.fre_mm,
+        "fle2": plain.fle_mm**2,
+    } | _missed(PLAIN, plain.transform, target, right)
+    for method in own:
+        fitted = method(image, measured, covariance_mm2=covariance)
+        sums |= _missed(f"{OWN}{method.name}", fitted, target, right)
+    if kind == ISOTROPIC:
+        predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
+        gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
+        return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
+    weighted = register(image, measured, covariance_mm2=covariance)
+    predicted = weighted.predict_tre_mm(target)[0]
+    sums |= _missed(WEIGHTED, weighted.transform, target, right)
+    return sums | {"predicted2": float(predicted**2)}
+
+
+def _missed(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
+    """Square (mm2) and fourth power (mm4) of the error at the target."""
+    square = float(np.sum((fitted.apply(target) - right) ** 2))
+    return {f"{who}2": square, f"{who}4": square**2}
+
+
+def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
+    """One error (n, 3) for each covariance (n, 3, 3), which may be zero."""
+    if not covariance_mm2.any():
+        return np.zeros(covariance_mm2.shape[:2])
+    normal = random.normal(size=covariance_mm2.shape[:2])
+    return np.asarray(np.einsum("nij,nj->ni", np.linalg.cholesky(covariance_mm2), normal))
+
+
+def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
+    """(n, 3, 3) in the physical frame, mm2; the 3-D rms of a normal fiducial is FLE.
+
+    Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
+    """
+    if kind == DEPTH:
+        ratios = np.array([1.0, 1.0, DEPTH_RATIO**2])
+        turns = Rotation.random(count, rng=random).as_matrix()
+        return np.asarray((turns * (ratios * FLE_MM**2 / ratios.sum())) @ turns.swapaxes(1, 2))
+    covariance = np.tile(np.eye(3) * FLE_MM**2 / 3.0, (count, 1, 1))
+    if kind == NOISY:
+        covariance[0] *= NOISY_RATIO**2
+    return covariance
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """Formulas against simulation, and the gain from weighting."""
+    formulas: list[Sequence[Cell]] = []
+    gains: list[Sequence[Cell]] = []
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
+        runs = total["runs"]
+        tre = _rms_mm(total, PLAIN)
+        tre_mm = tre.value
+        predicted_mm = float(np.sqrt(total["predicted2"] / runs))
+        if kind == ISOTROPIC:
+            fle_ratio = float(np.sqrt(total["fle2"] / runs)) / FLE_MM
+            one_space = float(np.sqrt(2.0 * total["one_space2"] / runs)) / FLE_MM
+            alarms = bounds.percent(total["alarms"], runs)
+            ratios = (fle_ratio, one_space, tre_mm, tre.text, predicted_mm, tre_mm / predicted_mm)
+            formulas.append((int(count), int(runs), *ratios, alarms.value, alarms.text))
+        else:
+            weighted = _rms_mm(total, WEIGHTED)
+            gain = 100.0 * (1.0 - weighted.value / tre_mm)
+            errors = (tre_mm, tre.text, weighted.value, weighted.text)
+            gains.append((kind, int(runs), *errors, gain, weighted.value / predicted_mm))
+    own = [_own_table(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
+    return [
+        Table(
+            "Formulas of the rigid fit",
+            (
+                "fiducials",
+                "runs",
+                "FLE by eq. 36 / true",
+                "one space by eq. 37, 38 / true",
+                "TRE mm",
+                bounds.column("TRE"),
+                "eq. 39 mm",
+                "TRE / eq. 39",
+                "gate alarms %",
+                bounds.column("gate alarms"),
+            ),
+            formulas,
+            f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
+            f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
+            f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
+            "spread of its squares.",
+        ),
+        Table(
+            "What weighting by covariances gains",
+            (
+                "errors",
+                "runs",
+                "TRE mm, equal weights",
+                bounds.column("equal weights"),
+                "TRE mm, weighted",
+                bounds.column("weighted"),
+                "gain %",
+                "TRE / predicted",
+            ),
+            gains,
+            "Five fiducials.",
+        ),
+        *own,
+    ]
+
+
+def _own_table(sums: Mapping[str, Sums]) -> Table:
+    """User registrations next to ours, on the same points."""
+    rows: list[Sequence[Cell]] = []
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
+        methods = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
+        methods |= {
+            key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")
+        }
+        for who, name in methods.items():
+            if f"{who}2" in total:
+                error = _rms_mm(total, who)
+                rows.append((kind, int(count), name, int(total["runs"]), error.value, error.text))
+    return Table(
+        "Own registrations beside ours",
+        ("errors", "fiducials", "method", "runs", "TRE mm", bounds.column("TRE")),
+        rows,
+        "The same points and covariances for all.",
+    )
+
+
+def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
+    return bounds.root_mean_square(total[f"{who}2"], total[f"{who}4"], total["runs"])
+
+
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
+    lines: dict[str, list[Point]] = {"simulated": [], "eq. 39": []}
+    for condition, total in sums.items():
+        kind, count = condition.split("|")
+        if kind != ISOTROPIC:
+            continue
+        lines["simulated"].append((int(count), _rms_mm(total, PLAIN)))
+        lines["eq. 39"].append((int(count), float(np.sqrt(total["predicted2"] / total["runs"]))))
+        for key in total:
+            if key.startswith(OWN) and key.endswith("2"):
+                lines.setdefault(key[len(OWN) : -1], []).append((int(count), _rms_mm(total, key[:-1])))
+    title = f"Target error, FLE {FLE_MM} mm"
+    return {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}

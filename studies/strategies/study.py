@@ -1,0 +1,159 @@
+"""Localization strategies on random arms (thesis 5.4): the protocol of table 4, run on a few hundred arms.
+
+A trial is arm x position of the phantom x target x strategy x number of spheres. Parameter set S of the arm's
+errors; our own phantom. In addition to the trials: the effect of each source alone, whether predicted regions
+contain the errors, and what other interpretations of the protocol would change.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from itertools import product
+
+import numpy as np
+
+from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
+from studies.accuracy.random_arms import RandomArms, Source
+from studies.accuracy.scenarios import SCENARIOS, SET_S, Scenario
+from studies.accuracy.scene import DIGITS, Scene
+from studies.accuracy.trials import Sizes
+from studies.campaign.unit import Sums, Unit, blocks, without_empty_own
+from studies.own.method import OwnMethod
+from studies.own.strategy import OwnStrategy
+
+STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
+BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # the thesis' own
+ALONE = STRATEGIES[:-1]  # those with poses of their own
+PLACES, TARGETS = 8, 10
+DEPTHS_MM = (30.0, 120.0)
+BLOCK_ARMS = 125
+MOST_ARMS_OF_SOURCES = 40  # enough for a mean
+MOST_ARMS_OF_OTHERS = 100  # and for a 99 % quantile
+ARMS_OF_PREDICTION = 125  # at each of the eight positions: 10,000 targets of 1,000 arms
+FIRST_OF_PREDICTION = 1_000_000  # number of the first: none of the arms of the trials
+PREDICTED = (SET_S, SCENARIOS[-1])  # set S, and the best that calibration and a fine CT achieve
+TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
+BIN_MM = 0.005  # of the histograms
+OF_ARM = "arm "  # precedes the number in the key of a sum over one arm
+SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
+TILTED_ALIKE = "trajectories tilted alike"
+READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE, TILTED_ALIKE)
+READ_AGAIN = ("nos", "thesis-ocs")  # strategies run under the other interpretations
+
+
+@dataclass(frozen=True)
+class StrategiesStudy:
+    """`arms` random arms, each at all positions with all strategies; user strategies next to the thesis'."""
+
+    arms: int = 200
+    seed: int = 0
+    name: str = "strategies"
+    own: tuple[OwnMethod, ...] = ()
+
+    def settings(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {
+            **without_empty_own(asdict(self)),
+            "places": PLACES,
+            "targets": TARGETS,
+            "depths_mm": list(DEPTHS_MM),
+        }
+
+    def units(self) -> Sequence[Unit]:
+        """A condition per part of the study, marker type and position."""
+        few = min(self.arms, MOST_ARMS_OF_SOURCES)
+        parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
+        if self.own:
+            parts = parts[:1]
+        conditions = [
+            (f"{part}|{markers}|{number}", arms)
+            for part, arms in parts
+            for markers in Markers
+            for number in range(1, PLACES + 1)
+        ]
+        if self.own:
+            return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
+        many = min(self.arms, MOST_ARMS_OF_OTHERS)
+        conditions += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
+        conditions += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
+        return [unit for condition, arms in conditions for unit in blocks(condition, arms, BLOCK_ARMS)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Errors in mm of single trials, or sums of them; see the keys of each part."""
+        part, kind, number = unit.condition.split("|")
+        markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
+        drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
+        own = tuple(OwnStrategy.of(one) for one in self.own)
+        scene = Scene.of(self.seed, drawn, markers, int(number), own)
+        first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
+        arms = range(first, first + unit.runs)
+        if part == TRIALS:
+            known = BESIDE_OWN if own else STRATEGIES
+            return scene.trials(arms, (*known, *(one.name for one in own)))
+        if part == SOURCES:
+            return _sources(scene, arms)
+        if part == SCENARIO:
+            return _scenarios(scene, arms)
+        return _inside(scene, arms) if part == PREDICTION else _reading(scene, arms, part)
+
+
+def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
+    """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    found: Sums = {}
+    for strategy in ALONE:
+        planned = scene.planned(strategy)
+        for source in Source:
+            errors = scene.errors_mm(drawn.only(source), planned, chance, Sizes().only(source))
+            for count, sum_mm in zip(
+                scene.counts, np.linalg.norm(errors, axis=-1).sum(axis=(0, 1)), strict=True
+            ):
+                found[f"{strategy}|{count}|{source}"] = round(float(sum_mm), DIGITS)
+        found |= {f"{strategy}|{count}|": float(len(arms) * TARGETS) for count in scene.counts}
+    return found
+
+
+def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
+    """Predicted and actual: scenario|strategy|spheres|targets, inside, actual2, predicted2."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    sums: dict[str, float] = defaultdict(float)
+    for scenario in PREDICTED:
+        for strategy, outcome in scene.outcomes(STRATEGIES, drawn, chance, scenario).items():
+            for (nth, count), target in product(enumerate(scene.counts), range(TARGETS)):
+                prediction, actual = outcome.predicted[nth][target], outcome.errors_mm[:, target, nth]
+                key = f"{scenario.name}|{strategy}|{count}"
+                sums[f"{key}|targets"] += len(arms)
+                sums[f"{key}|inside"] += int(prediction.holds(actual).sum())
+                sums[f"{key}|actual2"] += float(np.square(actual).sum())
+                sums[f"{key}|predicted2"] += len(arms) * prediction.rms_mm**2
+    return dict(sums)
+
+
+def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
+    """Histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    found: dict[str, float] = defaultdict(float)
+    for one in SCENARIOS:
+        for strategy, outcome in scene.outcomes(STRATEGIES, drawn, chance, one).items():
+            lengths = np.linalg.norm(outcome.errors_mm, axis=-1).round(DIGITS)
+            for place_of_count, count in enumerate(scene.counts):
+                of_count = lengths[:, :, place_of_count]
+                key = f"{one.name}|{strategy}|{count}"
+                for arm, sum_mm in zip(arms, of_count.sum(axis=1).tolist(), strict=True):
+                    found[f"{key}|{OF_ARM}{arm}"] = round(sum_mm, DIGITS)
+                for number in (of_count.ravel() / BIN_MM).astype(int).tolist():
+                    found[f"{key}|{number}"] += 1.0
+    return dict(found)
+
+
+def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
+    """Trials under another interpretation of the protocol, keys as for `Scene.trials`."""
+    return scene.trials(
+        arms,
+        READ_AGAIN,
+        scenario=Scenario(NO_CT, ct_mm=0.0) if reading == NO_CT else SET_S,
+        scan_again=reading == SCANNED_AGAIN,
+        any_side=reading == ANY_SIDE,
+    )

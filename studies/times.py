@@ -1,0 +1,59 @@
+"""Where the time of runs was spent, on average, next to the times in the thesis."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import fmean
+
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.reporting.minutes import (
+    ALGORITHM_S,
+    LOCALIZATION,
+    OPERATOR_S,
+    PHASE,
+    STEP,
+    TimeTaken,
+    times_taken,
+)
+from studies.campaign.table import Table
+from studies.errors import NoRunToTime
+
+
+def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:
+    """Two tables: mean times of these run folders, and localization in the CT next to the thesis.
+
+    Raises the errors of an unreadable journal.
+    """
+    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs if _is_run(run)]
+    keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)
+    rows = []
+    for kind, name in keys:
+        there = [one for times in each for one in times if (one.kind, one.name) == (kind, name)]
+        host = [one.host_s for one in there if one.host_s is not None]
+        rows.append(
+            (
+                kind,
+                name,
+                round(sum(one.count for one in there) / len(each), 2),
+                round(sum(one.theatre_s for one in there) / len(each), 2),
+                round(sum(host) / len(each), 2) if kind in (PHASE, STEP) else None,
+            )
+        )
+    columns = ("what", "name", "times in a run", "theatre s in a run", "computer s in a run")
+    return Table("Times", columns, tuple(rows)), _beside_thesis(each)
+
+
+def _is_run(run: Path) -> bool:
+    if not (run / JOURNAL_FILE).is_file():
+        raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
+    return True
+
+
+def _beside_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:
+    here = [one.host_s for times in each for one in times if one.name == LOCALIZATION and one.host_s]
+    return Table(
+        "Markers in the CT, seconds",
+        ("thesis, operator", "thesis, algorithm", "here"),
+        ((OPERATOR_S, ALGORITHM_S, round(fmean(here), 1) if here else None),),
+    )

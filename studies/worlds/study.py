@@ -1,0 +1,141 @@
+"""The study of `ronna-campaign worlds`: one unit for each world, and its tables and goals."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from studies.campaign import bounds
+from studies.campaign.table import Cell, Table
+from studies.campaign.unit import Sums, Unit
+from studies.worlds.case import CASE_FILE, carry_out
+from studies.worlds.verdict import RANKS, Target, Verdict, worst_of
+from studies.worlds.world import MINI, World, draw_world
+
+WORST = 15  # rows of the table
+MOST_SILENT = 0.05  # share of cases with an error beyond its limit and no finding
+SILENT = (Verdict.SILENT, Verdict.SILENT2)
+LONGEST_WARNING = 100  # characters of a row
+
+
+@dataclass(frozen=True)
+class WorldsStudy:
+    """Worlds number 0 to `cases` - 1 of a seed, each carried out in a folder of its own under `folder`."""
+
+    cases: int
+    seed: int
+    folder: Path
+    scene: str = MINI
+    quiet: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the study."""
+        return "worlds-quiet" if self.quiet else "worlds"
+
+    def settings(self) -> dict[str, object]:
+        """Everything that the results depend on."""
+        return {"cases": self.cases, "seed": self.seed, "scene": self.scene, "quiet": self.quiet}
+
+    def units(self) -> Sequence[Unit]:
+        """One unit for each world."""
+        return [Unit(f"world {number}", 0, 1) for number in range(self.cases)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Carry out one world; its folder says more than the sums."""
+        number = int(unit.condition.split()[1])
+        found = carry_out(self.world(number), self.place(number))
+        worst = found.worst
+        sums = {"verdict": float(RANKS[found.verdict]), "happened": float(found.happened)}
+        return sums if worst is None else {**sums, "error_mm": worst.error_mm, "limit_mm": worst.limit_mm}
+
+    def world(self, number: int) -> World:
+        """Draw one of its worlds."""
+        return draw_world(self.seed, number, self.scene, quiet=self.quiet)
+
+    def place(self, number: int) -> Path:
+        """The folder of one of its worlds."""
+        return self.folder / "cases" / f"{number:04d}"
+
+    def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
+        """The worst cases, and the shares of each verdict."""
+        judged = {int(key.split()[1]): one for key, one in sums.items()}
+        return [self._summary(judged), self._worst(judged)]
+
+    def _summary(self, judged: Mapping[int, Sums]) -> Table:
+        counts = _counts(judged.values())
+        rows: list[list[Cell]] = []
+        for verdict in Verdict:
+            share = bounds.percent(counts[verdict], len(judged))
+            rows.append([verdict.value, counts[verdict], share.value, share.text])
+        happened = round(sum(one["happened"] for one in judged.values()))
+        note = f"{len(judged)} cases, {happened} with a change that was reached. {bounds.NOTE}"
+        return Table("Verdicts", ("verdict", "cases", "%", bounds.column("%")), rows, note)
+
+    def _worst(self, judged: Mapping[int, Sums]) -> Table:
+        columns = (
+            *("world", "verdict", "scene seed", "change", "moment", "target", "error mm", "limit mm"),
+            *("said", "repeat"),
+        )
+        order = sorted(judged, key=lambda number: _badness(judged[number]), reverse=True)
+        rows = [self._row(number) for number in order[:WORST]]
+        return Table(
+            "Worst cases", columns, rows, f"Everything of a case is in its folder below {self.folder}."
+        )
+
+    def _row(self, number: int) -> list[Cell]:
+        case: dict[str, Any] = json.loads((self.place(number) / CASE_FILE).read_text())
+        world = self.world(number)
+        targets = [Target(**{one.name: row[one.name] for one in fields(Target)}) for row in case["targets"]]
+        worst = worst_of(targets)
+        change = world.change
+        warnings = "; ".join(dict.fromkeys([*case["said"], case["error"]])).strip("; ")
+        options = f"--seed {self.seed} --scene {self.scene}{' --quiet' if self.quiet else ''}"
+        return [
+            *(number, case["verdict"], world.scene_seed),
+            "none" if change is None else change.words,
+            "" if change is None else change.moment + ("" if case["happened"] else " (not reached)"),
+            *((None, None, None) if worst is None else (worst.identifier, worst.error_mm, worst.limit_mm)),
+            warnings if len(warnings) <= LONGEST_WARNING else f"{warnings[:LONGEST_WARNING]}...",
+            f"ronna-campaign worlds {options} --only {number}",
+        ]
+
+    def missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
+        """The goals that these cases miss, in words."""
+        counts = _counts(sums.values())
+        silent = sum(counts[one] for one in SILENT)
+        missed = []
+        if self.quiet:
+            if counts[Verdict.FALSE_FINDING] or counts[Verdict.REFUSED]:
+                missed.append("quiet cases with a finding or a refusal: expected none")
+        else:
+            if silent > MOST_SILENT * len(sums):
+                missed.append(
+                    f"{silent} of {len(sums)} cases beyond a limit unseen: at most {MOST_SILENT:.0%}"
+                )
+            if counts[Verdict.SILENT2]:
+                missed.append(f"{counts[Verdict.SILENT2]} cases beyond twice a limit unseen: expected none")
+            if counts[Verdict.FALSE_FINDING]:
+                missed.append(f"{counts[Verdict.FALSE_FINDING]} findings before any change: expected none")
+        if counts[Verdict.NO_VERDICT]:
+            missed.append(f"{counts[Verdict.NO_VERDICT]} cases broke off without a verdict")
+        return missed
+
+
+def no_plots(_sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """A study of single cases has no plots."""
+    return {}
+
+
+def _counts(judged: Any) -> dict[Verdict, int]:
+    verdicts = list(Verdict)
+    found = [verdicts[round(one["verdict"])] for one in judged]
+    return {verdict: found.count(verdict) for verdict in Verdict}
+
+
+def _badness(one: Sums) -> tuple[float, float]:
+    limit_mm = one.get("limit_mm", 0.0)
+    return one["verdict"], one.get("error_mm", 0.0) / limit_mm if limit_mm else 0.0
