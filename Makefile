@@ -11,7 +11,7 @@ PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 # Each worker collects all that it is given: where nothing is for `make test`, there is no need to look.
 QUICK := tests/unit tests/system tests/hazards
 # pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
-OURS := ronna_hw sim drivers procedures console
+OURS := ronna_hw conformance drivers sim procedures studies console
 
 .PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench docs lock clean
 
