@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 from user_commands import Commands
 
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from procedures.steps.errors import ToolBesideGauge
+from ronna_hw.errors import EXIT_REFUSED
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 MINI = ("--scene", "mini")
@@ -46,16 +47,16 @@ def led_to(lines: list[Line]) -> list[Any]:
 
 @pytest.mark.hazard(12)
 @pytest.mark.parametrize(
-    ("hidden", "said", "code"),
+    ("hidden", "said"),
     [
-        (("when step == at_target:T1",), "the head has moved", PatientMoved.exit_code),  # seen on the way out
-        (("when step == at_target:T1", "when step == retreat:T1"), "the head has moved", 0),
-        (("since step == at_target:T1",), "the tracker does not see the head", 0),
+        (("when step == at_target:T1",), "the head has moved"),  # seen on the way out
+        (("when step == at_target:T1", "when step == retreat:T1"), "the head has moved"),
+        (("since step == at_target:T1",), "the tracker does not see the head"),
     ],
     ids=["hidden in the last hold", "hidden until the arm is home", "hidden from then on"],
 )
 def test_a_head_that_moves_while_hidden_at_the_last_target_is_a_finding_on_it(
-    commands: Commands, tmp_path: Path, hidden: tuple[str, ...], said: str, code: int
+    commands: Commands, tmp_path: Path, hidden: tuple[str, ...], said: str
 ) -> None:
     covered = "".join(f"{begins}: tracker occlude marker {one}\n" for begins in hidden for one in SPHERES)
     shifted = "since step == at_target:T1: room shift head 1.8 2.4 0 mm\n"
@@ -64,7 +65,7 @@ def test_a_head_that_moves_while_hidden_at_the_last_target_is_a_finding_on_it(
     ((targets, text),) = in_doubt(lines)
     assert targets == ["T1"]
     assert said in text
-    assert ran.returncode == code, ran.stderr
+    assert ran.returncode == EXIT_REFUSED, ran.stderr  # refused on the way, or in doubt at the end
 
 
 @pytest.mark.hazard(13)

@@ -28,7 +28,8 @@ def run(out: Path, seed: int, *words: str, spoilt: str = "") -> subprocess.Compl
 
 def refused_in_time(out: Path, done: subprocess.CompletedProcess[str]) -> bool:
     """Whether it was refused, and no guide had been moved to a trajectory."""
-    lines = [json.loads(line) for path in out.rglob("journal.jsonl") for line in path.open(encoding="utf-8")]
+    journals = [path.read_text(encoding="utf-8").splitlines() for path in out.rglob("journal.jsonl")]
+    lines = [json.loads(line) for journal in journals for line in journal]
     steps = {str(line.get("step")).partition(":")[0] for line in lines}
     return done.returncode == EXIT_REFUSED and "positioning" not in steps
 
