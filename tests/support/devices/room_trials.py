@@ -28,8 +28,8 @@ from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.measurement.rigid_fit import fit_rigid_body
-from sim.polaris.optics.marker_noise import Optics
+from sim.polaris.measurement.optics import Optics
+from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.polaris.unit.model import SPECTRA
 from sim.theatre.theatre_file import theatre_content
 from sim.world.arm.true_arm import TrueArm

@@ -10,11 +10,11 @@ import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tools.definition import write_definition
-from sim.polaris.tools.wired_tools import WiredPorts
+from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
-from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.ports import WiredPorts
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World

@@ -11,11 +11,11 @@ import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.tools.definition import write_definition
-from sim.polaris.tools.wired_tools import WiredPorts, WiredTool
-from sim.polaris.unit.mode import Mode
+from sim.polaris.tracker_unit import Mode
 from sim.polaris.unit.model import SPECTRA
-from sim.polaris.unit.user_parameter_table import parameter_table
+from sim.polaris.unit.ports import WiredPorts, WiredTool
+from sim.polaris.unit.tool_definition import write_definition
+from sim.polaris.unit.user_parameters import parameter_table
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:

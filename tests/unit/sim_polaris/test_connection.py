@@ -6,8 +6,8 @@ import socket
 
 import pytest
 
-from sim.polaris.line.channel import Connection
-from sim.polaris.line.line_settings import DEFAULT_LINE
+from sim.polaris.line.server import Connection
+from sim.polaris.unit.framing import DEFAULT_LINE
 
 READY = ((0, 0),)
 MUCH = bytes(1 << 24)  # more than both sides keep for each other

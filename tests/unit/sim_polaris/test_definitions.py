@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire import polaris_rom
-from sim.polaris.tools.definition import BadDefinition, checksum, parse_definition, write_definition
+from sim.polaris.unit.tool_definition import BadDefinition, checksum, parse_definition, write_definition
 from sim.world.scene.named_scenes import robot_frame
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.polaris import PortStatus
-from sim.polaris.measurement.tracking_rules import as_asked, track
-from sim.polaris.tools.definition import ToolDefinition, parse_definition, write_definition
+from sim.polaris.measurement.tracking_rules import as_requested, track
+from sim.polaris.unit.tool_definition import ToolDefinition, parse_definition, write_definition
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import TrackerTool
 
@@ -117,9 +117,9 @@ def test_markers_outside_the_volume_are_used_only_if_needed_and_requested() -> N
     measured = np.array(FACE) + PLACE_MM
     tracked = track(one_face(), [0, 1, 2, 3], measured, [True, False, False, True])
     assert tracked.volume_status == PortStatus.PARTIALLY_OUT_OF_VOLUME
-    asked = as_asked(tracked, outside=True, partially_outside=False)
+    asked = as_requested(tracked, outside=True, partially_outside=False)
     assert asked.marker_digits == (3, 5, 5, 3)
-    unasked = as_asked(tracked, outside=False, partially_outside=False)
+    unasked = as_requested(tracked, outside=False, partially_outside=False)
     assert unasked.pose is None
     assert unasked.marker_digits == (3, 4, 4, 3)
     assert unasked.information & 0x02

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire import polaris_rom as rom
-from sim.polaris.tools.definition import checksum, write_definition
 from sim.polaris.unit.refusal import ErrorCode
+from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
 

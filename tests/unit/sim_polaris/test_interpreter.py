@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.unit.unit import Unit
+from sim.polaris.tracker_unit import Unit
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:

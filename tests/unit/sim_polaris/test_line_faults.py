@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire.polaris import crc16
-from sim.polaris.line import channel
-from sim.polaris.line.line_faults import LineFaults
+from sim.polaris.faults import LineFaults
+from sim.polaris.line import server
 from sim.polaris.line.server import EndSignal, Server
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def test_theatre_time_passes_while_a_host_waits_for_a_lost_reply(bench: Bench) -
 
 def test_a_delayed_reply_still_arrives(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("sim.polaris.line.line_faults.time.sleep", slept.append)
+    monkeypatch.setattr("sim.polaris.faults.time.sleep", slept.append)
     faults = happen(bench, "delay replies 3 s")
     began_s = bench.world.clock.now_s()
     assert conversation(bench, faults, b"INIT ") == OKAY
@@ -151,7 +151,7 @@ def test_a_host_that_sends_no_command_is_dropped_for_a_waiting_one(
 
 @pytest.fixture
 def no_other_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(channel, "SEND_PATIENCE_S", 10 * HANG_GUARD_S)
+    monkeypatch.setattr(server, "SEND_PATIENCE_S", 10 * HANG_GUARD_S)
 
 
 @pytest.mark.hazard(34)

@@ -7,11 +7,9 @@ import pytest
 
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.collision_config import CollisionConfig
-from sim.polaris.optics.marker_noise import eyes_mm
-from sim.polaris.scene.arm_capsules import ArmBody
-from sim.polaris.scene.disturbance import NONE
-from sim.polaris.scene.line_of_sight import Capsules, Ellipsoid, visible
-from sim.polaris.scene.true_scene import TrueScene
+from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
+from sim.polaris.measurement.optics import eyes_mm
+from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.robot_description import description
 from sim.world.rigid import matrix_of
@@ -89,7 +87,7 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: str, seed: i
     scene, world = stage_at_home(name, seed)
     arm = scene.arm()
     assert arm is not None
-    frame = scene.frame(arm, NONE)
+    frame = scene.frame(arm, UNDISTURBED)
     assert scene.on_mount(frame)
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
         assert visible(eyes_mm(), scene.fiducials_mm, scene.bodies(arm, tool)).all()

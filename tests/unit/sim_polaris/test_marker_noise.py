@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.polaris.optics.marker_noise import Optics
-from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
-from sim.polaris.unit.model import SPECTRA
+from sim.polaris.measurement.optics import Optics
+from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID, SPECTRA, VICRA_VOLUME, Volume
 from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
 from sim.world.scene.named_scenes import named_scene

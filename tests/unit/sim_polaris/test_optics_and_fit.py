@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.polaris.measurement.rigid_fit import fit_rigid_body
-from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, Volume
+from sim.polaris.measurement.tracking_rules import fit_rigid_body
+from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID, Volume
 from sim.world.rigid import rotation_from_vector
 
 

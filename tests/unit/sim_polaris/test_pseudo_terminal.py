@@ -18,9 +18,8 @@ from sim.polaris.errors import LineUnavailable
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 from sim.polaris.line.server import EndSignal, Server
+from sim.polaris.tracker_unit import Mode, Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.polaris.unit.mode import Mode
-from sim.polaris.unit.unit import Unit
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

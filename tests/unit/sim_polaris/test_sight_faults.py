@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
-from sim.polaris.optics.measuring_volume import PYRAMID
-from sim.polaris.scene.extra_strays import REFLECTION_PRESENCE
+from sim.polaris.measurement.optics import REFLECTION_PRESENCE
+from sim.polaris.unit.model import PYRAMID
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import named_scene
 

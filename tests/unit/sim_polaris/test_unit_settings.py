@@ -102,12 +102,12 @@ def test_the_watchdog_can_reset_the_unit(make_bench: Callable[..., Bench]) -> No
     bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
-    assert bench.interpreter.unasked() == b""
+    assert bench.interpreter.unsolicited() == b""
     bench.world.clock.sleep(2.0)
-    assert bench.interpreter.unasked() == b"RESETBE6F\r"
+    assert bench.interpreter.unsolicited() == b"RESETBE6F\r"
     assert bench.send("PHSR 00") == "ERROR10"
     bench.world.clock.sleep(10.0)
-    assert bench.interpreter.unasked() == b""  # it was reset too
+    assert bench.interpreter.unsolicited() == b""  # it was reset too
 
 
 @pytest.mark.parametrize(

@@ -10,8 +10,8 @@ import pytest
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.errors import BadWiredTool
-from sim.polaris.tools.definition import checksum, write_definition
-from sim.polaris.tools.wired_tools import WiredPorts, WiredTool, plugged_in
+from sim.polaris.unit.ports import WiredPorts, WiredTool, plugged_in
+from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""Framing: bytes to requests, replies to bytes.
+"""Framing of requests and replies, and the settings of the serial line.
 
 A request is `NAME:args` + CRC, `NAME args`, or the bare name; all end in CR.
 """
@@ -9,16 +9,47 @@ import re
 import struct
 from dataclasses import dataclass
 
+from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_START, CR, crc16
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
-STALE_S = 1.0  # half a command this old was left by a client that disappeared
+STALE_S = 1.0  # half a command this old came from a client that disappeared
 STRAY_LINE_FEED = b"\n"  # from clients that end a line with CR LF
+_SEPARATOR = re.compile(rb"[: ]")
+_FOUR_DIGITS = re.compile(rb"[0-9A-Fa-f]{4}")
+_U16 = struct.Struct("<H")
+_HEADER = struct.Struct("<HH")
 
-_form = re.compile(rb"[: ]")
-_hexadecimal = re.compile(rb"[0-9A-Fa-f]{4}")
-_u16 = struct.Struct("<H")
-_header = struct.Struct("<HH")
+
+@dataclass(frozen=True)
+class LineSettings:
+    """Rate, bits, parity, stop bits, handshake (COMM); a TCP connection ignores them."""
+
+    baud: int
+    data_bits: int = 8
+    parity: str = "none"
+    stop_bits: int = 1
+    handshake: str = "off"
+
+    @classmethod
+    def from_argument(cls, argument: str) -> LineSettings:
+        """Parse the argument of COMM; raises KeyError for an unknown code."""
+        baud, data, parity, stop, handshake = tuple(argument)
+        return cls(
+            wire.COMM_BAUD_CODES[baud],
+            wire.COMM_DATA_BITS[data],
+            wire.COMM_PARITY[parity],
+            wire.COMM_STOP_BITS[stop],
+            wire.COMM_HANDSHAKE[handshake],
+        )
+
+    @property
+    def seconds_per_byte(self) -> float:
+        """Transfer time of one byte: start bit, data, parity, stop bits."""
+        return (1 + self.data_bits + (self.parity != "none") + self.stop_bits) / self.baud
+
+
+DEFAULT_LINE = LineSettings.from_argument(wire.COMM_DEFAULT_ARGUMENT)
 
 
 @dataclass(frozen=True)
@@ -34,7 +65,7 @@ class Overlong(bytes):
 
 
 class LineBuffer:
-    """Assembles lines from bytes, however fragmented."""
+    """Assembles lines from fragments."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -43,7 +74,7 @@ class LineBuffer:
         self._overlong = False
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
-        """The lines that `data` completes, without their CR; a line over the limit becomes Overlong."""
+        """Return the lines that `data` completes, without CR; a line over the limit becomes Overlong."""
         if now_s - self._fed_s > STALE_S:
             self._pending = b""
             self._overlong = False
@@ -60,13 +91,13 @@ class LineBuffer:
 
 
 def parse_request(line: bytes) -> Request:
-    """Read one line; raises Refusal for a line that is too long, too short, or has a wrong CRC."""
+    """Parse one line; raises Refusal for a wrong length or CRC."""
     if isinstance(line, Overlong):
         raise Refusal(ErrorCode.TOO_LONG)
     line = line.lstrip(STRAY_LINE_FEED)
     if not line:
         raise Refusal(ErrorCode.TOO_SHORT)
-    separator = _form.search(line)
+    separator = _SEPARATOR.search(line)
     if separator is None:
         return Request(line.decode("latin-1"), "")
     name, argument = line[: separator.start()], line[separator.end() :]
@@ -76,18 +107,18 @@ def parse_request(line: bytes) -> Request:
         crc = argument[-ASCII_CRC_DIGITS:]
         argument = argument[:-ASCII_CRC_DIGITS]
         sent = line[:-ASCII_CRC_DIGITS]
-        if not _hexadecimal.fullmatch(crc) or int(crc, 16) != crc16(sent):
+        if not _FOUR_DIGITS.fullmatch(crc) or int(crc, 16) != crc16(sent):
             raise Refusal(ErrorCode.WRONG_CRC)
     return Request(name.decode("latin-1"), argument.decode("latin-1"))
 
 
 def ascii_reply(text: str) -> bytes:
-    """An ASCII reply: text, CRC in four upper-case digits, CR."""
+    """Frame an ASCII reply: text, CRC in four upper-case digits, CR."""
     content = text.encode("latin-1")
     return b"%b%04X\r" % (content, crc16(content))
 
 
 def binary_reply(body: bytes) -> bytes:
-    """A binary reply: start sequence, length, header CRC, body, body CRC, nothing after it."""
-    header = _header.pack(BX_START, len(body))
-    return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))
+    """Frame a binary reply: start sequence, length, header CRC, body, body CRC; no CR."""
+    header = _HEADER.pack(BX_START, len(body))
+    return header + _U16.pack(crc16(header)) + body + _U16.pack(crc16(body))

@@ -1,4 +1,4 @@
-"""True marker positions in the tracker frame, with the effects of faults."""
+"""True marker positions in the tracker frame, disturbed by faults."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
-from sim.polaris.scene.arm_capsules import ArmBody
-from sim.polaris.scene.disturbance import Disturbance
-from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
-from sim.polaris.tools.definition import ToolDefinition
+from sim.polaris.measurement.line_of_sight import ArmBody, Body, head_ellipsoid
+from sim.polaris.unit.tool_definition import ToolDefinition
+from sim.world.faults import Fault, FaultBoard
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.room_shift import NOTHING_MOVED, RoomShift, rigid_move, yielded
+from sim.world.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, yielded
 from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
 from sim.world.scene.guide_frame import NAME as GUIDE_FRAME_NAME
 from sim.world.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
@@ -24,12 +23,13 @@ from sim.world.scene.seating import spheres_in_theatre
 from sim.world.true_guide import TrueGuide
 from sim.world.world import ArmState, World
 
+Vector = tuple[float, float, float]
 Vectors = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class TrueTool:
-    """A tool in the room: its names, marker positions (n, 3), and which markers are covered."""
+    """A tool in the room: its names, marker positions (n, 3), and covered markers."""
 
     names: frozenset[str]
     markers_mm: Vectors
@@ -37,7 +37,7 @@ class TrueTool:
 
 
 class TrueScene:
-    """The scene without noise. Static parts are computed once; the arm is read for each frame."""
+    """The scene without noise. Static parts are computed once, the arm is read for each frame."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -68,7 +68,7 @@ class TrueScene:
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
-        """State of the arm; None without one."""
+        """State of the arm; None if the world has none."""
         arm = self._world.arm()
         return arm if arm.robot_from_flange[:3].any() else None
 
@@ -77,7 +77,7 @@ class TrueScene:
         return self._world.mounted_tool()
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
-        """The fiducials as displaced by the room's faults."""
+        """Fiducials (n, 3), displaced by the room's faults."""
         return apply(self._tracker_from(room), room.moved_spheres_mm(self._centres_mm, self.fiducial_numbers))
 
     def bodies(
@@ -88,9 +88,9 @@ class TrueScene:
         *,
         past_mount: bool = False,
     ) -> tuple[Body, ...]:
-        """Opaque bodies: the head, if any, regardless of its displacement; the arm.
+        """Opaque bodies: the head, in its place in the scene, and the arm.
 
-        The frames protrude from the mount on posts: with `past_mount` it hides none of them.
+        The frames stand off the mount on posts: with `past_mount` the mount hides nothing.
         """
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
@@ -101,17 +101,17 @@ class TrueScene:
         )
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
-        """Whether this is the reference frame M and there is an arm to carry it."""
+        """Whether this is the reference frame M, with an arm to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
     def on_mount(self, tool: TrueTool) -> bool:
-        """Whether a tool is on the arm's mount, or on the mounted guide."""
+        """Whether a tool is on the arm's mount or the guide."""
         return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
     def tool(
         self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """A loaded tool, whatever definition was loaded for it; None if it is not in the room."""
+        """The tool in the room for a loaded definition, which may differ from it; None if there is none."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
@@ -126,11 +126,11 @@ class TrueScene:
         return _disturbed(names, self._places[place], markers, disturbance)
 
     def stands_on_head(self, definition: ToolDefinition) -> bool:
-        """Whether this is the x-shaped frame and the spheres on the head are its own."""
+        """Whether this is the x-shaped frame, with its spheres on the head."""
         return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
 
     def _frame_on_head(self, disturbance: Disturbance) -> TrueTool:
-        """The x-shaped frame with spheres where they were reattached; one that was not is never seen."""
+        """The x-shaped frame with its spheres as refitted; a missing one is never seen."""
         names = frozenset({X_FRAME_NAME, X_FRAME_PART_NUMBER})
         places = self.fiducials_at(disturbance.room)
         there = [row for row in self._frame_rows if row is not None]
@@ -145,7 +145,7 @@ class TrueScene:
         return TrueTool(names, markers, tuple(hidden))
 
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
-        """The reference frame M on the mount, whether loaded or not."""
+        """The reference frame M on the mount, loaded or not."""
         tool = self.frame_on_mount
         flange = yielded(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
@@ -155,7 +155,7 @@ class TrueScene:
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """The frame on the guide while that is mounted: it shares the guide's bad seating, not its bend."""
+        """The frame on the mounted guide: it shares the guide's seating, not its bend."""
         if arm is None or self.mounted_tool() != self._world.scene.mount.tool_number_guide:
             return None
         pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
@@ -163,7 +163,7 @@ class TrueScene:
         return _disturbed(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
-        """TRACKER <- ROBOT with the tracker as displaced by the room's faults."""
+        """TRACKER <- ROBOT (4, 4), with the tracker displaced by the room's faults."""
         if room is NOTHING_MOVED:
             return self._tracker_from_robot
         return self._tracker_from_robot @ inverse(rigid_move(room.tracker_rad, room.tracker_mm))
@@ -172,7 +172,7 @@ class TrueScene:
 def _disturbed(
     names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
 ) -> TrueTool:
-    """The tool with the faults that name it applied."""
+    """Apply the faults that name a tool."""
     for name, push_mm in disturbance.bent:
         if name in names:
             outwards = markers_mm[-1] - markers_mm.mean(axis=0)
@@ -191,3 +191,71 @@ def _disturbed(
     else:
         covered = tuple(number - 1 for name, number in disturbance.hidden_tool_markers if name in names)
     return TrueTool(names, places, covered)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Effects of the active faults on markers and light, comparable between frames.
+
+    Tools are given by name or part number.
+    """
+
+    hidden_fiducials: frozenset[int] = frozenset()
+    hidden_tools: frozenset[str] = frozenset()
+    hidden_tool_markers: frozenset[tuple[str, int]] = frozenset()  # marker counted from 1
+    bent: tuple[tuple[str, float], ...] = ()  # sideways displacement of the last marker, mm
+    turned: tuple[tuple[str, float], ...] = ()  # about the x axis of the tool, degrees
+    moved: tuple[tuple[str, Vector], ...] = ()  # in the tracker frame, mm
+    interfered: frozenset[str] = frozenset()
+    strays: int = 0
+    reflections: int = 0
+    line_separation_mm: float = 0.0
+    sunlight: bool = False
+    room: RoomShift = NOTHING_MOVED
+
+
+UNDISTURBED = Disturbance()
+
+
+class Disturbances:
+    """Collects the effects of the active faults of tracker and room."""
+
+    def __init__(self, board: FaultBoard, room: ShiftedRoom) -> None:
+        self._board = board
+        self._room = room
+
+    def now(self) -> Disturbance:
+        """Current effects; `UNDISTURBED` after one look-up if there are no faults."""
+        board, room = self._board, self._room.now()
+        if board.empty and room is NOTHING_MOVED:
+            return UNDISTURBED
+        found = Disturbance(
+            hidden_fiducials=frozenset(int(fault.argument) for fault in board.active("occlude_marker")),
+            hidden_tools=_names(board.active("occlude_tool")),
+            hidden_tool_markers=frozenset(
+                (fault.arguments[0], int(fault.arguments[1])) for fault in board.active("occlude_tool_marker")
+            ),
+            bent=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("bend_tool")
+            ),
+            turned=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("turn_tool")
+            ),
+            moved=tuple((fault.arguments[0], _vector(fault)) for fault in board.active("move_tool")),
+            interfered=_names(board.active("interference")),
+            strays=sum(int(fault.argument) for fault in board.active("strays")),
+            reflections=sum(int(fault.argument) for fault in board.active("reflections")),
+            line_separation_mm=max((float(f.argument) for f in board.active("phantoms")), default=0.0),
+            sunlight=bool(board.active("sunlight")),
+            room=room,
+        )
+        return UNDISTURBED if found == UNDISTURBED else found
+
+
+def _names(faults: tuple[Fault, ...]) -> frozenset[str]:
+    return frozenset(fault.argument for fault in faults)
+
+
+def _vector(fault: Fault) -> Vector:
+    x, y, z = (float(value) for value in fault.arguments[1:])
+    return x, y, z

@@ -1,21 +1,26 @@
-"""Tool definitions: read by the unit from a handle's memory, written as by a tool maker.
+"""Tool definitions: parsed by the unit, written like a tool maker's, and checked for unique geometry.
 
-Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame.
+Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame. Segment
+lengths distinguish a tool from its mirror image and from other tools.
 """
 
 from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.wire import polaris_rom
 from ronna_hw.wire import polaris_rom as rom
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.refusal import WarningCode
 from sim.world.scene.model import TrackerTool
 
 MAXIMUM_ANGLE_DEG = 90
-MAXIMUM_ERROR_MM = 2.0  # of one marker from the fitted definition
+MAXIMUM_ERROR_MM = 2.0  # distance of one marker from the fitted definition
 MANUFACTURER = "RONNA"
 LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far longer
 SUBTYPE_BELOW_TYPE = 1  # in real files the subtype is the main type minus 1
@@ -28,18 +33,17 @@ CONSTANT_NINE = 9
 # Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients reject zero.
 SERIAL_SEQUENCE = 1
 SERIAL_YEAR = 2024
-
 _u16 = struct.Struct("<H")
 _u32 = struct.Struct("<I")
 _f32 = struct.Struct("<f")
 _positions = struct.Struct("<60f")
 _spreads = struct.Struct("<3f")
-
 Vectors = NDArray[np.float64]
+WAVELENGTH_BITS = 0x07  # of the marker type
 
 
 class BadDefinition(Exception):
-    """The bytes are not a tool definition. `limits`: too many or too few markers, faces or groups."""
+    """The bytes are no tool definition; with `limits`, the number of markers, faces or groups is wrong."""
 
     def __init__(self, what: str, *, limits: bool = False) -> None:
         super().__init__(what)
@@ -48,7 +52,7 @@ class BadDefinition(Exception):
 
 @dataclass(frozen=True)
 class ToolDefinition:
-    """A tool definition as read by the unit."""
+    """A parsed tool definition."""
 
     main_type: int
     subtype: int
@@ -64,20 +68,12 @@ class ToolDefinition:
     marker_type: int
     flags: int = 0
     faces: tuple[int, ...] = ()  # face of each marker, from 1; empty if there is only one
-    minimum_spread_mm: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # along the principal axes of the markers; 0 means any
-    lit: tuple[bool, bool, bool] = (False, False, False)  # whether visible LEDs 1 to 3 are present
+    # along the principal axes of the markers; 0: any
+    minimum_spread_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    lit: tuple[bool, bool, bool] = (False, False, False)  # presence of visible LEDs 1 to 3
     switches: tuple[bool, bool, bool] = (False, False, False)
-    in_port: bool = False  # it has a tool-in-port diode
+    in_port: bool = False  # presence of a tool-in-port diode
     tracking_led: bool = False
-
-
-def checksum(content: bytes) -> int:
-    """Checksum of a definition; zero padding does not change it."""
-    return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
 def parse_definition(content: bytes) -> ToolDefinition:
@@ -129,7 +125,7 @@ def parse_definition(content: bytes) -> ToolDefinition:
 
 
 def write_definition(tool: TrackerTool) -> bytes:
-    """The definition file (752 bytes) of a passive tool of a scene: one face."""
+    """Write the definition file (752 bytes) of a passive tool with one face."""
     count = len(tool.markers_mm)
     content = bytearray(rom.ROM_BYTES)
     content[: len(rom.ROM_MAGIC)] = rom.ROM_MAGIC
@@ -163,9 +159,14 @@ def write_definition(tool: TrackerTool) -> bytes:
 
 
 def wiring_definition() -> bytes:
-    """The test definition that TTCFG assigns to a wired tool without memory."""
+    """Test definition that TTCFG loads for a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
+
+
+def checksum(content: bytes) -> int:
+    """Checksum of a definition; zero padding does not change it."""
+    return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
 def _serial() -> int:
@@ -196,3 +197,60 @@ def _text(content: bytes, offset: int, length: int) -> str:
 
 def _put_text(content: bytearray, offset: int, length: int, text: str) -> None:
     content[offset : offset + length] = text.encode("ascii")[:length].ljust(length, b"\0")
+
+
+def warning_of(
+    tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
+) -> WarningCode | None:
+    """Warning of PINIT for a tool in the presence of others; None for a valid tool."""
+    unique = _has_unique_segments(tool, behaviour)
+    conflicts = any(_conflict(tool, other, behaviour) for other in others)
+    if not unique:
+        return WarningCode.NOT_UNIQUE_AND_CONFLICTS if conflicts else WarningCode.GEOMETRY_NOT_UNIQUE
+    if conflicts:
+        return WarningCode.CONFLICTS_WITH_TOOL
+    return None if tool.marker_type else WarningCode.DEFAULT_WAVELENGTH
+
+
+def wavelength_of(tool: ToolDefinition) -> int:
+    """Wavelength code of a tool's markers."""
+    return tool.marker_type & WAVELENGTH_BITS
+
+
+def _judged(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    return bool(tool.flags & polaris_rom.FLAG_UNIQUE_GEOMETRY) or not behaviour.judges_only_flagged
+
+
+def _has_unique_segments(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    if not _judged(tool, behaviour):
+        return True
+    lengths = sorted(_segments_mm(tool).values())
+    return all(b - a >= behaviour.segment_tolerance_mm for a, b in pairwise(lengths))
+
+
+def _conflict(tool: ToolDefinition, other: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+    if not (_judged(tool, behaviour) and _judged(other, behaviour)):
+        return False
+    tolerance_mm = behaviour.conflict_tolerance_mm
+    ours, theirs = _segments_mm(tool), _segments_mm(other)
+    if behaviour.conflict == "segment":
+        return any(abs(a - b) < tolerance_mm for a in ours.values() for b in theirs.values())
+    triangles = np.array(_triangles_mm(theirs, len(other.markers_mm)))
+    return any(
+        (np.abs(triangles - triangle).max(axis=1) < tolerance_mm).any()
+        for triangle in _triangles_mm(ours, len(tool.markers_mm))
+    )
+
+
+def _segments_mm(tool: ToolDefinition) -> dict[tuple[int, int], float]:
+    markers = tool.markers_mm
+    pairs = combinations(range(len(markers)), 2)
+    return {(a, b): float(np.linalg.norm(markers[a] - markers[b])) for a, b in pairs}
+
+
+def _triangles_mm(segments_mm: dict[tuple[int, int], float], markers: int) -> list[list[float]]:
+    """Side lengths of every triangle of markers, shortest first."""
+    return [
+        sorted((segments_mm[a, b], segments_mm[a, c], segments_mm[b, c]))
+        for a, b, c in combinations(range(markers), 3)
+    ]
