@@ -63,7 +63,7 @@ class FolderNotEmpty(ConfigurationError):
     action = "Give a new or empty folder, or delete this one."
 
 
-class BadLeftWorld(DataError):
+class BadSavedWorld(DataError):
     """The world left by the last theatre cannot be read."""
 
     code = "SIM-012"

@@ -27,9 +27,9 @@ from sim.polaris.measurement.tracking_rules import INFRARED_COPY, Tracked, track
 from sim.polaris.measurement.true_scene import Disturbance, Disturbances, TrueScene, TrueTool
 from sim.polaris.unit.model import Volume
 from sim.polaris.unit.ports import Port
+from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.noise import noise
-from sim.world.room_shift import ShiftedRoom
 from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source

@@ -22,7 +22,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.world.arm.robot_description import description
+from sim.world.nominal_arm import description
 from sim.world.rigid import Matrix, apply, inverse, matrix_of
 from sim.world.scene.model import Head, Mount, Scene
 from sim.world.world import ArmState

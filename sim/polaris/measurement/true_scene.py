@@ -12,15 +12,19 @@ from ronna_hw.x_frame import NAME as X_FRAME_NAME
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.polaris.measurement.line_of_sight import ArmBody, Body, head_ellipsoid
 from sim.polaris.unit.tool_definition import ToolDefinition
+from sim.world.displacements import (
+    NOTHING_MOVED,
+    RoomShift,
+    ShiftedRoom,
+    rigid_move,
+    spheres_in_theatre,
+    yielded,
+)
 from sim.world.faults import Fault, FaultBoard
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, yielded
-from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
-from sim.world.scene.guide_frame import NAME as GUIDE_FRAME_NAME
-from sim.world.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
 from sim.world.scene.model import TrackerTool
-from sim.world.scene.seating import spheres_in_theatre
-from sim.world.true_guide import TrueGuide
+from sim.world.scene.parts import GUIDE_FRAME_MARKERS_MM, GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER
+from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 Vector = tuple[float, float, float]

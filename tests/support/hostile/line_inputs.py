@@ -28,8 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.control_port import ControlPortClient
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
-from sim.world.control import Room
-from sim.world.control_port import _Conversation
+from sim.world.control_port import Room, _Conversation
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

@@ -10,11 +10,11 @@ from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
 from sim.polaris.measurement.optics import eyes_mm
 from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.robot_description import description
+from sim.world.nominal_arm import description
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.true_arm import JointChain
 from sim.world.world import ArmState, World
 
 EYE = np.zeros((1, 3))

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.robot_description import description
+from sim.world.nominal_arm import description
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import frame_on_head, named_scene, robot_frame
-from sim.world.true_guide import TrueGuide
+from sim.world.true_arm import JointChain
+from sim.world.truth import TrueGuide
 from sim.world.world import ArmState
 
 if TYPE_CHECKING:

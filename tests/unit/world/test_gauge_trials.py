@@ -13,10 +13,10 @@ from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, com
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
 from sim.theatre.tool_records import gauge_read
-from sim.world.arm.true_arm import TrueArm
-from sim.world.hands import Hands
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.staff import Staff
+from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
 TRIALS = 200  # with bounds sharper than the promise, see there
@@ -42,7 +42,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
     guide = scene.mount.guide.model_copy(update=of_the_guide)
     scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
     world = World.create(scene, paced=False)
-    arm, hands = TrueArm(scene.arm, seed), Hands(world, None)
+    arm, hands = TrueArm(scene.arm, seed), Staff(world, None)
     recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_read(scene), strict=False)
     for mounting in range(MOUNTINGS):
         world.mount_tool(scene.mount.tool_number_guide)

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import pytest
 
+from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move
 from sim.world.rigid import apply, inverse, matrix_of, rotation_from_vector, vector_from_rotation
-from sim.world.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move
 from sim.world.scene.named_scenes import named_scene
-from sim.world.true_guide import TrueGuide
-from sim.world.truth import sample_instrument
+from sim.world.truth import TrueGuide, sample_instrument
 from sim.world.world import World
 
 

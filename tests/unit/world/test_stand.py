@@ -7,12 +7,12 @@ import pytest
 
 from sim.basler.view import View
 from sim.errors import StandNotReady
-from sim.world.control import Room
-from sim.world.on_stand import OnStand
+from sim.world.control_port import Room
+from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.named_scenes import named_scene
-from sim.world.stand import read_dials
-from sim.world.true_guide import TrueGuide, calibrated_tip
+from sim.world.staff import read_dials
+from sim.world.truth import TrueGuide, calibrated_tip
 from sim.world.world import ArmState, World
 
 JOINTS = (0.0,) * 6

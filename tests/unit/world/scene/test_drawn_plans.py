@@ -38,15 +38,15 @@ def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.n
 def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
     for seed in range(100, 112):
         reach, ends = reach_of(named_scene("default", seed=seed, markers=markers))
-        assert reach.serves(ends)
+        assert reach.is_feasible(ends)
 
 
 def test_a_trajectory_from_below_is_out_of_reach() -> None:
     reach, ends = reach_of(named_scene("default", seed=0))
     (entry, target), *_ = ends
-    assert reach.serves([(entry, target)])
-    assert not reach.serves([(target, entry)])  # the same line from the other side of the head
-    assert not reach.serves([ends[0], (target, entry)])
+    assert reach.is_feasible([(entry, target)])
+    assert not reach.is_feasible([(target, entry)])  # the same line from the other side of the head
+    assert not reach.is_feasible([ends[0], (target, entry)])
 
 
 def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() -> None:
@@ -54,8 +54,8 @@ def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() 
     apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
     crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
     down = (below + np.array([20.0, 20.0, 80.0]), below + np.array([20.0, 20.0, 20.0]))
-    assert not PlanFeasibility(crowded).serves([down])
-    assert PlanFeasibility(crowded[:2]).serves([down])
+    assert not PlanFeasibility(crowded).is_feasible([down])
+    assert PlanFeasibility(crowded[:2]).is_feasible([down])
 
 
 @pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])

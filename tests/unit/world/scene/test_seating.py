@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from sim.world.displacements import spheres_in_theatre
 from sim.world.scene.model import SEATING_ERROR_MM, Scene
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.seating import spheres_in_theatre
 
 SEEDS = 40
 

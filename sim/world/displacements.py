@@ -1,4 +1,9 @@
-"""Current displacement of objects in the room, and push on the arm, by faults of the device `room`."""
+"""Where things in the room really are: displaced by faults, and spheres refitted after the CT.
+
+Bases and spheres are removed after the CT and refitted on their screws, each slightly off its position in the
+CT. One may also be on a loosened screw or a bent base, on the base of another, or missing. Cameras and
+tracker see the spheres of the theatre, the scanner those of the CT.
+"""
 
 from __future__ import annotations
 
@@ -10,32 +15,35 @@ from numpy.typing import NDArray
 
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.room import CART, DEVICE, GUIDE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
+from sim.world.noise import noise
 from sim.world.rigid import Matrix, apply, matrix_from, matrix_of, rotation_from_vector, vector_from_rotation
+from sim.world.scene.model import Fiducial, Scene
 from sim.world.world import World
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
 SECONDS_PER_MINUTE = 60.0
+SEATING = "seating"  # noise key; each screw draws independently of the others
 
 
 @dataclass(frozen=True)
 class RoomShift:
-    """Displacements of head and tracker relative to the robot base: a turn about its origin, then a shift.
+    """Displacements relative to the robot base: a turn about its origin (rotation vector), then a shift.
 
-    Turns are rotation vectors. `spheres_mm` by number: additional displacements of single spheres.
+    `spheres_mm` are additional displacements of single spheres, by number.
     """
 
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
     head_rad: Vector = STILL
     tracker_rad: Vector = STILL
-    guide_mm: Vector = STILL  # displacement of the mounted tool by a hand
-    guide_rad: Vector = STILL  # turn of it about the tracked frame, a rotation vector
+    guide_mm: Vector = STILL  # of the mounted tool, by a hand
+    guide_rad: Vector = STILL  # about the tracked frame
     spheres_mm: tuple[tuple[int, Vector], ...] = ()
 
     def moved_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
-        """Where the spheres with these numbers are (n, 3), from their places in the scene; robot frame."""
+        """Displace spheres (n, 3), given with their numbers in the scene; robot frame."""
         alone = dict(self.spheres_mm)
         loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
         places: Array = apply(rigid_move(self.head_rad, self.head_mm), places_mm) + loose
@@ -46,7 +54,7 @@ NOTHING_MOVED = RoomShift()
 
 
 class ShiftedRoom:
-    """Queries the fault board of the room; cheap if there are no faults."""
+    """Displacements by the room's active faults; cheap to query if there are none."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -56,7 +64,7 @@ class ShiftedRoom:
         self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
 
     def now(self) -> RoomShift:
-        """The current displacements."""
+        """Current displacements; `NOTHING_MOVED` itself without faults."""
         if self._board.empty:
             return NOTHING_MOVED
         faults = self._board.active(SHIFT.name)
@@ -65,7 +73,9 @@ class ShiftedRoom:
             [[float(each) for each in one.arguments] for one in self._board.active(PUSH.name)]
         )
         turns = self._board.active(TURN.name)
-        back = rotation_from_vector(np.radians(_sum(turns, CART))).T  # a turned cart turns all else back
+        back = rotation_from_vector(
+            np.radians(_sum(turns, CART))
+        ).T  # relative to a turned cart, all else turns back
         head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
         give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
@@ -82,12 +92,12 @@ class ShiftedRoom:
 
 
 def rigid_move(turn_rad: Vector, shift_mm: Vector) -> Matrix:
-    """A turn about the robot's origin, then a shift (4, 4)."""
+    """Transform (4, 4) of a turn about the robot's origin, then a shift."""
     return matrix_from(shift_mm, rotation_from_vector(turn_rad))
 
 
 def yielded(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
-    """ROBOT <- FLANGE (4, 4) of an arm that yields to the hand on its tool."""
+    """ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
     if not any((*room.guide_mm, *room.guide_rad)):
         return flange
     about_mm = (flange @ flange_from_marker)[:3, 3]
@@ -99,12 +109,29 @@ def yielded(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matr
 
 
 def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:
-    """How far the cart has rolled since its brakes were released, per fault that makes it roll."""
+    """Way that the cart has rolled since its brakes were released, per fault."""
     return tuple(
         _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
         for fault, onset_s in board.acting_since()
         if fault.kind is UNLOCKED
     )
+
+
+def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
+    """Spheres as refitted in the theatre, in the order of the scene; CT frame, mm."""
+    return tuple(_refit(one, scene) for one in scene.head.fiducials if not one.missing)
+
+
+def _refit(sphere: Fiducial, scene: Scene) -> Fiducial:
+    """Move a sphere to its refitted position, on the base that is now on its screw."""
+    place_mm = np.array(sphere.centre_ct_mm) + sphere.displaced_mm
+    place_mm += noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
+    wanted = sphere.base_in_theatre or sphere.number
+    base = next(one for one in scene.head.fiducials if one.number == wanted)
+    place_mm += (base.base_mm - sphere.base_mm) * np.array(sphere.post_ct)
+    x, y, z = place_mm.tolist()
+    worn = {"radius_mm": base.radius_mm, "worn_percent": base.worn_percent}
+    return sphere.model_copy(update={"centre_ct_mm": (x, y, z), **worn})
 
 
 def _sum(faults: tuple[Fault, ...], what: str) -> Vector:

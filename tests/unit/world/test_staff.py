@@ -10,13 +10,13 @@ import pytest
 from ronna_hw.frames import Frame
 from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
 from sim.errors import BadFaultScript
-from sim.world.control import Room
+from sim.world.control_port import Room
+from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
-from sim.world.hands import Hands
 from sim.world.rigid import matrix_of
-from sim.world.room_shift import ShiftedRoom
-from sim.world.scene.guide import Guide
 from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.parts import Guide
+from sim.world.staff import Staff
 from sim.world.truth import read_samples
 from sim.world.world import ArmState, World
 
@@ -35,7 +35,7 @@ def a_world(guide: Guide = EXACT) -> World:
 
 
 def tip_mm(world: World, folder: Path) -> np.ndarray:
-    hands = Hands(world, folder)
+    hands = Staff(world, folder)
     hands.work(DEPTH_STOP, "T1", (STOP_MM,))
     hands.work(INSERT, "T1", ())
     return np.array(read_samples(folder)[-1].tip_mm)
@@ -111,7 +111,7 @@ def test_a_wrong_tool_that_is_not_in_the_room_is_refused() -> None:
 def test_a_wrongly_set_depth_stop_reads_its_actual_value() -> None:
     world = a_world()
     world.set_fault_script("at 0 s: room depth stop off by -2 mm")
-    assert Hands(world, None).work(DEPTH_STOP, "T1", (STOP_MM,)) == (STOP_MM - 2.0,)
+    assert Staff(world, None).work(DEPTH_STOP, "T1", (STOP_MM,)) == (STOP_MM - 2.0,)
 
 
 def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
@@ -154,7 +154,7 @@ def shift_mm(world: World) -> tuple[float, float, float]:
 
 def test_a_locked_cart_does_not_move_when_pushed() -> None:
     world = a_world()
-    Hands(world, None).work(CART_PUSH, "", ())
+    Staff(world, None).work(CART_PUSH, "", ())
     assert shift_mm(world) == (0.0, 0.0, 0.0)
 
 
@@ -163,7 +163,7 @@ def test_an_unlocked_cart_rolls_and_stays_where_it_was_pushed() -> None:
     world.set_fault_script("at 0 s: room unlocked cart 6 0 -3 mm per min")
     world.clock.advance_cycle(30_000_000_000)
     assert shift_mm(world) == pytest.approx((-3.0, 0.0, 1.5))
-    Hands(world, None).work(CART_PUSH, "", ())
+    Staff(world, None).work(CART_PUSH, "", ())
     assert shift_mm(world) == pytest.approx((-9.0, 0.0, 4.5))
 
 
@@ -178,7 +178,7 @@ def test_a_since_fault_begins_with_its_step_and_outlasts_it() -> None:
 
 
 def test_hands_touch_the_head_of_the_patient_on_the_side_they_are_told(tmp_path: Path) -> None:
-    nose = Hands(a_world(), tmp_path).work(TOUCH, "", (0.0, -1.0, 0.0))
+    nose = Staff(a_world(), tmp_path).work(TOUCH, "", (0.0, -1.0, 0.0))
     head = SCENE.head
     place_ct = np.array(head.centre_ct_mm) - (0.0, head.semi_axes_mm[1], 0.0)
     assert nose == pytest.approx(head.robot_from_ct.transform(Frame.ROBOT, Frame.CT).apply(place_ct), abs=8.0)

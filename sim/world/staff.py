@@ -1,6 +1,8 @@
-"""Manual work with guide and instrument, and its readings: `{"do": "work", ...}`.
+"""Simulated theatre staff: manual tasks with guide, instrument, stand and gauge, and their readings.
 
-Tasks are named as in the procedure. Work that affects only skin and skull has no effect here.
+Tasks are named as in the procedure. Work on skin and skull alone has no effect here. The calibration stand on
+the table holds a removable ball or a divot with three dials: staff raise the divot to the tip of a guide and
+read its offset from the position of the ball's centre, along the stand's own axes.
 """
 
 from __future__ import annotations
@@ -29,59 +31,38 @@ from ronna_hw.wire.room_tasks import (
     SKIN,
     TOUCH,
 )
+from sim.errors import StandNotReady
+from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard, begin_now
 from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, apply, inverse, matrix_of
-from sim.world.room_shift import ShiftedRoom
-from sim.world.stand import read_dials
-from sim.world.true_guide import TrueGuide, calibrated_tip
-from sim.world.truth import append_sample, sample_instrument
+from sim.world.options import OnStand
+from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.truth import TrueGuide, append_sample, calibrated_tip, sample_instrument
 from sim.world.world import World
 
 Readings = tuple[float, ...]
-STOP, DIAL = "depth stop", "gauge"  # keys of the noise
-SCALE_MM = 0.05  # divisions of the depth stop's scale: a vernier
-DIAL_MM = 0.001  # of the gauge: a digital one
-POINTER_MM = 2.0  # per axis, one standard deviation: where a person sets a pointer on skin
-
-
-NUMBERS = {  # how many a task needs, and what they are; the others need none
+STOP, DIAL = "depth stop", "gauge"  # noise keys
+SCALE_MM = 0.05  # graduation of the depth stop: a vernier
+DIAL_MM = 0.001  # resolution of the digital gauge
+POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
+NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
     TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
 }
 
 
-class WrongNumbers(Exception):
-    """A task was given other numbers than it needs."""
+class TaskRefused(Exception):
+    """A task is unknown, or was asked for with the wrong numbers or without its trajectory."""
 
-    def __init__(self, task: str, got: Sequence[float]) -> None:
-        _, needed = NUMBERS.get(task, (0, "no numbers"))
-        given = ", ".join(f"{number:g}" for number in got) or "no numbers"
-        super().__init__(f"{task} needs {needed}; got {given}")
-
-
-class NoSuchTask(Exception):
-    """The hands know no task with this name."""
-
-    def __init__(self, task: str, known: Iterable[str]) -> None:
-        near = get_close_matches(task, tuple(known), n=1)
-        super().__init__(f"unknown task {task!r}; expected {', '.join(known)}")
-        self.advice = f"Did you mean {near[0]}?" if near else "Use the task named in the question."
+    def __init__(self, reason: str, advice: str) -> None:
+        super().__init__(reason)
+        self.advice = advice
 
 
-class NoTrajectory(Exception):
-    """A task that is done at one trajectory was asked for without its name."""
-
-    advice = "Add --trajectory with the name in the question, such as --trajectory T1."
-
-    def __init__(self, task: str) -> None:
-        super().__init__(f"{task} needs the name of a trajectory of the plan; got none")
-
-
-class Hands:
-    """One pair, for the life of a theatre. Truth at a target is stored in `folder`, if there is one."""
+class Staff:
+    """Carries out tasks for the life of a theatre; truth at a target is stored in `folder`, if given."""
 
     def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world
@@ -89,11 +70,12 @@ class Hands:
         self._guide = TrueGuide(world)
         self._board = FaultBoard(world, DEVICE)
         self._stop_mm: float | None = None
-        self._done: Counter[str] = Counter()  # how often each task was done, so that no two are alike
+        self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task; raises NoSuchTask, NoTrajectory, WrongNumbers, or ValueError if it cannot
-        be done.
+        """Carry out one task and return its readings.
+
+        Raises TaskRefused, SIM-015, or ValueError if it cannot be done.
         """
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
@@ -106,13 +88,7 @@ class Hands:
             GAUGE: lambda: self._read_gauge(numbers),
             TOUCH: lambda: self._touch(numbers),
         }
-        if task not in tasks:
-            raise NoSuchTask(task, tasks)
-        needed, _ = NUMBERS.get(task, (0, ""))
-        if len(numbers) != needed or not all(map(isfinite, numbers)):
-            raise WrongNumbers(task, numbers)
-        if task == INSERT and not trajectory:
-            raise NoTrajectory(task)
+        _check_task(task, trajectory, numbers, tasks)
         readings = tasks[task]()
         self._done[f"{task} {trajectory}"] += 1
         return readings
@@ -135,7 +111,7 @@ class Hands:
         return ()
 
     def _push_cart(self) -> Readings:
-        """A locked cart stays; an unlocked one rolls, and stays there."""
+        """Push the cart: an unlocked one rolls for good, a locked one stays."""
         for fault in self._board.active(UNLOCKED.name):
             way = " ".join(fault.arguments)
             _, text = self._world.fault_script()
@@ -144,7 +120,7 @@ class Hands:
         return ()
 
     def _read_gauge(self, numbers: Sequence[float]) -> Readings:
-        """Dials at the mandrel's end along x, y and z, and higher up along x and y, mm.
+        """Read the dials at the mandrel's end along x, y and z, and higher up along x and y, mm.
 
         `numbers` are the arm's joints in deg at the gauge, and the height between the dials.
         """
@@ -159,7 +135,7 @@ class Hands:
         return tuple(_on_scale(float(value), DIAL_MM) for value in read)
 
     def _touch(self, direction: Sequence[float]) -> Readings:
-        """Where the pointer is that touches the patient's head on that side, in the robot frame."""
+        """Position of a pointer that touches the patient's head on that side, robot frame."""
         head, seed = self._world.scene.head, self._world.scene.seed
         skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
         place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
@@ -167,12 +143,52 @@ class Hands:
         return tuple(_on_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
-        """Where the correct mandrel's end was, with the arm there, when the gauge was zeroed."""
-        from sim.world.arm.true_arm import TrueArm
+        """Pose of the calibrated mandrel's end, with the arm there, when the gauge was zeroed."""
+        from sim.world.true_arm import TrueArm
 
         arm = TrueArm(self._world.scene.arm, self._world.scene.seed)
         flange = arm.moving([radians(angle) for angle in joints_deg], (1.0,) * len(joints_deg))
         return flange @ calibrated_tip(self._world)
+
+
+def read_dials(world: World) -> tuple[float, float, float]:
+    """Read the three dials with the divot raised to the guide's tip, mm; raises SIM-015 if impossible."""
+    stand, mount = world.scene.stand, world.scene.mount
+    if (there := world.on_stand()) is not OnStand.DIVOT:
+        holds = "nothing" if there is OnStand.NOTHING else f"the {there}"
+        raise StandNotReady(f"the divot is not on the stand, which holds {holds}")
+    if world.mounted_tool() != mount.tool_number_guide:
+        raise StandNotReady("the guide is not mounted", got=f"tool {world.mounted_tool()}")
+    zero = np.add(stand.ball_mm, stand.divot_from_ball_mm)
+    away = rotation_from_vector(stand.dials_turned_rad).T @ (TrueGuide(world).mandrel()[:3, 3] - zero)
+    if np.abs(away).max() > stand.travel_mm:
+        raise StandNotReady(
+            "the tip is beyond the divot's travel",
+            limit=f"{stand.travel_mm:g} mm along each axis",
+            got=f"{np.abs(away).max():.1f} mm",
+        )
+    generator = noise(world.scene.seed, "dials", world.arm().motion_number)
+    read = away + generator.normal(0.0, stand.reading_mm, 3)
+    x, y, z = (round(value / stand.scale_mm) * stand.scale_mm for value in read.tolist())
+    return (x, y, z)
+
+
+def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Iterable[str]) -> None:
+    if task not in known:
+        near = get_close_matches(task, tuple(known), n=1)
+        raise TaskRefused(
+            f"unknown task {task!r}; expected {', '.join(known)}",
+            f"Did you mean {near[0]}?" if near else "Use the task named in the question.",
+        )
+    count, needed = NUMBERS.get(task, (0, "no numbers"))
+    if len(numbers) != count or not all(map(isfinite, numbers)):
+        given = ", ".join(f"{number:g}" for number in numbers) or "no numbers"
+        raise TaskRefused(f"{task} needs {needed}; got {given}", "Give the numbers as in the question.")
+    if task == INSERT and not trajectory:
+        raise TaskRefused(
+            f"{task} needs the name of a trajectory of the plan; got none",
+            "Add --trajectory with the name in the question, such as --trajectory T1.",
+        )
 
 
 def _on_scale(value: float, step: float) -> float:
