@@ -8,14 +8,13 @@ of seed and command number, so a run repeats. Faults of markers and light are in
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from enum import Enum, auto
 
 import numpy as np
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, CR, Alert
 from sim.polaris.tracker_unit import Unit
-from sim.polaris.unit.ports import Port, WiredTool
+from sim.polaris.unit.ports import WiredTool
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
 from sim.polaris.unit.tool_definition import wiring_definition
 from sim.world.noise import noise
@@ -36,12 +35,6 @@ class UnitFaults:
         self._alerts = Alert(0)
         self._plugged: set[int] = set()
         self._pulled: set[int] = set()
-        self._refusals: dict[str, Callable[[str], None]] = {
-            "TSTART": self._start,
-            "PENA": self._enable,
-            "PHRQ": self._request,
-            "PINIT": self._initialise,
-        }
 
     @property
     def any_acting(self) -> bool:
@@ -79,23 +72,19 @@ class UnitFaults:
         for fault in self._board.active("slow"):
             if fault.argument == name:
                 self._unit.take_time(float(fault.arguments[1]))
-        refusal = self._refusals.get(name)
-        if refusal is not None:
-            refusal(argument)
-
-    def _start(self, _argument: str) -> None:
-        if self._board.active("wavelength") and self._unit.ports.enabled():
-            raise Refusal(ErrorCode.WAVELENGTH)
-
-    def _enable(self, _argument: str) -> None:
-        self._refuse_beyond("enabled_limit", len(self._unit.ports.enabled()), ErrorCode.TOO_MANY_ENABLED)
-
-    def _request(self, _argument: str) -> None:
-        self._refuse_beyond("handle_limit", len(list(self._unit.ports)), ErrorCode.NO_HANDLES_LEFT)
-
-    def _initialise(self, argument: str) -> None:
-        if self._board.active("corrupt_definitions"):
-            _corrupt(self._unit.ports.port(hexadecimal(argument, ErrorCode.BAD_HANDLE)))
+        ports = self._unit.ports
+        match name:
+            case "TSTART":
+                if self._board.active("wavelength") and ports.enabled():
+                    raise Refusal(ErrorCode.WAVELENGTH)
+            case "PENA":
+                self._refuse_beyond("enabled_limit", len(ports.enabled()), ErrorCode.TOO_MANY_ENABLED)
+            case "PHRQ":
+                self._refuse_beyond("handle_limit", len(list(ports)), ErrorCode.NO_HANDLES_LEFT)
+            case "PINIT" if self._board.active("corrupt_definitions"):
+                port = ports.port(hexadecimal(argument, ErrorCode.BAD_HANDLE))
+                if not port.initialised:
+                    port.memory[-1] ^= 0x01
 
     def _refuse_beyond(self, kind: str, count: int, code: ErrorCode) -> None:
         if any(count >= int(fault.argument) for fault in self._board.active(kind)):
@@ -125,12 +114,6 @@ class Power(Enum):
     STAYS = auto()
     GONE = auto()
     RETURNS = auto()  # restored after a loss or a dip
-
-
-def _corrupt(port: Port) -> None:
-    """Flip a bit in the memory of a handle that is not initialised."""
-    if not port.initialised:
-        port.memory[-1] ^= 0x01
 
 
 def _provide_tool(unit: Unit, number: int) -> None:

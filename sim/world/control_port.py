@@ -1,13 +1,14 @@
 """The control port: JSON lines over TCP on loopback, the staff's only access to the simulated room.
 
-A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even
-a page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token
-from the READY line. It is closed at the first line that is too long or no JSON object, and when no line arrives
+A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even a
+page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token from
+the READY line. It is closed at the first line that is too long or no JSON object, and when no line arrives
 for a while. Connections without the token cannot keep out those with it.
 
 Each further line is a request, with one answer:
 - `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
-- `{"do": "fault", "line": "now: ..."}`, and `{"do": "clear_faults"}`, with a `line` only that fault;
+- `{"do": "fault", "line": "now: ..."}`;
+- `{"do": "clear_faults"}`, with a `line` only that fault;
 - `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`; inserting
   an instrument samples the truth at that target.
 """
@@ -202,8 +203,6 @@ class Room:
         try:
             with self._one_at_a_time:
                 more = action(request) or {}
-        except NoSuchTool as error:
-            return _refused(error, "Give one of these numbers.")
         except TaskRefused as error:
             return _refused(error, error.advice)
         except RonnaError as error:
@@ -235,9 +234,10 @@ class Room:
     def _mount(self, request: dict[str, Any]) -> None:
         number = _number(request["number"])
         if number not in (known := tool_numbers(self._world.scene)):
-            raise NoSuchTool(
+            raise TaskRefused(
                 f"no tool {number:g}: 0 removes the tool, {known[1]} is the stereo"
-                f" head, {known[2]} the surgical guide"
+                f" head, {known[2]} the surgical guide",
+                "Give one of these numbers.",
             )
         for fault in self._board.active(WRONG_TOOL.name):
             number = int(fault.argument)
@@ -262,10 +262,6 @@ class Room:
         line = request.get("line")
         _, text = self._world.fault_script()
         self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
-
-
-class NoSuchTool(Exception):
-    """No tool in this room has this number."""
 
 
 def _refused(reason: object, advice: str) -> dict[str, Any]:

@@ -54,7 +54,7 @@ NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks n
 
 
 class TaskRefused(Exception):
-    """A task is unknown, or was asked for with the wrong numbers or without its trajectory."""
+    """A task cannot be done as requested; `advice` is the remedy."""
 
     def __init__(self, reason: str, advice: str) -> None:
         super().__init__(reason)

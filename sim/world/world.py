@@ -102,7 +102,10 @@ class World:
             raise WorldUnavailable(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path)
-        self.scene = scene or self._read_scene()
+        if scene is None:
+            end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
+            scene = parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {path}")
+        self.scene = scene
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
@@ -231,10 +234,6 @@ class World:
             raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
         _FAULTS.write(self._memory, content)
         _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
-
-    def _read_scene(self) -> Scene:
-        end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
-        return parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {self._path}")
 
     def _is_world(self) -> bool:
         if len(self._memory) < _SCENE_OFFSET or not _MAP.is_marked(self._memory):

@@ -61,7 +61,7 @@ class CommandInterpreter:
     def restart(self, after_s: float | None = None) -> None:
         """Restart after a break or at power-up: saved settings now, RESET `after_s` later."""
         self.unit.reset()
-        self._forget()
+        self._replies.clear()
         self._watch_dog_ns = 0
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
@@ -109,7 +109,7 @@ class CommandInterpreter:
             early = unit.mode is Mode.NOT_INITIALISED
             raise Refusal(ErrorCode.NOT_INITIALISED if early else ErrorCode.WRONG_MODE)
         if not command.reads_frame:
-            self._forget()
+            self._replies.clear()
         if not unit.faults.empty:
             self._faults.before(name, request.argument)
         command.check(request.argument)
@@ -119,7 +119,8 @@ class CommandInterpreter:
         if command.restarts_line:
             self.reply_line = unit.line
         if not command.reads_frame:
-            self._set_watch_dog()
+            self._watch_dog_ns = unit.watch_dog_s * NANOSECONDS_PER_SECOND
+            self._heard_ns = unit.clock.now_ns()
         elif unit.frames.repeats and isinstance(reply, bytes):
             self._cache(line, reply)
         return reply
@@ -132,13 +133,6 @@ class CommandInterpreter:
             self._replies_frame = number
         self._replies[line] = reply
 
-    def _forget(self) -> None:
-        self._replies.clear()
-
-    def _set_watch_dog(self) -> None:
-        self._watch_dog_ns = self.unit.watch_dog_s * NANOSECONDS_PER_SECOND
-        self._heard_ns = self.unit.clock.now_ns()
-
     def _check_watch_dog(self) -> None:
         """Trip the watchdog if the host has been silent for too long."""
         if self.unit.clock.now_ns() - self._heard_ns > self._watch_dog_ns:
@@ -146,7 +140,7 @@ class CommandInterpreter:
 
     def _trip_watch_dog(self) -> None:
         """Stop tracking, or reset the unit if so configured."""
-        self._forget()
+        self._replies.clear()
         if self.unit.behaviour.watch_dog == "reset":
             self.restart()
         elif self.unit.mode is Mode.TRACKING:
@@ -154,7 +148,7 @@ class CommandInterpreter:
 
     def _has_power(self) -> bool:
         """Apply faults; return False while the unit has no power."""
-        self._forget()
+        self._replies.clear()
         power = self._faults.power()
         if power is Power.GONE:
             self._starts_s = None

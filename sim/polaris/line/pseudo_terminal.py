@@ -96,7 +96,7 @@ class PseudoTerminal:
         self._heard_s = time.monotonic()
         self._spoken_to = True
         self._interpreter.deny_break()
-        if self._understands(self._interpreter.line):
+        if not self._behaviour.enforces_line or self._host.agrees(self._interpreter.line):
             return packet[1:]
         if self._behaviour.wrong_line == "garbage" and b"\r" in packet:
             self._write(b"ERROR046802\r".translate(UNREADABLE))
@@ -140,9 +140,6 @@ class PseudoTerminal:
         if opened:
             self._opened_s = time.monotonic()
             self._spoken_to = False
-
-    def _understands(self, line: LineSettings) -> bool:
-        return not self._behaviour.enforces_line or self._host.agrees(line)
 
     def _sent_break(self) -> bool:
         """Whether the host seems to have sent a break while its command was executed."""

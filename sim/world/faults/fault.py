@@ -19,10 +19,6 @@ EXAMPLE_NAME = "robot_frame"  # of a tool
 TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 
-def _never(_cycle: int) -> float:
-    return math.inf
-
-
 @dataclass(frozen=True)
 class Fault:
     """One fault of a script; `at_s`, `step` or `cycle` determines when it begins."""
@@ -65,9 +61,7 @@ class Fault:
             lasts = "until that step ends" if math.isinf(self.duration_s) else f"{lasts} of that step"
         return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"
 
-    def onset_s(
-        self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float] = _never
-    ) -> float:
+    def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
         """Theatre time of the beginning; infinite while its step is not running, or before its cycle."""
         if self.at_s is not None:
             return self.at_s

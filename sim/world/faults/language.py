@@ -161,13 +161,9 @@ def check_faults(
         if not found and loaded is not None:
             found = list(tool_is_there(fault, scene, loaded))
         here = fault.kind.device in devices
-        example = (fault.kind if here else _first_of(devices)).example
-        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
+        shown = fault.kind if here else next(kind for kind in FAULT_KINDS if kind.device in devices)
+        mistakes += [Mistake(f"line {fault.line}: {mistake}", shown.example) for mistake in found]
     _refuse(mistakes)
-
-
-def _first_of(devices: Sequence[str]) -> FaultKind:
-    return next(kind for kind in FAULT_KINDS if kind.device in devices)
 
 
 def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
@@ -210,7 +206,10 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
         names, ended = set(error.accepts or error.expected), error.token.type == END
     column = len(line) + 1 if ended else error.column
     got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
-    words = sorted({_readable(name) for name in names - {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}})
+    names -= {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}
+    words = sorted(
+        {READABLE.get(name) or repr(_grammar().get_terminal(name).pattern.value) for name in names}
+    )
     words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
@@ -222,11 +221,8 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
     what = f"{place}: expected {either(words)}, got {got}"
     if not advises:
         return Mistake(what)
-    intended = None
-    if any(
-        word not in READABLE.values() for word in words
-    ):  # for a wrong argument the parser's words are best
-        intended = _intended_line(typed)
+    wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
+    intended = None if wrong_argument else _intended_line(typed)
     nearest = None if intended else _nearest_kind(typed)
     return Mistake(what, nearest.example if nearest else EXAMPLE, intended)
 
@@ -242,23 +238,17 @@ def _reads(line: str) -> bool:
     return True
 
 
-def _readable(terminal: str) -> str:
-    return READABLE.get(terminal) or repr(_grammar().get_terminal(terminal).pattern.value)
-
-
 @cache
 def _grammar() -> Lark:
     from lark import Lark
 
-    alternatives = "\n      | ".join(
-        " ".join([f'"{kind.device}"', *(_symbol(word) for word in kind.phrase.split())]) + f" -> {kind.name}"
-        for kind in FAULT_KINDS
-    )
-    return Lark(GRAMMAR.replace("{faults}", alternatives).replace("{step}", STEP), parser="lalr")
-
-
-def _symbol(word: str) -> str:
-    return word if word in TERMINALS else f'"{word}"'
+    alternatives = []
+    for kind in FAULT_KINDS:
+        words = (kind.device, *kind.phrase.split())
+        symbols = " ".join(word if word in TERMINALS else f'"{word}"' for word in words)
+        alternatives.append(f"{symbols} -> {kind.name}")
+    faults = "\n      | ".join(alternatives)
+    return Lark(GRAMMAR.replace("{faults}", faults).replace("{step}", STEP), parser="lalr")
 
 
 def _fault(statement: Any, line: int) -> tuple[Fault, bool]:

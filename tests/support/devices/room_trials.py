@@ -34,8 +34,7 @@ from sim.polaris.unit.model import SPECTRA
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.parts import GUIDE_FRAME_IN_TIP
-from sim.world.scene.parts import GUIDE_FRAME_MARKERS_MM
+from sim.world.scene.parts import GUIDE_FRAME_IN_TIP, GUIDE_FRAME_MARKERS_MM
 from sim.world.true_arm import TrueArm
 
 Array = NDArray[np.float64]
