@@ -1,7 +1,7 @@
 """Parameters of a simulated device, set by NAME=VALUE: the fields of a frozen dataclass.
 
-Each field is annotated with its meaning and optionally its largest value. A number may be 0 only if that is its
-default; otherwise it is positive.
+Each field is annotated with its meaning and optionally its largest value. A number may be 0 only if that is
+its default; otherwise it is positive.
 """
 
 from __future__ import annotations

@@ -9,8 +9,8 @@ Each further line is a request, with one answer:
 - `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
 - `{"do": "fault", "line": "now: ..."}`;
 - `{"do": "clear_faults"}`, with a `line` only that fault;
-- `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`; inserting
-  an instrument samples the truth at that target.
+- `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
+  inserting an instrument samples the truth at that target.
 """
 
 from __future__ import annotations

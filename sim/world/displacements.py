@@ -96,7 +96,7 @@ def rigid_move(turn_rad: Vector, shift_mm: Vector) -> Matrix:
     return matrix_from(shift_mm, rotation_from_vector(turn_rad))
 
 
-def yielded(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
+def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
     """ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
     if not any((*room.guide_mm, *room.guide_rad)):
         return flange

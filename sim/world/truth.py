@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
-from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielded
+from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
 from sim.world.noise import noise
@@ -131,7 +131,7 @@ class TrueGuide:
         flange = self._world.arm().robot_from_flange if flange is None else flange
         mount = self._scene.mount
         marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
-        pose = yielded(flange, marker, self._room.now()).copy()
+        pose = yielding_flange(flange, marker, self._room.now()).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
         return pose @ calibrated_tip(self._world) @ self._seated()
 

@@ -18,7 +18,7 @@ from sim.world.displacements import (
     ShiftedRoom,
     rigid_move,
     spheres_in_theatre,
-    yielded,
+    yielding_flange,
 )
 from sim.world.faults import Fault, FaultBoard
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
@@ -151,7 +151,7 @@ class TrueScene:
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """The reference frame M on the mount, loaded or not."""
         tool = self.frame_on_mount
-        flange = yielded(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
+        flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)

@@ -112,8 +112,8 @@ class FaultKind:
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
 
-def anything(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
-    """Accept any arguments."""
+def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    """Check nothing."""
     yield from ()
 
 
@@ -128,11 +128,11 @@ class DeviceFaults:
         self._prefix = prefix
         self._first = first
 
-    def lasting(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
+    def lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
         """Declare a fault that acts for its duration."""
         return self._kind(name, phrase, meaning, check, momentary=False)
 
-    def once(self, name: str, phrase: str, meaning: str, check: Check = anything) -> FaultKind:
+    def once(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
         """Declare a fault that happens once."""
         return self._kind(name, phrase, meaning, check, momentary=True)
 
@@ -143,7 +143,7 @@ class DeviceFaults:
 
     def _kind(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
         if self._first is not None:
-            check = self._first if check is anything else Both(self._first, check)
+            check = self._first if check is accept_any else Both(self._first, check)
         return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
 
 
@@ -155,7 +155,7 @@ class OneOf:
     known: Sequence[str]
 
     def __call__(self, arguments: Arguments, _scene: Scene) -> Iterator[str]:
-        yield from expected(self.what, self.known, arguments[0])
+        yield from unless_known(self.what, self.known, arguments[0])
 
 
 def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
@@ -180,20 +180,22 @@ class Both:
         yield from self.second(arguments, scene)
 
 
-def expected(what: str, known: Sequence[str], got: str) -> Iterator[str]:
+def unless_known(what: str, known: Sequence[str], got: str) -> Iterator[str]:
     """Yield a mistake unless the word is known."""
     if got not in known:
-        yield f"expected {what} {either(known)}, got {got}"
+        yield f"expected {what} {join_choices(known)}, got {got}"
 
 
-def either(words: Sequence[str]) -> str:
+def join_choices(words: Sequence[str]) -> str:
     """Join words as in `a, b or c`."""
     return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
     """Check that the first argument is the number of a fiducial of the scene."""
-    yield from expected("marker", [str(fiducial.number) for fiducial in scene.head.fiducials], arguments[0])
+    yield from unless_known(
+        "marker", [str(fiducial.number) for fiducial in scene.head.fiducials], arguments[0]
+    )
 
 
 def _replaced(phrase: str, words: Iterable[tuple[str, str]]) -> str:

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
 from sim.world.faults.camera import CAMERA_FAULTS
-from sim.world.faults.fault import TERMINALS, Fault, FaultKind, either
+from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
 from sim.world.faults.tracker import TRACKER_FAULTS, tool_is_there
@@ -168,7 +168,7 @@ def check_faults(
 
 def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
     if fault.kind.device not in devices:
-        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: no other device here"
+        yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
     if fault.cycle is not None and fault.kind.device != CYCLES_OF:
         yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
@@ -218,7 +218,7 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
     if not has_beginning(line) and _reads(f"{BEGINS_NOW}{line}"):
         what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
-    what = f"{place}: expected {either(words)}, got {got}"
+    what = f"{place}: expected {join_choices(words)}, got {got}"
     if not advises:
         return Mistake(what)
     wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.world.faults.fault import Arguments, DeviceFaults, OneOf, expected, fiducial_number
+from sim.world.faults.fault import Arguments, DeviceFaults, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
@@ -23,7 +23,7 @@ def tool_numbers(scene: Scene) -> tuple[int, ...]:
 
 
 def _a_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    yield from expected("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
+    yield from unless_known("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
 
 
 SHIFT = lasting(
