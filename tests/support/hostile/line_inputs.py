@@ -103,7 +103,7 @@ def _conversation(room: Room) -> Take:
         conversation = _Conversation.__new__(_Conversation)
         conversation.request = cast("socket.socket", came)
         server = {"room": room, "token": "a", "limits_s": (1.0, 1.0), "changing": threading.Lock()}
-        conversation.server = cast("Any", SimpleNamespace(**server, strangers=[came], trusted=[]))
+        conversation.server = cast("Any", SimpleNamespace(**server, untrusted=[came], trusted=[]))
         conversation.handle()
         for answer in map(json.loads, came.sent):
             assert not str(answer.get("reason")).startswith("the simulator failed"), answer
