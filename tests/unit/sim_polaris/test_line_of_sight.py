@@ -1,4 +1,4 @@
-"""Line of sight: what the head, the arm and its tools hide from the tracker."""
+"""Occlusion by the head, the arm and its tools."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_a_tool_on_the_flange_axis_gives_finite_capsules() -> None:
 
 
 def carried(scene: Scene, tool: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both ends of the axes (n, 3) and radii (n) of all that the mount carries, in the tool frame."""
+    """Ends (n, 3) and radii (n,) of the capsules of the mount and the tool on it; tool frame."""
     flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
     arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
     capsules = ArmBody(scene).capsules(arm, tool, np.eye(4))
@@ -126,7 +126,7 @@ def carried(scene: Scene, tool: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def inside_mm(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-    """Places (n, 3) on and in a rod with flat ends: the round ones only make sight easy to compute."""
+    """Points (n, 3) in a rod with flat ends; capsules have round ones only to compute sight easily."""
     across = np.linalg.svd((end_mm - start_mm)[None])[2][1:]
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
@@ -136,7 +136,7 @@ def inside_mm(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float) -> np.
 
 
 def beyond_mm(places_mm: np.ndarray, capsules: list[Capsule]) -> float:
-    """How far the farthest of the places (n, 3) is outside the capsules; not positive if all are inside."""
+    """Largest distance of the points (n, 3) outside the capsules; not positive if all are inside."""
     nearest = np.full(len(places_mm), np.inf)
     for start_mm, end_mm, radius_mm in capsules:
         way = np.subtract(end_mm, start_mm)

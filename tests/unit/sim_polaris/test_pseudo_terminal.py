@@ -30,7 +30,7 @@ INPUT_SPEED, OUTPUT_SPEED, CONTROL_FLAGS = 4, 5, 2
 
 
 class Host:
-    """A host with a hand on every setting of its end."""
+    """A host that can change every setting of its end."""
 
     def __init__(self, path: str) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -44,7 +44,7 @@ class Host:
         os.write(self._file, data)
 
     def read(self) -> bytes:
-        """Up to a CR."""
+        """Read up to a CR."""
         answer = b""
         while not answer.endswith(b"\r"):
             answer += self.read_some(1)

@@ -1,4 +1,4 @@
-"""What the unit reports about the bench and the theatre, frame by frame."""
+"""Frames of the bench and of the theatre, as reported by the unit."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def strays(answer: str) -> np.ndarray:
 
 
 def put_arm(bench: Bench) -> np.ndarray:
-    """Let an arm at home carry the reference frame M; returns its true pose tracker <- M."""
+    """Put an arm at home, which carries the reference frame M; return the true pose tracker <- M."""
     scene = bench.world.scene
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
     flange = JointChain(description(scene.arm.variant)).flange(joints)

@@ -1,4 +1,4 @@
-"""What the tracker reports while the unit itself has a fault."""
+"""Replies of the tracker while the unit itself has a fault."""
 
 from __future__ import annotations
 
@@ -232,7 +232,7 @@ def test_a_restarted_unit_sends_reset_once_and_requires_init(
 
 
 def later() -> Iterator[float]:
-    """Host moments, each a hundredth of a second after the other."""
+    """Host times, 10 ms apart."""
     moment = 100.0
     while True:
         yield moment
@@ -240,7 +240,7 @@ def later() -> Iterator[float]:
 
 
 def first_words(bench: Bench) -> bytes:
-    """What the unit says of itself."""
+    """First bytes that the unit sends unsolicited."""
     for _ in range(1000):
         if said := bench.interpreter.unsolicited():
             return said

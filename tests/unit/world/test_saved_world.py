@@ -1,4 +1,4 @@
-"""A world that one theatre left and another one continues."""
+"""A saved world, continued by another theatre."""
 
 from math import degrees
 from pathlib import Path
@@ -24,7 +24,7 @@ def scene() -> Scene:
 
 
 def moved(scene: Scene, world: World) -> Manipulator:
-    """An arm of that world that has gone somewhere and come to rest."""
+    """An arm of that world that has moved and come to rest."""
     arm = Manipulator(scene.arm, scene.seed, world.publish_arm, ControllerParameters())
     goal_deg = [angle + 3.0 for angle in arm.axes_deg]
     for _ in range(2000):
@@ -84,11 +84,11 @@ def test_a_rolling_cart_continues_from_its_current_position(tmp_path: Path) -> N
     assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -4.0, 0.0))
 
 
-def test_a_folder_without_an_ended_theatre_has_no_left_world(tmp_path: Path) -> None:
+def test_a_folder_without_an_ended_theatre_has_no_saved_world(tmp_path: Path) -> None:
     assert read_saved_world(tmp_path) is None
 
 
-def test_an_invalid_left_world_file_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_saved_world_is_refused(tmp_path: Path) -> None:
     (tmp_path / WORLD_FILE).write_text('{"theatre_time_ns": -1}')
     with pytest.raises(BadSavedWorld, match="SIM-012"):
         read_saved_world(tmp_path)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.polaris import PortStatus
-from sim.polaris.measurement.tracking_rules import as_requested, track
+from sim.polaris.measurement.tracking_rules import as_requested, fit_rigid_body, track
 from sim.polaris.unit.tool_definition import ToolDefinition, parse_definition, write_definition
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import TrackerTool
@@ -23,7 +23,7 @@ def one_face(**changes: object) -> ToolDefinition:
 
 
 def two_faces() -> ToolDefinition:
-    """A roof: both faces slope by 30 degrees about y, the second one with another pattern."""
+    """A roof: both faces slope by 30 degrees about y, with different patterns."""
     slopes = [rotation_from_vector((0.0, np.radians(angle), 0.0)) for angle in (-30.0, 30.0)]
     patterns = np.array(FACE), np.array([(0.0, 10.0, 0.0), (20.0, 65.0, 0.0), (5.0, 125.0, 0.0)])
     shifts = (-60.0, 0.0, 0.0), (60.0, 0.0, 0.0)
@@ -33,12 +33,12 @@ def two_faces() -> ToolDefinition:
 
 
 def seen_turned(definition: ToolDefinition, turn_deg: float) -> np.ndarray:
-    """All its markers, measured without error, with the tool turned about y."""
+    """All markers, measured without error, of a tool turned about y."""
     return definition.markers_mm @ rotation_from_vector((0.0, np.radians(turn_deg), 0.0)).T + PLACE_MM
 
 
 def followed(definition: ToolDefinition, turns_deg: list[float]) -> list[int]:
-    """The face that is tracked while the tool turns."""
+    """Faces tracked while the tool turns."""
     face, faces = 0, []
     numbers = list(range(len(definition.markers_mm)))
     for turn in turns_deg:
@@ -67,7 +67,7 @@ def test_switching_between_faces_has_a_hysteresis_of_two_degrees() -> None:
     back = followed(definition, turns[::-1].tolist())
     change_away = turns[away.index(1)]
     change_back = turns[::-1][back.index(2)]
-    # the angle of one face grows as that of the other shrinks: a turn by 1 degree makes 2 of difference
+    # a turn by 1 degree changes the difference between the faces by 2 degrees
     assert change_away - change_back == pytest.approx(2.0, abs=0.25)
 
 
@@ -100,7 +100,7 @@ def test_markers_with_too_little_spread_give_no_pose() -> None:
 
 
 def test_the_first_tracking_rule_that_a_marker_breaks_is_reported() -> None:
-    """Beyond the angle and outside and badly placed: the first rule that a marker breaks is told."""
+    """A marker beyond the angle, outside the volume and badly placed."""
     normals = np.tile((0.0, 0.0, 1.0), (4, 1))
     normals[1] = (0.0, 1.0, 0.0)
     definition = one_face(normals=normals, maximum_angle_deg=60.0)
@@ -117,12 +117,12 @@ def test_markers_outside_the_volume_are_used_only_if_needed_and_requested() -> N
     measured = np.array(FACE) + PLACE_MM
     tracked = track(one_face(), [0, 1, 2, 3], measured, [True, False, False, True])
     assert tracked.volume_status == PortStatus.PARTIALLY_OUT_OF_VOLUME
-    asked = as_requested(tracked, outside=True, partially_outside=False)
-    assert asked.marker_digits == (3, 5, 5, 3)
-    unasked = as_requested(tracked, outside=False, partially_outside=False)
-    assert unasked.pose is None
-    assert unasked.marker_digits == (3, 4, 4, 3)
-    assert unasked.information & 0x02
+    requested = as_requested(tracked, outside=True, partially_outside=False)
+    assert requested.marker_digits == (3, 5, 5, 3)
+    unrequested = as_requested(tracked, outside=False, partially_outside=False)
+    assert unrequested.pose is None
+    assert unrequested.marker_digits == (3, 4, 4, 3)
+    assert unrequested.information & 0x02
 
 
 def test_a_marker_minimum_above_three_is_respected() -> None:
@@ -144,3 +144,29 @@ def test_a_marker_beyond_the_maximum_error_is_reported_and_left_out() -> None:
     assert tracked.marker_digits[5] == 2
     assert tracked.pose is not None
     assert tracked.pose.position_mm == pytest.approx(tuple(PLACE_MM), abs=1e-6)
+
+
+def test_a_fit_recovers_the_original_pose() -> None:
+    generator = np.random.default_rng(11)
+    for _ in range(50):
+        body = generator.uniform(-80.0, 80.0, (4, 3))
+        rotation = rotation_from_vector(generator.uniform(-2.0, 2.0, 3))
+        shift = generator.uniform(-500.0, 500.0, 3)
+        found = fit_rigid_body(body, body @ rotation.T + shift)
+        assert np.allclose(found[0], rotation, atol=1e-9)
+        assert np.allclose(found[1], shift, atol=1e-7)
+        assert found[2].max() < 1e-9
+
+
+def test_a_mirror_image_is_never_fitted() -> None:
+    body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [10.0, 20.0, 40.0]])
+    rotation, _, distances = fit_rigid_body(body, body * (1.0, 1.0, -1.0))
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert distances.max() > 5.0
+
+
+def test_a_planar_body_is_fitted_without_a_flip() -> None:
+    body = np.array([[0.0, 0.0, 0.0], [60.0, 0.0, 0.0], [0.0, 90.0, 0.0], [-44.0, 40.0, 0.0]])
+    rotation, _, distances = fit_rigid_body(body, body + np.random.default_rng(3).normal(0.0, 0.1, (4, 3)))
+    assert np.linalg.norm(rotation - np.eye(3)) < 0.02
+    assert distances.max() < 0.5

@@ -1,4 +1,4 @@
-"""PINIT judges tool definitions: bad ones are refused, ambiguous ones raise a warning."""
+"""Tool definitions: parsed and written, each defect named; PINIT refuses bad and warns of ambiguous ones."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.unit.refusal import ErrorCode
-from sim.polaris.unit.tool_definition import checksum, write_definition
+from sim.polaris.unit.tool_definition import BadDefinition, checksum, parse_definition, write_definition
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
 
@@ -35,7 +36,7 @@ def changed(content: bytes, offset: int, value: bytes) -> bytes:
 
 
 def judged(bench: Bench, content: bytes) -> str:
-    """Answer of PINIT to one more definition."""
+    """Load one more definition; return the reply of PINIT."""
     return bench.send(f"PINIT {bench.load(content):02X}")
 
 
@@ -122,3 +123,52 @@ def test_a_bad_definition_gets_the_error_code_of_the_firmware(
         bench.send("INIT ")
         assert judged(bench, content) == answer
         assert bench.send("PHSR 02") == "0101001"
+
+
+def reference_frame(offset: int, value: bytes) -> bytes:
+    """The reference frame's definition with some bytes replaced and a right checksum."""
+    return changed(write_definition(robot_frame()), offset, value)
+
+
+def test_a_written_definition_is_read_back() -> None:
+    tool = robot_frame()
+    content = write_definition(tool)
+    read = parse_definition(content)
+    assert len(content) == 752
+    assert np.allclose(read.markers_mm, tool.markers_mm)
+    assert np.allclose(read.normals, [tool.normal] * 4)
+    assert (read.part_number, read.manufacturer, read.main_type) == ("RONNA-M", "RONNA", 1)
+    assert (read.minimum_markers, read.maximum_angle_deg, read.maximum_error_mm) == (3, 90.0, 2.0)
+    assert read.serial != 0
+
+
+def test_client_padding_does_not_change_a_definition() -> None:
+    content = write_definition(robot_frame())
+    for size in (768, 1024, 2048):
+        assert parse_definition(content.ljust(size, b"\0")).part_number == "RONNA-M"
+
+
+def test_the_serial_number_is_read_from_four_little_endian_bytes() -> None:
+    content = reference_frame(rom.SERIAL_OFFSET, bytes.fromhex("03148034"))
+    assert parse_definition(content).serial == 0x34801403
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "0 bytes"),
+        (reference_frame(0, b"XDI"), "signature NDI is missing"),
+        (write_definition(robot_frame())[:-1] + b"\1", "checksum"),
+        (reference_frame(rom.MARKER_COUNT_OFFSET, b"\2"), "2 markers"),
+        (reference_frame(rom.MARKER_COUNT_OFFSET, b"\x15"), "21 markers"),
+        (reference_frame(rom.MINIMUM_MARKER_COUNT_OFFSET, b"\5"), "minimum of 5 of 4"),
+        (reference_frame(rom.MAXIMUM_ERROR_OFFSET, struct.pack("<f", float("nan"))), "maximum 3D error"),
+        (reference_frame(rom.MARKER_FACES_OFFSET, b"\0"), "face number is not 1 to 8"),
+        (reference_frame(rom.MARKER_FACES_OFFSET + 3, b"\x09"), "face number is not 1 to 8"),
+        (reference_frame(rom.MARKER_POSITIONS_OFFSET, struct.pack("<f", float("inf"))), "positions"),
+        (reference_frame(rom.MARKER_NORMALS_OFFSET, bytes(12)), "normal has length zero"),
+    ],
+)
+def test_each_defect_of_a_definition_is_named(content: bytes, said: str) -> None:
+    with pytest.raises(BadDefinition, match=said):
+        parse_definition(content)

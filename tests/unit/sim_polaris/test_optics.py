@@ -1,4 +1,4 @@
-"""Measurement error of single markers, characterised with one sphere in many places."""
+"""Measurement error of single markers in many places, and the measuring volumes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
 from sim.world.scene.named_scenes import named_scene
 
-READINGS = 30  # at each place, of which a maker takes the mean
+READINGS = 30  # per place; manufacturers state the mean
 PLACES = 1500
 STATED_MM = {"Pyramid": 0.25, "Extended Pyramid": 0.30, "Vicra": 0.25}
 
@@ -34,7 +34,7 @@ def places_in(volume: Volume, count: int = PLACES) -> np.ndarray:
 
 
 def readings(unit: Optics, points: np.ndarray, count: int) -> np.ndarray:
-    """So many measurements (count, n, 3) of markers at rest."""
+    """Measurements (count, n, 3) of markers at rest."""
     sight = unit.sight(points)
     return np.array([sight.measured(noise(5, "test", k).standard_normal(points.shape)) for k in range(count)])
 
@@ -86,3 +86,26 @@ def test_a_scene_may_have_a_tracker_without_error(truth: TrackerTruth) -> None:
     none = {"noise_xy_mm": 0.0, "noise_z_mm": 0.0, "bias_mm": 0.0, "bias_extended_mm": 0.0}
     points = places_in(PYRAMID, 50)
     assert np.array_equal(readings(optics(truth.model_copy(update=none), 5), points, 1)[0], points)
+
+
+@pytest.mark.parametrize(
+    ("volume", "z", "x", "y"),
+    [
+        (PYRAMID, -950.0, 224.72, 240.57),
+        (PYRAMID, -1532.0, 398.00, 572.00),
+        (PYRAMID, -2000.0, 537.34, 685.74),
+        (PYRAMID, -2400.0, 656.43, 782.95),
+        (EXTENDED_PYRAMID, -2664.0, 735.0, 847.11),
+        (EXTENDED_PYRAMID, -3000.0, 735.0, 928.77),
+    ],
+)
+def test_a_volume_has_the_published_cross_sections(volume: Volume, z: float, x: float, y: float) -> None:
+    assert volume.holds(x - 0.01, y - 0.01, z)
+    assert volume.holds(-x + 0.01, -y + 0.01, z)
+    assert not volume.holds(x + 0.01, 0.0, z)
+    assert not volume.holds(0.0, -y - 0.01, z)
+
+
+@pytest.mark.parametrize("z", [-949.9, -2400.1, 1500.0])
+def test_no_point_in_front_of_or_behind_the_volume_is_inside(z: float) -> None:
+    assert not PYRAMID.holds(0.0, 0.0, z)
