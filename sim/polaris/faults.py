@@ -16,7 +16,7 @@ from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, CR, Alert
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.ports import WiredTool
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
-from sim.polaris.unit.tool_definition import wiring_definition
+from sim.polaris.unit.tool_definition import built_in_definition
 from sim.world.noise import noise
 
 LINE_NOISE = "tracker line"
@@ -37,7 +37,7 @@ class UnitFaults:
         self._pulled: set[int] = set()
 
     @property
-    def any_acting(self) -> bool:
+    def any_active(self) -> bool:
         """Whether the script has a tracker fault, or the effects of one have yet to be undone."""
         remains = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return remains or not self._board.empty
@@ -49,7 +49,7 @@ class UnitFaults:
             return Power.GONE
         return Power.RETURNS if was_dead or self._board.happened("unit_restart") else Power.STAYS
 
-    def act(self) -> None:
+    def apply(self) -> None:
         """Apply the faults that need no command: alerts and wired tools."""
         board, unit = self._board, self._unit
         alerts = Alert(sum({1 << int(fault.argument) for fault in board.active("alert")}))
@@ -63,11 +63,11 @@ class UnitFaults:
         self._change_plugs()
 
     @property
-    def host_seems_gone(self) -> bool:
+    def watchdog_trips(self) -> bool:
         """True once for each spurious watchdog trip."""
         return bool(self._board.happened("watchdog"))
 
-    def before(self, name: str, argument: str) -> None:
+    def apply_to_command(self, name: str, argument: str) -> None:
         """Apply the faults of a command; raises Refusal if one prevents it."""
         for fault in self._board.active("slow"):
             if fault.argument == name:
@@ -122,7 +122,7 @@ def _provide_tool(unit: Unit, number: int) -> None:
     wired.count = max(wired.count, number)
     if number not in wired.tools:
         size = unit.behaviour.user_memory_bytes
-        wired.tools[number] = WiredTool.from_definition(wiring_definition(), number, size)
+        wired.tools[number] = WiredTool.from_definition(built_in_definition(), number, size)
 
 
 class LineFaults:
@@ -139,21 +139,21 @@ class LineFaults:
             return line
         self._count += 1
         generator = noise(self._unit.seed, LINE_NOISE, self._count, lane=0)
-        return _flipped(line, generator) if line and self._strikes("garble_commands", generator) else line
+        return _flip_bit(line, generator) if line and self._strikes("garble_commands", generator) else line
 
     def to_host(self, line: bytes, reply: bytes) -> bytes:
         """Return a reply as the host receives it, possibly late; empty if lost."""
         if self._board.empty:
             return reply
         if not reply:  # the unit has no power
-            self._host_waits(line)
+            self._let_host_time_out(line)
             return reply
         generator = noise(self._unit.seed, LINE_NOISE, self._count, lane=1)
         for fault in self._board.active("late_replies"):
             self._wait(float(fault.argument))
         complete = len(reply)
         if self._strikes("garble_replies", generator):
-            reply = _flipped(reply, generator)
+            reply = _flip_bit(reply, generator)
         place = int(generator.integers(len(reply)))
         if self._strikes("double_bytes", generator):
             reply = reply[: place + 1] + reply[place:]
@@ -164,10 +164,10 @@ class LineFaults:
         if self._strikes("lose_replies", generator):
             reply = b""
         if len(reply) < complete:
-            self._host_waits(line)
+            self._let_host_time_out(line)
         return reply
 
-    def _host_waits(self, line: bytes) -> None:
+    def _let_host_time_out(self, line: bytes) -> None:
         """Advance an unpaced theatre by the host's time limit, so that faults end while the host waits."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
@@ -184,7 +184,7 @@ class LineFaults:
         return any(chance < float(fault.argument) for fault in self._board.active(kind))
 
 
-def _flipped(data: bytes, generator: np.random.Generator) -> bytes:
+def _flip_bit(data: bytes, generator: np.random.Generator) -> bytes:
     """Flip one bit, but never into or out of a CR."""
     damaged = bytearray(data)
     place = int(generator.integers(len(data)))

@@ -195,7 +195,7 @@ class Unit:
         self.frames.missed = sum(int(fault.argument) for fault in self.faults.active("skip_frames"))
         if not self.faults.active("repeat_frames"):
             return False
-        self.frames.pass_one()
+        self.frames.pass_frame()
         return True
 
     def _begin(self, *, restart: bool) -> None:
@@ -252,7 +252,7 @@ class FrameCounter:
         """End tracking: frames pass unread."""
         self._clock.expect_reader(0)
 
-    def pass_one(self) -> None:
+    def pass_frame(self) -> None:
         """Let one frame pass, on a clock that its users advance, after repeating the last one."""
         if not self._clock.paced:
             self._clock.wait_until_ns(self._clock.now_ns() + NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)

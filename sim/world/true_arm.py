@@ -23,7 +23,7 @@ from sim.world.scene.model import ArmTruth, LinkError
 
 Matrix = NDArray[np.float64]
 ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach
-DAMPING = 1e-4  # of the least squares, relative to a Jacobian in hundreds of mm/rad
+DAMPING = 1e-4  # in the least squares, relative to a Jacobian in hundreds of mm/rad
 POSITION_TOLERANCE_MM = 1e-6
 STEPS_LIMIT = 30
 DEVICE = "arm"  # noise key

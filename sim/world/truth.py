@@ -28,8 +28,8 @@ SEAT, PLAY = "changer", "bore"  # noise keys
 TRUTH_FILE = "truth.jsonl"
 SCENE_FILE = "scene.json"
 THEATRE_FOLDER = "theatre"
-LARGEST_TRUTH_BYTES = 1_000_000  # for four thousand samples
-MOST_MISTAKES = 5  # listed in an error
+LARGEST_TRUTH_BYTES = 1_000_000  # four thousand samples
+MOST_MISTAKES = 5  # listed in one error
 
 
 class TipSample(Strict):
@@ -40,7 +40,7 @@ class TipSample(Strict):
     mounted_tool: int
     arm_at_rest: bool
     tip_mm: Numbers3
-    axis: Numbers3  # of the guide's bore, unit vector
+    axis: Numbers3  # direction of the guide's bore, unit vector
     # Displacement of the head from its place in the scene, robot frame: turn about the origin, then shift.
     head_shift_mm: Numbers3 = STILL
     head_turn_rad: Numbers3 = STILL

@@ -129,7 +129,7 @@ def _read_definition(unit: Unit, port: Port) -> None:
         limits = bad.limits
         raise Refusal(behaviour.definition_beyond_limits if limits else behaviour.bad_definition) from None
     port.place = None
-    if not unit.measurer.hangs_on_mount(port):
+    if not unit.measurer.is_mount_frame(port):
         port.place = unit.ports.free_place()
 
 

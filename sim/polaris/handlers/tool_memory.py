@@ -10,7 +10,7 @@ from ronna_hw.wire.polaris import HANDLE_DIGITS
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.ports import WiredTool
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
-from sim.polaris.unit.tool_definition import wiring_definition
+from sim.polaris.unit.tool_definition import built_in_definition
 
 ADDRESS_DIGITS = 4
 BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
@@ -86,7 +86,7 @@ def use_test_definition(unit: Unit, argument: str) -> None:
     port = unit.ports.addressed_wired(argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
-    content = wiring_definition()
+    content = built_in_definition()
     port.memory[: len(content)] = content
     port.written = True
 

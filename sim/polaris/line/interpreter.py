@@ -39,7 +39,7 @@ class CommandInterpreter:
         if self._watch_dog_ns:
             self._check_watch_dog()
             self._heard_ns = self.unit.clock.now_ns()
-        if self._faults.any_acting and not self._has_power():
+        if self._faults.any_active and not self._has_power():
             return b""
         kept = self._replies.get(line)
         if kept is not None and self.unit.frames.number() == self._replies_frame:
@@ -65,11 +65,11 @@ class CommandInterpreter:
         self._watch_dog_ns = 0
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
-    def suspect_break(self) -> None:
+    def note_possible_break(self) -> None:
         """Note a flush of both directions: it was a break if silence follows."""
         self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
 
-    def deny_break(self) -> None:
+    def dismiss_break(self) -> None:
         """Drop the suspicion of a break: the host has sent more."""
         self._break_s = None
 
@@ -87,7 +87,7 @@ class CommandInterpreter:
         """Return what the unit sends of its own accord now: RESET after a restart, otherwise nothing."""
         if self._watch_dog_ns:
             self._check_watch_dog()
-        if self._faults.any_acting:
+        if self._faults.any_active:
             self._has_power()
         if self._break_s is not None and time.monotonic() >= self._break_s:
             self._break_s = None
@@ -111,7 +111,7 @@ class CommandInterpreter:
         if not command.reads_frame:
             self._replies.clear()
         if not unit.faults.empty:
-            self._faults.before(name, request.argument)
+            self._faults.apply_to_command(name, request.argument)
         command.check(request.argument)
         reply = command.carry_out(unit, request.argument)
         if reply is None:
@@ -155,7 +155,7 @@ class CommandInterpreter:
             return False
         if power is Power.RETURNS:
             self.restart()
-        self._faults.act()
-        if self._faults.host_seems_gone:
+        self._faults.apply()
+        if self._faults.watchdog_trips:
             self._trip_watch_dog()
         return True

@@ -95,14 +95,14 @@ class PseudoTerminal:
             self._handle_flush(packet[0])
         self._heard_s = time.monotonic()
         self._spoken_to = True
-        self._interpreter.deny_break()
+        self._interpreter.dismiss_break()
         if not self._behaviour.enforces_line or self._host.agrees(self._interpreter.line):
             return packet[1:]
         if self._behaviour.wrong_line == "garbage" and b"\r" in packet:
             self._write(b"ERROR046802\r".translate(UNREADABLE))
         return b""
 
-    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+    def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
         if self._throttle:
             self._arrived_s = max(self._heard_s, self._arrived_s) + received_bytes * line.seconds_per_byte
             time.sleep(max(0.0, self._arrived_s - time.monotonic()))
@@ -161,7 +161,7 @@ class PseudoTerminal:
             return False
         if not self._spoken_to or now_s - self._opened_s < self._behaviour.break_deaf_s:
             return False
-        self._interpreter.suspect_break()
+        self._interpreter.note_possible_break()
         return True
 
     def _write(self, data: bytes) -> None:

@@ -37,7 +37,7 @@ class Channel(Protocol):
         """Bytes from the ready descriptors, possibly none; None when the host is gone."""
         ...
 
-    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+    def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
         """Wait as long as this many bytes take to arrive on a line with these settings."""
         ...
 
@@ -66,7 +66,7 @@ class Connection:
         except OSError:
             return None
 
-    def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
+    def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
         """A network has no baud rate: no wait."""
 
     def send(self, data: bytes, line: LineSettings) -> None:
@@ -144,7 +144,7 @@ class Server:
             if not received:
                 continue
             for line in lines.feed(received, time.monotonic()):
-                channel.let_arrive(len(line) + 1, interpreter.line)
+                channel.wait_for_arrival(len(line) + 1, interpreter.line)
                 line = faults.to_unit(line)
                 reply = interpreter.reply(line)
                 if not reply.startswith(REFUSED):

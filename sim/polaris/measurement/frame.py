@@ -77,9 +77,9 @@ class Measurer:
         self._sessions = 0  # starts of tracking
         self._noise_key = DEVICE
 
-    def hangs_on_mount(self, port: Port) -> bool:
+    def is_mount_frame(self, port: Port) -> bool:
         """Whether this port's tool is the reference frame M on the mount."""
-        return port.definition is not None and self._scene.hangs_on_mount(port.definition)
+        return port.definition is not None and self._scene.is_mount_frame(port.definition)
 
     def begin_tracking(self) -> None:
         """Start a tracking session; each after the first has its own noise.
@@ -240,7 +240,7 @@ class MarkerVisibility:
         loaded = {port.definition.part_number for port in ports if port.definition is not None}
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
-        on_head = any(port.definition is not None and scene.stands_on_head(port.definition) for port in ports)
+        on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
         fixed = self._fixed(disturbance, as_tool=on_head)
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]

@@ -131,7 +131,7 @@ class ArmBody:
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
         self._joints = [
-            (np.array(joint.origin_mm, dtype=float), _turns(joint.axis))
+            (np.array(joint.origin_mm, dtype=float), _rodrigues_terms(joint.axis))
             for joint in description(scene.arm.variant).joints[: WRIST + 1]
         ]
         self._flange_from_tool = matrix_of(mount.flange_from_tool_true)
@@ -198,7 +198,7 @@ def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
     return bars, [(*left, CAMERA_RADIUS_MM), (*right, CAMERA_RADIUS_MM)]
 
 
-def _turns(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:
+def _rodrigues_terms(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:
     """Matrices that Rodrigues' formula multiplies by sine and by 1 - cosine, for an axis."""
     x, y, z = np.array(axis) / np.linalg.norm(axis)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

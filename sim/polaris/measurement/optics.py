@@ -22,14 +22,14 @@ from sim.world.scene.model import TrackerTruth
 Vectors = NDArray[np.float64]
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias
-DEPTH_RATIO = 2.0  # of the z component to x and y
+DEPTH_RATIO = 2.0  # z component of the field relative to x and y
 GRID_POINTS = 15  # per axis, used to scale the field
 POWER_RANGE = (-6.0, 6.0)
-POWER_STEPS = 20  # of the bisection
+POWER_STEPS = 20  # bisections
 HALF_BASE_MM = 250.0  # the sensors are on y, left and right of the origin
 # Field of view of both sensors: not public; it only has to contain every volume.
 FIELD_DEPTHS_MM = (300.0, 4000.0)
-FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # of |x| and |y|
+FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # largest |x| and |y| per depth
 Flags = NDArray[np.bool_]
 INNER_SHARE = 0.7  # share of the volume's depth and width that holds additional strays
 REFLECTION_PRESENCE = 0.3  # share of frames in which a reflection is bright enough
@@ -163,7 +163,7 @@ class BiasField:
             _Sizes(self.at(grid), self._depths(grid)) for grid in (_grid(volume) for volume, _ in stated)
         ]
         if len(stated) > 1 and stated[0][1] > 0.0:
-            self._power = _fitting_power(sizes[0], sizes[1], stated[1][1] / stated[0][1])
+            self._power = _fit_power(sizes[0], sizes[1], stated[1][1] / stated[0][1])
         self._amplitudes_mm *= stated[0][1] / sizes[0].rms(self._power)
 
     def at(self, points_mm: Vectors) -> Vectors:
@@ -194,7 +194,7 @@ class _Sizes:
         return float(np.sqrt(np.mean(self._squares * self._depths ** (2.0 * power))))
 
 
-def _fitting_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
+def _fit_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
     """Power of the depth that yields this ratio of the two rms lengths, by bisection."""
     low, high = POWER_RANGE
     for _ in range(POWER_STEPS):

@@ -218,7 +218,7 @@ def best_face(
     for face in faces:
         fitted = _fit(definition, face, seen, measured_mm)
         if fitted is not None:
-            candidates[face] = (_turned_away_deg(definition, fitted), fitted)
+            candidates[face] = (_angle_to_sensor_deg(definition, fitted), fitted)
     if not candidates:
         return None
     best_deg, best = min(candidates.values(), key=lambda candidate: candidate[0])
@@ -236,7 +236,7 @@ def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Ve
     return FittedFace(face, markers, rows, fit_rigid_body(definition.markers_mm[markers], measured_mm[rows]))
 
 
-def _turned_away_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
+def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
     """Angle between the normal of a face and the direction to the sensor (the origin).
 
     0 if the normals cancel out, as with markers back to back: such a face is seen from all around.

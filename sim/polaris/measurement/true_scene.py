@@ -104,7 +104,7 @@ class TrueScene:
             self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room), past_mount=past_mount),
         )
 
-    def hangs_on_mount(self, definition: ToolDefinition) -> bool:
+    def is_mount_frame(self, definition: ToolDefinition) -> bool:
         """Whether this is the reference frame M, with an arm to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
@@ -120,7 +120,7 @@ class TrueScene:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
             return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
-        if self.stands_on_head(definition):
+        if self.is_head_frame(definition):
             return self._frame_on_head(disturbance)
         if place is None or place >= len(self._places):
             return None
@@ -129,7 +129,7 @@ class TrueScene:
         names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
         return _disturbed(names, self._places[place], markers, disturbance)
 
-    def stands_on_head(self, definition: ToolDefinition) -> bool:
+    def is_head_frame(self, definition: ToolDefinition) -> bool:
         """Whether this is the x-shaped frame, with its spheres on the head."""
         return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
 

@@ -39,7 +39,7 @@ _f32 = struct.Struct("<f")
 _positions = struct.Struct("<60f")
 _spreads = struct.Struct("<3f")
 Vectors = NDArray[np.float64]
-WAVELENGTH_BITS = 0x07  # of the marker type
+WAVELENGTH_BITS = 0x07  # in the marker type
 
 
 class BadDefinition(Exception):
@@ -158,7 +158,7 @@ def write_definition(tool: TrackerTool) -> bytes:
     return bytes(content)
 
 
-def wiring_definition() -> bytes:
+def built_in_definition() -> bytes:
     """Test definition that TTCFG loads for a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)

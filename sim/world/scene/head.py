@@ -31,18 +31,18 @@ CAP_AXIS_CT = (0.0, -1.0, 1.0)  # forehead to vertex: towards the ceiling
 FRAME_TILT_RAD = (radians(15.0), radians(25.0))
 SIDE_RAD = radians(35.0)  # to either side of straight left
 LEFT_CT = (1.0, 0.0, 0.0)
-HEAD_CLEARANCE_MM = 2.0  # of the bars
-GUIDE_CLEARANCE_MM = 26.0  # from the axis of a trajectory to sphere and bar
-GUIDE_MM, SAMPLE_MM = 90.0, 3.0  # outside the skin, along the trajectory; along bars
+HEAD_CLEARANCE_MM = 2.0  # between skin and bars
+GUIDE_CLEARANCE_MM = 26.0  # between the axis of a trajectory and spheres or bars
+GUIDE_MM, SAMPLE_MM = 90.0, 3.0  # length of the guide outside the skin; spacing of points along bars
 FRAME_ATTEMPTS = 2000
 HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # keeps the wrist away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
-RECLINE_RAD = radians(60.0)  # of the vertex above the horizontal
+RECLINE_RAD = radians(60.0)  # elevation of the vertex above the horizontal
 CAP_HALF_ANGLE_RAD = radians(50.0)
 SPHERE_STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
-SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # of triangles: below 6 mm three points are ambiguous
+SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # in triangles: below 6 mm three points are ambiguous
 JIG_MM = 0.2  # per axis: deviation of a sphere from its template position
 ENTRY_HALF_ANGLE_RAD = radians(22.0)
 TILT_RAD = radians(10.0)  # between a trajectory and the skin's normal
@@ -71,7 +71,9 @@ def draw_head(
     if frame is not None:
         fiducials = frame.fiducials
     else:
-        fiducials = _implanted(generator, template) if template else _draw_fiducials(generator, markers)
+        fiducials = (
+            _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers)
+        )
     pose = _draw_pose(generator)
     return Head(
         robot_from_ct=pose_of(pose),
@@ -108,7 +110,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
     )
 
 
-def _implanted(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
+def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
     """Spheres of a template, as placed with its jig."""
     found = []
     for number, marker in enumerate(template.markers, start=1):

@@ -24,7 +24,7 @@ from ronna_hw.trajectory_bounds import (
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES, ROM_MARKERS, ROM_MINIMUM_MARKERS
 
-UNIT_TOLERANCE = 1e-3  # on the length of a unit vector
+UNIT_TOLERANCE = 1e-3  # for the length of a unit vector
 
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
