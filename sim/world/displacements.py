@@ -67,27 +67,24 @@ class ShiftedRoom:
         """Current displacements; `NOTHING_MOVED` itself without faults."""
         if self._board.empty:
             return NOTHING_MOVED
-        faults = self._board.active(SHIFT.name)
-        cart = _total([_sum(faults, CART), *rolled_mm(self._board, self._world.clock.now_s())])
-        x_N, y_N, z_N = _total(
-            [[float(each) for each in one.arguments] for one in self._board.active(PUSH.name)]
-        )
-        turns = self._board.active(TURN.name)
-        back = rotation_from_vector(
-            np.radians(_sum(turns, CART))
-        ).T  # relative to a turned cart, all else turns back
+        shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
+        pushes, loose = self._board.active(PUSH.name), self._board.active(LOOSEN.name)
+        cart_mm = _total([_sum(shifts, CART), *rolled_mm(self._board, self._world.clock.now_s())])
+        push_N = _total([[float(each) for each in push.arguments] for push in pushes])
+        # Relative to a turned cart, all else turns back.
+        back = rotation_from_vector(np.radians(_sum(turns, CART))).T
         head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
-        give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
-        loose = self._board.active(LOOSEN.name)
         return RoomShift(
-            _vector(back @ (_apart(_sum(faults, HEAD), cart) + swing_mm)),
-            _vector(back @ _apart(_sum(faults, TRACKER), cart)),
-            _vector(vector_from_rotation(back @ head_turn)),
-            _vector(vector_from_rotation(back)),
-            give,
-            _vector(np.radians(_sum(turns, GUIDE))),
-            tuple((int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})),
+            head_mm=_vector(back @ (np.subtract(_sum(shifts, HEAD), cart_mm) + swing_mm)),
+            tracker_mm=_vector(back @ np.subtract(_sum(shifts, TRACKER), cart_mm)),
+            head_rad=_vector(vector_from_rotation(back @ head_turn)),
+            tracker_rad=_vector(vector_from_rotation(back)),
+            guide_mm=_vector(np.divide(push_N, self._stiffness_N_mm)),
+            guide_rad=_vector(np.radians(_sum(turns, GUIDE))),
+            spheres_mm=tuple(
+                (int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})
+            ),
         )
 
 
@@ -143,10 +140,6 @@ def _sum(faults: tuple[Fault, ...], what: str) -> Vector:
 def _total(ways: Sequence[Sequence[float]]) -> Vector:
     x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
     return (x, y, z)
-
-
-def _apart(one: Vector, other: Vector) -> Array:
-    return np.asarray(np.subtract(one, other))
 
 
 def _vector(values: Array) -> Vector:

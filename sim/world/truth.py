@@ -17,7 +17,7 @@ from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
-from sim.world.faults import Fault, FaultBoard
+from sim.world.faults import Fault, FaultBoard, FaultKind
 from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, matrix_from, matrix_of, rotation_from_vector
@@ -132,12 +132,12 @@ class TrueGuide:
         mount = self._scene.mount
         marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
         pose = yielding_flange(flange, marker, self._room.now()).copy()
-        pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
+        pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._active(WRONG_LOAD))
         return pose @ calibrated_tip(self._world) @ self._seated()
 
     def mandrel(self) -> Matrix:
         """Pose at the end of the mandrel in use."""
-        longer_mm = sum(float(one.argument) for one in self._acting(WRONG_MANDREL))
+        longer_mm = sum(float(one.argument) for one in self._active(WRONG_MANDREL))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
@@ -154,7 +154,7 @@ class TrueGuide:
         again = max(0, self._world.mountings() - 1)
         off = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
         tilt_rad = 0.0
-        for fault in self._acting(BAD_SEAT):
+        for fault in self._active(BAD_SEAT):
             off[2] -= float(fault.argument)
             tilt_rad += radians(float(fault.arguments[1]))
         return matrix_from(off, rotation_from_vector((tilt_rad, 0.0, 0.0)))
@@ -163,7 +163,7 @@ class TrueGuide:
         """Bend about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
-        for fault in self._acting(BENT_TIP):
+        for fault in self._active(BENT_TIP):
             away += [float(number) for number in fault.arguments]
         height_mm = guide.bore_mm + guide.reach_mm
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
@@ -172,8 +172,8 @@ class TrueGuide:
         bent: Matrix = pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
         return bent
 
-    def _acting(self, kind: object) -> tuple[Fault, ...]:
-        return () if self._board.empty else self._board.active(getattr(kind, "name", ""))
+    def _active(self, kind: FaultKind) -> tuple[Fault, ...]:
+        return () if self._board.empty else self._board.active(kind.name)
 
 
 def calibrated_tip(world: World) -> Matrix:
