@@ -54,7 +54,7 @@ class Frame:
     """Everything that one reply can report. `tools` pairs each enabled port with its result."""
 
     number: int
-    tools: tuple[tuple[Port, Tracked | None], ...]  # None without a definition
+    tools: tuple[tuple[Port, Tracked | None], ...]  # None: no result
     strays: tuple[Stray, ...]
     system_status: SystemStatus
 
@@ -109,17 +109,17 @@ class Measurer:
         if status & WITHHELD:
             return Frame(number, tuple((port, None) for port in ports), (), status)
         disturbance = self._disturbances.now()
-        arranged = self._visibility.now(ports, disturbance)
+        in_view = self._visibility.now(ports, disturbance)
         generator = noise(self._seed, self._noise_key, since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
         unclaimed: list[tuple[float, float, float]] = []  # markers of tools without a pose
         for port in ports:
-            tracked = self._tool(port, arranged.tools[port.handle], generator, volume)
+            tracked = self._tool(port, in_view.tools[port.handle], generator, volume)
             tools.append((port, tracked))
             if tracked is not None and tracked.pose is None:
                 unclaimed += tracked.measured_mm
         # Illuminators fire for enabled handles only.
-        strays = self._strays(since_start, arranged, disturbance, unclaimed, volume) if ports else ()
+        strays = self._strays(since_start, in_view, disturbance, unclaimed, volume) if ports else ()
         return Frame(number, tuple(tools), strays, status)
 
     def _tool(
@@ -148,15 +148,15 @@ class Measurer:
     def _strays(
         self,
         since_start: int,
-        arranged: VisibleMarkers,
+        in_view: VisibleMarkers,
         disturbance: Disturbance,
         unclaimed: list[tuple[float, float, float]],
         volume: Volume,
     ) -> tuple[Stray, ...]:
-        points = self._points(arranged.fixed, since_start, STRAY_LANE) + unclaimed
-        if arranged.frame is not None:  # its spheres are in view even if the tool is not loaded
-            points += self._points(arranged.frame, since_start, FRAME_LANE)
-        points += self._points(arranged.phantoms, since_start, PHANTOM_LANE)
+        points = self._points(in_view.fixed, since_start, STRAY_LANE) + unclaimed
+        if in_view.frame is not None:  # its spheres are in view even if the tool is not loaded
+            points += self._points(in_view.frame, since_start, FRAME_LANE)
+        points += self._points(in_view.phantoms, since_start, PHANTOM_LANE)
         glints = self._usual_reflections + disturbance.reflections
         glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
         if glints:

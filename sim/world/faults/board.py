@@ -25,9 +25,8 @@ class FaultBoard:
         self._cycles_began_s: dict[int, float] = {}  # theatre time at which a cycle was first seen
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
-        self._happened: set[tuple[Fault, float]] = (
-            set()
-        )  # momentary faults already reported, with their onset
+        # Momentary faults already reported, with their onset.
+        self._happened: set[tuple[Fault, float]] = set()
 
     @property
     def empty(self) -> bool:
