@@ -20,6 +20,7 @@ from sim.polaris.unit.tool_definition import built_in_definition
 from sim.world.noise import noise
 
 LINE_NOISE = "tracker line"
+
 WHOLE_PERCENT = 100.0
 USUAL_LIMIT_S = 2.0  # time limit of a host for other commands
 BITS = 8

@@ -49,6 +49,7 @@ from sim.world.staff import Staff, TaskRefused
 from sim.world.world import World
 
 LONGEST_REASON = 500  # characters: it may quote the request
+
 TOKEN_BYTES = 16  # from the system's random source: unguessable
 MOST_CONNECTIONS = 8
 FIRST_LINE_LIMIT_S = 2.0  # host time, from the connection to the complete first line

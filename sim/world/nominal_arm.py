@@ -20,7 +20,9 @@ from sim.world.rigid import rotation_from_vector
 Variant = Literal["kr6_r900_sixx", "kr6_r900_2"]
 AXES = 6
 FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y: z points out of the flange
+
 Matrix = NDArray[np.float64]
+
 GIMBAL_LIMIT = 1e-9  # cosine of B below which only A - C or A + C is defined
 OVERHEAD, ABOVE_STRETCH, WRIST_NOT_POSITIVE = 1, 2, 4  # bits of the status
 STRAIGHT_WRIST = 1e-6  # sine of A5 below which only A4 + A6 is defined

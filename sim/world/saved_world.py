@@ -34,6 +34,7 @@ from sim.world.scene.model import Numbers6, Scene
 from sim.world.world import ArmState, World
 
 WORLD_FILE = "world.json"
+
 END_LIMIT_S = 4.0  # host time; a theatre whose parent died ends within two seconds
 RETRY_S = 0.02
 Count = Annotated[int, Field(ge=0)]

@@ -42,10 +42,12 @@ from sim.world.truth import TrueGuide, append_sample, calibrated_tip, sample_ins
 from sim.world.world import World
 
 Readings = tuple[float, ...]
+
 STOP, DIAL = "depth stop", "gauge"  # noise keys
 SCALE_MM = 0.05  # graduation of the depth stop: a vernier
 DIAL_MM = 0.001  # resolution of the digital gauge
 POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
+
 NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
     DEPTH_STOP: (1, "a length in mm"),
     GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),

@@ -22,10 +22,12 @@ from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import ArmTruth, LinkError
 
 Matrix = NDArray[np.float64]
+
 ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach
 DAMPING = 1e-4  # in the least squares, relative to a Jacobian in hundreds of mm/rad
 POSITION_TOLERANCE_MM = 1e-6
 STEPS_LIMIT = 30
+
 DEVICE = "arm"  # noise key
 DRIFT = "arm warmth"  # noise key of the direction of thermal displacement
 # The backlash of a joint is the full play on a reversal: it rests half of it to either side.

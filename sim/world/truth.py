@@ -24,7 +24,9 @@ from sim.world.rigid import Matrix, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
 
 Vector = NDArray[np.float64]
+
 SEAT, PLAY = "changer", "bore"  # noise keys
+
 TRUTH_FILE = "truth.jsonl"
 SCENE_FILE = "scene.json"
 THEATRE_FOLDER = "theatre"

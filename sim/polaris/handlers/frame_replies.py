@@ -17,12 +17,15 @@ from sim.polaris.unit.ports import Port
 
 MARKER_DIGITS = 20  # option 0002 always sends this many
 Point = tuple[float, float, float]
+
 HEX_DIGIT_BITS = 4
 LARGEST_POSITION = 999_999
 LARGEST_ERROR = 99_999
 FRAME_NUMBER_MASK = 0xFFFFFFFF
+
 NO_POSITION = bytes(12)
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+
 _HANDLE = struct.Struct("<BB")
 _POSE = struct.Struct("<8f")
 _STATUS = struct.Struct("<II")  # port status, frame number

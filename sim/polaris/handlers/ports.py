@@ -31,8 +31,10 @@ NO_OUTPUTS = "00"  # only on Aurora
 PORT_STATUS_BYTE = 0xFF
 # Tool-in-port diode, switches 1 to 3, tracking LED, visible LEDs 1 to 3.
 ACCESSORY_BITS = (0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80)
+
 DEFAULT_INFORMATION = "0001"
 PRIORITIES = (TrackingPriority.STATIC, TrackingPriority.DYNAMIC, TrackingPriority.BUTTON_BOX)
+
 # Hardware device, system type (Polaris), tool type, port, and whether to load a dummy.
 _PORT_DESCRIPTION = re.compile(r"[!-~]{8}[*0]([*01])(\*\*|[0-9]{2})(\*\*|00|01|02)")
 WIRED = "0"

@@ -12,7 +12,7 @@ from ronna_hw.wire.polaris import LF, Alert
 from sim.polaris.tracker_unit import Mode, Unit
 from sim.polaris.unit.framing import LineSettings
 from sim.polaris.unit.refusal import ErrorCode, Refusal, digit_within, hexadecimal
-from sim.polaris.unit.user_parameters import HARDWARE, LONGEST_WATCH_DOG_S, WATCH_DOG
+from sim.polaris.unit.user_parameters import HARDWARE_ALERTS, LONGEST_WATCH_DOG_S, WATCH_DOG
 
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
 BEEPED, BUSY_BEEPING = "1", "0"
@@ -21,12 +21,14 @@ ABSENT = (
     "GETIO", "SETIO", "SENSEL", "GP", "PSTART", "PSTOP", "GETLOG", "SYSLOG", "VSNAP", "VGET", "VCAP",
 )  # fmt: skip
 FAULT_REPLIES = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
+
 FEATURE_ACTIVE_PORTS = 0x0001
 FEATURE_PASSIVE_PORTS = 0x0002
 FEATURE_SEVERAL_VOLUMES = 0x0004
 FEATURE_TOOL_IN_PORT = 0x0008
 FEATURE_ACTIVE_WIRELESS = 0x0010
 AURORA_LISTS = (0x10, 0x12)
+
 CONTROL, SENSORS, TOOL_INTERFACE = 0x0001, 0x0002, 0x0004  # options of SSTAT, in the order of the reply
 CONTROL_SYSTEM_CHECKSUM = 0x02
 LEFT_ROM, RIGHT_ROM = 0x01, 0x10
@@ -35,7 +37,9 @@ INTERFACE_VOLTAGES = 0x02
 
 def initialise(unit: Unit, _argument: str) -> str:
     """INIT"""
-    reply = unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE else wire.REPLY_OKAY
+    reply = (
+        unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE_ALERTS else wire.REPLY_OKAY
+    )
     if reply in FAULT_REPLIES:
         raise Refusal(FAULT_REPLIES[reply])
     unit.initialise()

@@ -10,11 +10,12 @@ from sim.polaris.unit.framing import ascii_reply, binary_reply
 from sim.polaris.unit.ports import Port
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
 from sim.polaris.unit.tool_definition import wavelength_of
-from sim.polaris.unit.user_parameters import HARDWARE
+from sim.polaris.unit.user_parameters import HARDWARE_ALERTS
 
 RESTART_COUNTER = int(wire.TSTART_RESET_FRAME_COUNTER, 16)
 START_OPTIONS = RESTART_COUNTER | int(wire.TSTART_FASTER, 16)
 OPTIONS = int(sum(ReplyOption))
+
 FIRING_DIGITS = 8
 EVERYTHING_SEEN = "5"  # the only form of 3D with a public reply
 POSITION_SCALE = 10_000  # 3D: four implied decimals
@@ -30,7 +31,7 @@ def start(unit: Unit, argument: str) -> None:
     if options & ~START_OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     enabled = unit.ports.enabled()
-    faulty = unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault
+    faulty = unit.alerts.current & HARDWARE_ALERTS and not unit.behaviour.starts_with_hardware_fault
     idle = not enabled and not unit.behaviour.starts_without_tools
     if faulty or idle or _dummy_beside_tool(enabled):
         raise Refusal(ErrorCode.CANNOT_START_TRACKING)
@@ -44,7 +45,7 @@ def start(unit: Unit, argument: str) -> None:
 
 def start_diagnostic(unit: Unit, _argument: str) -> None:
     """DSTART"""
-    if unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault:
+    if unit.alerts.current & HARDWARE_ALERTS and not unit.behaviour.starts_with_hardware_fault:
         raise Refusal(ErrorCode.CANNOT_START_DIAGNOSTIC)
     unit.start_diagnostic()
 

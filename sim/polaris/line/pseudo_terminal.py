@@ -33,6 +33,7 @@ CONTROL_FLAGS, INPUT_BAUD, OUTPUT_BAUD = 2, 6, 7
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
 _event = struct.Struct("<iIII")  # watch, event mask, cookie, length of the name that follows
 EVENTS_BYTES = 4096
+
 FULL_PATIENCE_S = 0.5  # a serial line does not wait: bytes unread by then are lost
 THROTTLE_STEP_S = 0.01  # a throttled reply is sent in steps of this length
 SLOW_ANSWER_S = 0.02  # above this the host may have sent a break meanwhile

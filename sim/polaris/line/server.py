@@ -21,6 +21,7 @@ from sim.polaris.unit.framing import LineBuffer, LineSettings
 RECEIVE_BYTES = 4096
 Ready = Sequence[tuple[int, int]]  # (file descriptor, events) as `poll` returns them
 SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, whatever the unit's own limit
+
 REFUSED = REPLY_ERROR.encode("ascii")
 WAITING_HOSTS = 4  # hosts that may queue for the connection
 WAITING_LOOK_S = 0.2  # host time between looks for a waiting host

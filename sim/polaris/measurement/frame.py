@@ -34,6 +34,7 @@ from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
 Vectors = NDArray[np.float64]
+
 DEVICE = "tracker"
 # Independent noise within one frame.
 TOOL_LANE, STRAY_LANE, FRAME_LANE, ORDER_LANE, PHANTOM_LANE, REFLECTION_LANE = range(6)

@@ -31,6 +31,7 @@ Vectors = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Vector = NDArray[np.float64]
 Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius
+
 UPPER_ARM_RADIUS_MM = 90.0
 FOREARM_RADIUS_MM = 55.0
 WRIST_RADIUS_MM = 45.0

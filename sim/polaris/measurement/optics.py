@@ -20,17 +20,20 @@ from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
 
 Vectors = NDArray[np.float64]
+
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias
 DEPTH_RATIO = 2.0  # z component of the field relative to x and y
 GRID_POINTS = 15  # per axis, used to scale the field
 POWER_RANGE = (-6.0, 6.0)
 POWER_STEPS = 20  # bisections
+
 HALF_BASE_MM = 250.0  # the sensors are on y, left and right of the origin
 # Field of view of both sensors: not public; it only has to contain every volume.
 FIELD_DEPTHS_MM = (300.0, 4000.0)
 FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # largest |x| and |y| per depth
 Flags = NDArray[np.bool_]
+
 INNER_SHARE = 0.7  # share of the volume's depth and width that holds additional strays
 REFLECTION_PRESENCE = 0.3  # share of frames in which a reflection is bright enough
 REFLECTION_SPREAD_MM = 3.0  # a reflection wanders over its surface

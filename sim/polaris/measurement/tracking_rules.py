@@ -20,9 +20,11 @@ from sim.polaris.unit.tool_definition import ToolDefinition
 from sim.world.rigid import quaternion_from_rotation
 
 Vectors = NDArray[np.float64]
+
 LEAST_TO_FIT = 3
 HYSTERESIS_DEG = 2.0  # by which another face must be turned more directly to the sensor
 ONLY_FACE = 1
+
 DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; undocumented for older
 USED_OUT_OF_VOLUME = 5
 FACE_BITS = 4  # position of the face number in the tool information

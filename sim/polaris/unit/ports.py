@@ -15,6 +15,7 @@ from sim.polaris.unit.tool_definition import ToolDefinition
 
 DEVICE_IDENTIFIER_BYTES = 8
 LARGEST_FILE_BYTES = 65_536  # more than any memory holds
+
 FIRST_HANDLE = 0x01
 ALL_FACES = 0xFF
 

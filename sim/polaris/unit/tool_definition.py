@@ -33,12 +33,15 @@ CONSTANT_NINE = 9
 # Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients reject zero.
 SERIAL_SEQUENCE = 1
 SERIAL_YEAR = 2024
+
 _u16 = struct.Struct("<H")
 _u32 = struct.Struct("<I")
 _f32 = struct.Struct("<f")
 _positions = struct.Struct("<60f")
 _spreads = struct.Struct("<3f")
+
 Vectors = NDArray[np.float64]
+
 WAVELENGTH_BITS = 0x07  # in the marker type
 
 

@@ -14,13 +14,15 @@ LONGEST_WATCH_DOG_S = 3600
 LARGEST_SENSITIVITY = 7
 USER_STRINGS = 5
 ALL_ALERTS = int(sum(Alert))
+
 SYSTEM_MODE = "Info.Status.System Mode"
 BUMP_DETECTED = "Info.Status.Bump Detected"
 BUMP_DETECTION = "Param.Bump Detector.Bump Detection"
 SIMULATED_ALERTS = "Param.Simulated Alerts"
 WATCH_DOG = "Param.Watch Dog Timer"
 RETURN_WARNING = "Param.Default Wavelength.Return Warning"
-HARDWARE = (
+
+HARDWARE_ALERTS = (
     Alert.FATAL_PARAMETER
     | Alert.SENSOR_PARAMETER
     | Alert.MAIN_VOLTAGE
@@ -31,7 +33,8 @@ HARDWARE = (
     | Alert.RIGHT_SENSOR_TEMPERATURE
     | Alert.MAIN_BOARD_TEMPERATURE
 )
-TEMPERATURE = Alert.TOO_HOT | Alert.TOO_COLD
+TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
+
 LONGEST_TEXT = 255
 DEVICE_PREFIX = "PS-0."  # names may include their device
 WILDCARD = "*"
@@ -328,8 +331,8 @@ class Alerts:
         status = SystemStatus(0)
         if self._new:
             status |= SystemStatus.DIAGNOSTICS_PENDING
-        if current & HARDWARE:
+        if current & HARDWARE_ALERTS:
             status |= SystemStatus.HARDWARE_FAILURE
-        if current & TEMPERATURE:
+        if current & TEMPERATURE_ALERTS:
             status |= SystemStatus.TEMPERATURE
         self.system_status = status

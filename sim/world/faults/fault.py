@@ -11,7 +11,9 @@ from sim.world.scene.model import Scene
 
 Arguments = tuple[str, ...]
 Check = Callable[[Arguments, Scene], Iterable[str]]
+
 WHOLE_PERCENT = 100.0
+
 # Arguments as terminals of the grammar, and as shown in usage and examples.
 USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
 EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))

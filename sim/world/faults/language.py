@@ -41,11 +41,13 @@ MOST_TRIED = 4  # similar lines, each of which is parsed
 LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
+
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
 NOW, SINCE = "now", "since"
 CYCLES_OF = "robot"  # device whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")
+
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
 MOST_LISTED = 6  # words allowed at a position; of more, the closest ones
@@ -59,6 +61,7 @@ READABLE = {
     "NAME": "a name",
     "STEP": "the name of a step",
 }
+
 STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
 GRAMMAR = r"""
 start: statement?

@@ -28,8 +28,10 @@ HARMONIC_2_RAD = radians(0.008)
 BACKLASH_RAD = radians(0.02)
 SAG_RAD = radians(0.03)
 REPEATABILITY_MM = 0.015
+
 # Flange down, stereo head reaching forward: above the head, clear of every singularity.
 HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
+
 TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
 TOOL_ERROR_MM = 2.0  # per axis: deviation of the mount from its drawing
 MARKER_IN_TOOL_MM = (-150.0, 0.0, -140.0)
@@ -42,6 +44,7 @@ CAMERAS_IN_TOOL_MM = tuple(
     (0.0, side * WORKING_DISTANCE_MM * sin(HALF_ANGLE_RAD), -WORKING_DISTANCE_MM * cos(HALF_ANGLE_RAD))
     for side in (-1.0, 1.0)
 )
+
 BUILD_TRANSLATION_MM = 0.3
 BUILD_ROTATION_RAD = radians(0.1)
 BUILD_FOCAL = 0.003

@@ -23,9 +23,11 @@ from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
 Vector = NDArray[np.float64]
+
 SEMI_AXES_MM = (75.0, 95.0, 90.0)  # left-right, front-back, foot-head
 CENTRE_CT_MM = (3.2, -41.7, 812.4)  # off the origin, so that a swapped axis shows
 CAP_AXIS_CT = (0.0, -1.0, 1.0)  # forehead to vertex: towards the ceiling
+
 # The frame is tilted from the middle of the cap towards the patient's left, the tracker's side: the tracker
 # sees a tool up to 60 degrees off its normal.
 FRAME_TILT_RAD = (radians(15.0), radians(25.0))
@@ -35,19 +37,23 @@ HEAD_CLEARANCE_MM = 2.0  # between skin and bars
 GUIDE_CLEARANCE_MM = 26.0  # between the axis of a trajectory and spheres or bars
 GUIDE_MM, SAMPLE_MM = 90.0, 3.0  # length of the guide outside the skin; spacing of points along bars
 FRAME_ATTEMPTS = 2000
+
 HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # keeps the wrist away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
 RECLINE_RAD = radians(60.0)  # elevation of the vertex above the horizontal
 CAP_HALF_ANGLE_RAD = radians(50.0)
+
 SPHERE_STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
 SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # in triangles: below 6 mm three points are ambiguous
 JIG_MM = 0.2  # per axis: deviation of a sphere from its template position
+
 ENTRY_HALF_ANGLE_RAD = radians(22.0)
 TILT_RAD = radians(10.0)  # between a trajectory and the skin's normal
 DEPTH_RANGE_MM = (35.0, 75.0)
 ENTRY_CLEARANCE_MM = 28.0  # from every sphere, so that guide and cameras fit
+
 ATTEMPTS = 20_000
 
 
