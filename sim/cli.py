@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ronna_hw.command_line.early_interruption
-import ronna_hw.host.parent_process  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
+import ronna_hw.host.parent_process  # noqa: F401 - first, to notice a parent that dies during the imports
 
 # isort: split
 import typer
@@ -21,7 +21,7 @@ app = typer.Typer(
 
 
 def register(app: typer.Typer) -> None:
-    """Add every command; their modules import nothing heavy until they run."""
+    """Add all commands; their modules import nothing heavy until they run."""
     from sim.basler.command import basler
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
@@ -31,7 +31,9 @@ def register(app: typer.Typer) -> None:
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, fault, verify):
         app.command()(command)
-    app.command(context_settings={"ignore_unknown_options": True})(work)  # for negative joint angles
+    app.command(context_settings={"ignore_unknown_options": True})(
+        work
+    )  # negative joint angles look like options
 
 
 register(app)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
 
-SEE_PHANTOM = "See ronna-sim phantom --help."  # for an option of it rather than a line of a file
+SEE_PHANTOM = "See ronna-sim phantom --help."  # advice for its options
 
 
 class BadScene(ConfigurationError):
@@ -63,7 +63,7 @@ class FolderNotEmpty(ConfigurationError):
     action = "Give a new or empty folder, or delete this one."
 
 
-class BadLeftWorld(DataError):
+class BadSavedWorld(DataError):
     """The world left by the last theatre cannot be read."""
 
     code = "SIM-012"

@@ -1,7 +1,7 @@
-"""Parameters of a simulated device set by NAME=VALUE: fields of a frozen dataclass.
+"""Parameters of a simulated device, set by NAME=VALUE: the fields of a frozen dataclass.
 
-Each field is annotated with its meaning and optionally its largest value. A number that is 0 by default may
-be 0; every other one is positive.
+Each field is annotated with its meaning and optionally its largest value. A number may be 0 only if that is
+its default; otherwise it is positive.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0"
 
 @dataclass(frozen=True)
 class Most:
-    """The largest value that a parameter may have."""
+    """Largest value of a parameter."""
 
     value: float
 
@@ -32,7 +32,7 @@ class Most:
 def changed(
     defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
 ) -> Parameters:
-    """The parameters with `NAME=VALUE` applied; raises `refusal` for an unknown name or an invalid value."""
+    """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or an invalid value."""
     values: dict[str, Any] = {}
     kinds = _kinds(type(defaults))
     for assignment in assignments:
@@ -49,7 +49,7 @@ def changed(
 
 
 def rows(parameters: type) -> list[tuple[str, str, str]]:
-    """(name, default, meaning) of each parameter, with the values of an enumeration."""
+    """List (name, default, meaning) of each parameter, with the choices of an enumeration."""
     found = []
     for name, (kind, meaning, *_) in _kinds(parameters).items():
         default: Any = getattr(parameters, name)
@@ -66,7 +66,7 @@ def _kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
 
 
 def _value(kind: Any, text: str, default: Any, most: list[Most]) -> tuple[Any, str]:
-    """The value, None for an invalid text, and what was expected."""
+    """Parse a value; return it, or None if invalid, and what was expected."""
     if get_origin(kind) is Literal:
         return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
     if kind is bool:

@@ -28,14 +28,14 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.polaris import SystemStatus
 from sim.polaris.measurement.frame import Measurer
-from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID
-from sim.polaris.tools.definition import parse_definition, write_definition
-from sim.polaris.tools.ports import Port
+from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID
+from sim.polaris.unit.ports import Port
+from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.theatre.theatre_file import theatre_content
-from sim.world.arm.true_arm import TrueArm
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import ArmResidual, Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]

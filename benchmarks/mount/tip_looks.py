@@ -20,11 +20,11 @@ from procedures.strategies.orientation import tool_orientation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from sim.world.arm.true_arm import TrueArm
-from sim.world.on_stand import OnStand
+from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_of
-from sim.world.stand import read_dials
-from sim.world.true_guide import TrueGuide
+from sim.world.staff import read_dials
+from sim.world.true_arm import TrueArm
+from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]

@@ -25,10 +25,10 @@ from ronna_hw.config import parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 from sim.theatre.theatre_file import theatre_content
-from sim.world.arm.true_arm import TrueArm
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.true_arm import TrueArm
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",

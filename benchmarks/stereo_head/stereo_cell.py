@@ -36,7 +36,7 @@ from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, 
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
-from sim.world.arm.true_arm import TrueArm
+from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import (
     apply,
     inverse,
@@ -47,7 +47,7 @@ from sim.world.rigid import (
     rotation_towards,
 )
 from sim.world.scene.model import LinkError, Scene
-from sim.world.scene.seating import spheres_in_theatre
+from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]

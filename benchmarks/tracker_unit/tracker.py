@@ -10,7 +10,7 @@ from pathlib import Path
 from benchmarks.figures import Figure, compared
 from benchmarks.peers import tracker_clients
 from benchmarks.tracker_unit.tracker_stand import Rates, Stand, rates_of
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame

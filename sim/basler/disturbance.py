@@ -8,11 +8,10 @@ from math import pi, radians
 
 from sim.basler.optics.film import drawn_stains
 from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
+from sim.world.displacements import NOTHING_MOVED, ShiftedRoom, spheres_in_theatre
 from sim.world.faults import Fault, FaultBoard
 from sim.world.noise import noise
-from sim.world.room_shift import NOTHING_MOVED, ShiftedRoom
 from sim.world.scene.model import CameraTruth
-from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import World
 
 PERCENT = 0.01

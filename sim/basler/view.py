@@ -6,11 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.sphere import Sphere
-from sim.world.on_stand import OnStand
+from sim.world.displacements import NOTHING_MOVED, RoomShift, spheres_in_theatre
+from sim.world.options import OnStand
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
-from sim.world.room_shift import NOTHING_MOVED, RoomShift
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
-from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import World
 
 FURTHEST_MM = 1000.0  # beyond this, a sphere is a faint spot far out of focus

@@ -15,7 +15,7 @@ from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import without_controls
-from sim.world.scene.carrier import Carrier
+from sim.world.options import Carrier
 
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"

@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 SERIAL_PTY = "serial-pty"
-FAULTS_OF = ("tracker", "room")  # the ones this simulator can have on its own
+FAULT_DEVICES = ("tracker", "room")  # whose faults a tracker started alone can have
 
 
 class ModelName(StrEnum):
-    """Models that can be simulated."""
+    """Simulated models."""
 
     SPECTRA = "spectra"
     VICRA = "vicra"
@@ -41,30 +41,31 @@ def polaris(
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
+    from ronna_hw.endpoints import parse_endpoint
     from sim.named_parameters import rows
     from sim.polaris.line.interpreter import CommandInterpreter
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
-    from sim.polaris.line.server import EndSignal, Server, listen, network_address
-    from sim.polaris.tools.wired_tools import plugged_in
+    from sim.polaris.line.server import EndSignal, Server, listen
+    from sim.polaris.tracker_unit import Unit
     from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
-    from sim.polaris.unit.unit import Unit
+    from sim.polaris.unit.ports import plugged_in
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
         for name, value, meaning in rows(UnitBehaviour):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    address = None if endpoint == SERIAL_PTY else network_address(endpoint)
+    address = None if endpoint == SERIAL_PTY else parse_endpoint(endpoint, listening=True).require("tcp")
     behaviour = changed_behaviour(setting or [])
     kind = UNIT_MODELS[model.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and model is ModelName.VICRA:
-        scene = "bench-near"  # the other bench is outside its volume
-    room = open_world(world, scene, faults, FAULTS_OF)
+        scene = "bench-near"  # the usual bench is outside the Vicra's volume
+    room = open_world(world, scene, faults, FAULT_DEVICES)
     unit = Unit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)
-    control = own_control_port(world, room, FAULTS_OF, unit.loaded_tools)
+    control = own_control_port(world, room, FAULT_DEVICES, unit.loaded_tools)
     end = EndSignal()
     server = Server(interpreter, end)
     end_with_parent(end.give)

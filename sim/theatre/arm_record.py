@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
-from sim.world.arm.robot_description import FLANGE_PITCH_DEG
+from sim.world.nominal_arm import FLANGE_PITCH_DEG
 from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import ArmResidual, ArmTruth, Mount
 

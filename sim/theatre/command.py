@@ -11,8 +11,7 @@ import typer
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.new_files import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
-from sim.world.on_stand import OnStand
-from sim.world.scene.carrier import Carrier
+from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
     import threading
@@ -96,8 +95,8 @@ def theatre(
     from sim.theatre.device_parameters import parameters_by_device
     from sim.theatre.launch import Theatre
     from sim.world.faults import read_faults
-    from sim.world.left_world import folder_held, read_left_world
     from sim.world.process import end_with_parent, fail, load_scene
+    from sim.world.saved_world import lock_folder, read_saved_world
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
@@ -120,7 +119,7 @@ def theatre(
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()
     end_with_parent(ended.set)
-    with folder_held(out):
+    with lock_folder(out):
         running = Theatre(
             truth,
             out,
@@ -128,7 +127,7 @@ def theatre(
             cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
             faults=script,
             parameters=parameters,
-            left=read_left_world(out) if goes_on else None,
+            left=read_saved_world(out) if goes_on else None,
             records=records,
         )
         reasons = _serve(running, ended)

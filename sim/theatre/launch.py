@@ -15,12 +15,11 @@ from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildPr
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.kuka.controller.message_display import LINE_BEGINS
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
 from sim.theatre.tool_records import refer_to_tip
-from sim.world.control import Room
-from sim.world.control_port import ControlPort
-from sim.world.left_world import LeftWorld, write_left_world
+from sim.world.control_port import ControlPort, Room
+from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
 from sim.world.truth import SCENE_FILE
 from sim.world.world import World
@@ -52,7 +51,7 @@ class Theatre:
         cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
-        left: LeftWorld | None = None,
+        left: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
@@ -63,7 +62,7 @@ class Theatre:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
-        self.world = World.create(scene, paced=paced) if left is None else left.go_on(scene, paced=paced)
+        self.world = World.create(scene, paced=paced) if left is None else left.restore(scene, paced=paced)
         if faults:
             _, standing = self.world.fault_script()
             self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)
@@ -124,7 +123,7 @@ class Theatre:
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
             time.sleep(REST_LOOK_S)
         with contextlib.suppress(OSError):  # a full disk must not keep the devices from ending
-            write_left_world(self.world, self.folder)
+            save_world(self.world, self.folder)
 
     def _start_devices(self, parameters: Mapping[str, Sequence[str]], cycle_ms: int | None) -> dict[str, Any]:
         world = ("--world", self.world.endpoint)

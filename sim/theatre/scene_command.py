@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sim.world.scene.carrier import Carrier
+from sim.world.options import Carrier
 
 
 def scene(

@@ -25,8 +25,8 @@ from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
 from sim.theatre.tool_records import refer_to_tip, tool_records
 from sim.world.noise import noise
 from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
-from sim.world.scene.stereo_head import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"

@@ -11,8 +11,8 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
 from sim.world.noise import noise
 from sim.world.rigid import inverse, matrix_of, pose_of
-from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.model import Mount, Scene
+from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
 
 STEREO_HEAD_KG = 2.1
 CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame

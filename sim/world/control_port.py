@@ -1,9 +1,16 @@
-"""The control port: JSON lines over TCP on loopback, one answer per line, for clients with the token.
+"""The control port: JSON lines over TCP on loopback, the staff's only access to the simulated room.
 
-A theatre has one, and so does each simulator started alone. Every process on this computer can connect to it,
-including a page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with
-the token from the READY line. It is closed at the first line that is too long or no JSON object, and when no
-line arrives for a while. Connections without the token cannot keep out those with it.
+A theatre has one, and so does each simulator started alone. Any process on this computer can connect, even a
+page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with the token from
+the READY line. It is closed at the first line that is too long or no JSON object, and when no line arrives
+for a while. Connections without the token cannot keep out those with it.
+
+Each further line is a request, with one answer:
+- `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`;
+- `{"do": "fault", "line": "now: ..."}`;
+- `{"do": "clear_faults"}`, with a `line` only that fault;
+- `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, answered with `readings`;
+  inserting an instrument samples the truth at that target.
 """
 
 from __future__ import annotations
@@ -16,12 +23,32 @@ import socket
 import socketserver
 import threading
 import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
-from sim.world.control import Room
+from sim.world.faults import (
+    DEVICES,
+    FaultBoard,
+    begin_now,
+    begin_with_step,
+    check_faults,
+    parse_faults,
+    parse_request,
+    without_fault,
+)
+from sim.world.faults.room import DEVICE, WRONG_TOOL, tool_numbers
+from sim.world.options import OnStand
+from sim.world.saved_world import save_world
+from sim.world.staff import Staff, TaskRefused
+from sim.world.world import World
+
+LONGEST_REASON = 500  # characters: it may quote the request
 
 TOKEN_BYTES = 16  # from the system's random source: unguessable
 MOST_CONNECTIONS = 8
@@ -31,7 +58,7 @@ NO_TOKEN = {"ok": False, "reason": "expected the token from the READY line in th
 
 
 class ControlPort:
-    """Serves the room on a free loopback port until closed."""
+    """Serves a room on a free loopback port until closed."""
 
     def __init__(
         self,
@@ -46,7 +73,7 @@ class ControlPort:
 
     @property
     def endpoint(self) -> str:
-        """Where the operator connects, including the token: a secret."""
+        """Address including the token: a secret."""
         where = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
         return ControlAddress(where, self._server.token).text()
 
@@ -65,20 +92,20 @@ class _Server(socketserver.ThreadingTCPServer):
         self.room = room
         self.token = token
         self.limits_s = limits_s
-        self.strangers: list[socket.socket] = []  # have not shown the token yet, oldest first
+        self.untrusted: list[socket.socket] = []  # token not received yet, oldest first
         self.trusted: list[socket.socket] = []
         self.changing = threading.Lock()
 
     def verify_request(self, request: socket.socket | tuple[bytes, socket.socket], _address: Any) -> bool:
-        """If there are too many, the stranger who has waited longest is dropped."""
+        """Admit a connection; too many drop the oldest untrusted one."""
         assert isinstance(request, socket.socket)
         with self.changing:
             if len(self.trusted) == MOST_CONNECTIONS:
                 return False
-            if len(self.strangers) + len(self.trusted) == MOST_CONNECTIONS:
+            if len(self.untrusted) + len(self.trusted) == MOST_CONNECTIONS:
                 with contextlib.suppress(OSError):
-                    self.strangers.pop(0).shutdown(socket.SHUT_RDWR)
-            self.strangers.append(request)
+                    self.untrusted.pop(0).shutdown(socket.SHUT_RDWR)
+            self.untrusted.append(request)
         return True
 
 
@@ -88,7 +115,7 @@ class _Conversation(socketserver.BaseRequestHandler):
 
     def handle(self) -> None:
         self._received = b""
-        with contextlib.suppress(OSError, _HangUp):  # the operator disconnected abruptly
+        with contextlib.suppress(OSError, _HangUp):  # the client disconnected abruptly
             first_line_limit_s, idle_limit_s = self.server.limits_s
             token = self._next(first_line_limit_s).get(TOKEN_KEY)
             if not hmac.compare_digest(str(token).encode(errors="replace"), self.server.token.encode()):
@@ -101,19 +128,19 @@ class _Conversation(socketserver.BaseRequestHandler):
 
     def finish(self) -> None:
         with self.server.changing:
-            for those in (self.server.strangers, self.server.trusted):
-                if self.request in those:
-                    those.remove(self.request)
+            for sockets in (self.server.untrusted, self.server.trusted):
+                if self.request in sockets:
+                    sockets.remove(self.request)
 
     def _trust(self) -> None:
         with self.server.changing:
-            if self.request not in self.server.strangers:
-                raise _HangUp  # was dropped at this very moment
-            self.server.strangers.remove(self.request)
+            if self.request not in self.server.untrusted:
+                raise _HangUp  # dropped a moment ago
+            self.server.untrusted.remove(self.request)
             self.server.trusted.append(self.request)
 
     def _next(self, limit_s: float) -> dict[str, Any]:
-        """The next line, a JSON object; hangs up on anything else, and if it does not arrive in time."""
+        """Receive the next JSON object; hangs up on anything else, or if it is late."""
         deadline = time.monotonic() + limit_s
         while b"\n" not in self._received:
             self.request.settimeout(max(deadline - time.monotonic(), 0.001))
@@ -136,4 +163,114 @@ class _Conversation(socketserver.BaseRequestHandler):
 
 
 class _HangUp(Exception):
-    """The conversation is over."""
+    """The connection is to be closed."""
+
+
+class Room:
+    """Carries out requests in a world; truth at a target is stored in `folder`, if given.
+
+    `devices` are those simulated here: faults of others are refused. `loaded` returns the tools that a client
+    has loaded into the tracker, if the tracker is in this process.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        folder: Path | None,
+        devices: Sequence[str] = DEVICES,
+        loaded: Callable[[], Sequence[str]] | None = None,
+    ) -> None:
+        self._world = world
+        self._folder = folder
+        self._devices = devices
+        self._loaded = loaded
+        self._staff = Staff(world, folder)
+        self._board = FaultBoard(world, DEVICE)
+        self._one_at_a_time = threading.Lock()  # requests may come from several connections
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one request; an unknown or invalid one is answered with the reason."""
+        actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
+            "step": self._step,
+            "work": self._work,
+            "mount": self._mount,
+            "stand": self._stand,
+            "fault": self._fault,
+            "clear_faults": self._clear_faults,
+        }
+        action = actions.get(str(request.get("do")))
+        if action is None:
+            return {"ok": False, "reason": f"unknown request; known: {', '.join(actions)}"}
+        try:
+            with self._one_at_a_time:
+                more = action(request) or {}
+        except TaskRefused as error:
+            return _refused(error, error.advice)
+        except RonnaError as error:
+            return {
+                "ok": False,
+                "reason": f"{error.code}: {error.summary}"[:LONGEST_REASON],
+                "advice": error.advice[:LONGEST_REASON],
+            }
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
+        except Exception as error:  # a defect of ours: an answer says more than a closed connection
+            traceback.print_exc()
+            return _refused(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
+        return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
+
+    def _step(self, request: dict[str, Any]) -> None:
+        name = str(request["name"])
+        _, text = self._world.fault_script()
+        started = begin_with_step(text, name, self._world.clock.now_s())
+        if started != text:
+            self._world.set_fault_script(started)
+        self._world.enter_step(name)
+
+    def _work(self, request: dict[str, Any]) -> dict[str, Any]:
+        numbers = [_number(value) for value in request.get("numbers", ())]
+        readings = self._staff.work(str(request["task"]), str(request.get("trajectory", "")), numbers)
+        return {"readings": list(readings)}
+
+    def _mount(self, request: dict[str, Any]) -> None:
+        number = _number(request["number"])
+        if number not in (known := tool_numbers(self._world.scene)):
+            raise TaskRefused(
+                f"no tool {number:g}: 0 removes the tool, {known[1]} is the stereo"
+                f" head, {known[2]} the surgical guide",
+                "Give one of these numbers.",
+            )
+        for fault in self._board.active(WRONG_TOOL.name):
+            number = int(fault.argument)
+        self._world.mount_tool(int(number))
+        if self._folder is not None:
+            save_world(self._world, self._folder)
+
+    def _stand(self, request: dict[str, Any]) -> None:
+        self._world.put_on_stand(OnStand(str(request["holds"])))
+
+    def _fault(self, request: dict[str, Any]) -> dict[str, Any]:
+        line = str(request["line"])
+        fault = parse_request(line)
+        loaded = None if self._loaded is None else self._loaded()
+        check_faults([fault], self._world.scene, self._devices, loaded)
+        _, text = self._world.fault_script()
+        line = begin_now(line, self._world.clock.now_s())
+        self._world.set_fault_script(f"{text}\n{line}" if text else line)
+        return {"effect": parse_faults(line)[0].effect}
+
+    def _clear_faults(self, request: dict[str, Any]) -> None:
+        line = request.get("line")
+        _, text = self._world.fault_script()
+        self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
+
+
+def _refused(reason: object, advice: str) -> dict[str, Any]:
+    return {"ok": False, "reason": str(reason)[:LONGEST_REASON], "advice": advice}
+
+
+def _number(value: object) -> float:
+    """Require a JSON number: neither text nor a truth value; raises TypeError."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {value!r}")
+    return float(value)

@@ -1,4 +1,4 @@
-"""What all device processes of the theatre share: find the world, print READY, end in time."""
+"""Shared by all device processes of a theatre: open the world, print READY, end in time."""
 
 from __future__ import annotations
 
@@ -19,21 +19,20 @@ from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.host.parent_process import PARENT
 from ronna_hw.host.starting_up import end_start
 from sim.errors import BadScene
-from sim.world.control import Room
-from sim.world.control_port import ControlPort
+from sim.world.control_port import ControlPort, Room
 from sim.world.faults import DEVICES, read_faults
-from sim.world.scene.carrier import Carrier
+from sim.world.options import Carrier
 from sim.world.scene.model import ArmResidual, Scene, read_scene
 from sim.world.scene.named_scenes import SCENES, named_scene
 from sim.world.world import World
 
 PARENT_GONE = "stopping: the parent process has ended\n"
-END_LIMIT_S = 1.5  # then anything stuck in a system call, or waiting for a hung child, is killed
+END_LIMIT_S = 1.5  # then the process is killed, in case it hangs in a system call or waits for a hung child
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
 def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
-    """Print the line `READY {json}`: the start is over, clients may connect."""
+    """Print the line `READY {json}`: clients may connect."""
     end_start()
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
@@ -44,10 +43,10 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
 
 
 def end_with_parent(end: Callable[[], None]) -> None:
-    """Call `end` once on SIGTERM or SIGINT, or when the parent process is gone.
+    """Call `end` on SIGTERM or SIGINT, or when the parent process is gone.
 
-    `end` must make the process leave its main loop; if it is still running 1.5 s later, it is killed with
-    everything it has started.
+    `end` must make the process leave its main loop; if it still runs 1.5 s later, it is killed with its
+    descendants.
     """
 
     def leave() -> None:
@@ -78,7 +77,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
 
 def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
-    """A device with a dead thread would merely fall silent: report the reason and end the process."""
+    """Report the failure of a thread and end the process, which would otherwise merely fall silent."""
     traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
     sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
     sys.stderr.flush()
@@ -88,10 +87,9 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
 def open_world(
     world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
 ) -> World:
-    """The theatre's world, or for a simulator started alone a world of its own.
+    """Open the theatre's world, or create one for a simulator started alone, on the host's clock.
 
-    A world of its own follows the host's clock. `scene` is a built-in name or a file; `devices` are
-    those simulated in it.
+    `scene` is a built-in name or a file; `devices` are those simulated in a world of its own.
     """
     if world is not None:
         return World.open(world)
@@ -109,7 +107,7 @@ def own_control_port(
     devices: Sequence[str],
     loaded: Callable[[], Sequence[str]] | None = None,
 ) -> str | None:
-    """The control port of a simulator started alone; None in a theatre, which has its own."""
+    """Open the control port of a simulator started alone; None in a theatre, which has its own."""
     return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
 
 
@@ -124,10 +122,10 @@ def load_scene(
     first_day: bool = False,
     target_balls: bool = False,
 ) -> Scene:
-    """A named scene, or a scene file; raises SIM-001.
+    """Draw a named scene, or read a scene file; raises SIM-001.
 
-    On request its arm has a calibration record, frame and tip have no valid one, and there is a
-    ball at each target.
+    `calibrated`: the arm has a calibration record. `first_day`: frame and tip have no valid one.
+    `target_balls`: a ball at each target.
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME

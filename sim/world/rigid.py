@@ -1,6 +1,6 @@
-"""Rigid transforms as plain numpy, for device processes that must start fast: no SciPy here.
+"""Rigid transforms in plain numpy, without SciPy: device processes must start fast.
 
-Matrices are (4, 4), millimetres. Quaternions are scalar first.
+Matrices are (4, 4), in millimetres; quaternions are scalar first.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ Matrix = NDArray[np.float64]
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
-    """Rotation matrix (3, 3) of a quaternion; it is normalised first."""
+    """Rotation matrix (3, 3) of a quaternion of any length."""
     w, x, y, z = np.asarray(quaternion_wxyz, dtype=float) / np.linalg.norm(quaternion_wxyz)
     return np.array(
         [
@@ -28,9 +28,8 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
 def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
     """Unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
     m = np.asarray(rotation, dtype=float)
-    candidates = np.array(
-        [m[0, 0] + m[1, 1] + m[2, 2], m[0, 0], m[1, 1], m[2, 2]]
-    )  # the largest decides which component is computed first
+    # The largest decides which component is computed first.
+    candidates = np.array([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0], m[1, 1], m[2, 2]])
     largest = int(np.argmax(candidates))
     if largest == 0:
         q = np.array([1 + candidates[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
@@ -78,7 +77,7 @@ def inverse(matrix: Matrix) -> Matrix:
 
 
 def apply(matrix: Matrix, points_mm: ArrayLike) -> Matrix:
-    """Map points (3,) or (n, 3)."""
+    """Transform points (3,) or (n, 3)."""
     mapped: Matrix = np.asarray(points_mm, dtype=float) @ matrix[:3, :3].T + matrix[:3, 3]
     return mapped
 
@@ -103,7 +102,7 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
     x = x - (x @ z) * z
     x = x / np.linalg.norm(x)
     (x0, x1, x2), (z0, z1, z2) = x.tolist(), z.tolist()
-    y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross takes ten times as long
+    y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross is ten times slower
     return np.array([x, y, z]).T.copy()
 
 

@@ -1,26 +1,37 @@
-"""Ground truth of the instrument's tip, for the verifier only."""
+"""True pose of the mounted guide, and truth samples of the instrument's tip.
+
+The guide is pushed, badly seated or bent by faults. Only the verifier reads the samples.
+"""
 
 from __future__ import annotations
 
+from math import radians
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
-from sim.world.rigid import Matrix
-from sim.world.room_shift import STILL, ShiftedRoom, rigid_move
-from sim.world.true_guide import TrueGuide
+from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
+from sim.world.faults import Fault, FaultBoard, FaultKind
+from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
+from sim.world.noise import noise
+from sim.world.rigid import Matrix, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
+
+Vector = NDArray[np.float64]
+
+SEAT, PLAY = "changer", "bore"  # noise keys
 
 TRUTH_FILE = "truth.jsonl"
 SCENE_FILE = "scene.json"
 THEATRE_FOLDER = "theatre"
-LARGEST_TRUTH_BYTES = 1_000_000  # for four thousand samples
-MOST_MISTAKES = 5  # listed in an error
+LARGEST_TRUTH_BYTES = 1_000_000  # four thousand samples
+MOST_MISTAKES = 5  # listed in one error
 
 
 class TipSample(Strict):
@@ -32,20 +43,21 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide's bore, unit vector
-    # Displacement of the head from its place in the scene, robot frame: turned about the origin, shifted.
+    # Displacement of the head from its place in the scene, robot frame: turn about the origin, then shift.
     head_shift_mm: Numbers3 = STILL
     head_turn_rad: Numbers3 = STILL
 
     @property
     def head_moved(self) -> Matrix:
-        """The displacement of the head (4, 4)."""
+        """Displacement of the head (4, 4)."""
         return rigid_move(self.head_turn_rad, self.head_shift_mm)
 
 
 def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
-    """Sample the true tip of an instrument inserted up to its stop, at a target of the plan by any name.
+    """Sample the true tip of an instrument inserted up to its stop.
 
-    `draw` distinguishes insertions there: each has a different position within the bore's play.
+    `target` is a name of the caller's; `draw` distinguishes insertions there, each elsewhere within the
+    bore's play.
     """
     room = ShiftedRoom(world).now()
     return TipSample(
@@ -61,19 +73,19 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
 
 
 def append_sample(sample: TipSample, folder: Path) -> None:
-    """Add a sample to the theatre's truth file."""
+    """Append a sample to the theatre's truth file."""
     with (folder / TRUTH_FILE).open("a", encoding="utf-8") as file:
         file.write(sample.model_dump_json() + "\n")
 
 
 def read_samples(folder: Path) -> list[TipSample]:
-    """All samples of a theatre, in order; an empty list when none was taken. Raises SIM-007."""
+    """Read all samples of a theatre, in order; none if there is no file. Raises SIM-007."""
     path = folder / TRUTH_FILE
     return parse_samples(truth_bytes(path)) if path.exists() else []
 
 
 def truth_bytes(path: Path) -> bytes:
-    """The content of a truth file. Raises INP-001, SIM-007."""
+    """Read a truth file; raises INP-001, SIM-007."""
     try:
         return read_json_lines(path, LARGEST_TRUTH_BYTES)
     except OSError as error:
@@ -81,7 +93,7 @@ def truth_bytes(path: Path) -> bytes:
 
 
 def parse_samples(content: bytes) -> list[TipSample]:
-    """The samples in the content of a truth file. Raises SIM-007."""
+    """Parse the content of a truth file; raises SIM-007 with the mistakes by line."""
     try:
         lines = content.decode().splitlines()
     except UnicodeDecodeError as error:
@@ -98,6 +110,89 @@ def parse_samples(content: bytes) -> list[TipSample]:
     if mistakes:
         raise BadTruth(f"{TRUTH_FILE} has invalid lines: {'; '.join(mistakes)}")
     return samples
+
+
+class TrueGuide:
+    """True poses of the guide's tip frame, (4, 4), robot frame, from the world and the room's faults."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._scene = world.scene
+        self._board = FaultBoard(world, DEVICE)
+        self._room = ShiftedRoom(world)
+
+    def tip_frame(self, flange: Matrix | None = None) -> Matrix:
+        """Pose at the end of the calibrated mandrel, of a bent guide.
+
+        `flange` is its pose without a push, by default the present one.
+        """
+        return self.bore_frame(flange) @ self._bent()
+
+    def bore_frame(self, flange: Matrix | None = None) -> Matrix:
+        """Pose without the bend, for parts above the bore."""
+        flange = self._world.arm().robot_from_flange if flange is None else flange
+        mount = self._scene.mount
+        marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
+        pose = yielding_flange(flange, marker, self._room.now()).copy()
+        pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._active(WRONG_LOAD))
+        return pose @ calibrated_tip(self._world) @ self._seated()
+
+    def mandrel(self) -> Matrix:
+        """Pose at the end of the mandrel in use."""
+        longer_mm = sum(float(one.argument) for one in self._active(WRONG_MANDREL))
+        return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
+
+    def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
+        """Tip (3,) of an instrument inserted up to its depth stop, drawn within the bore's play."""
+        guide = self._scene.mount.guide
+        beyond_mm = stop_mm - guide.bore_mm
+        upper, lower = _in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
+        aside = lower + (lower - upper) * beyond_mm / guide.bore_mm
+        point = np.array([*aside, beyond_mm - guide.reach_mm, 1.0])
+        return np.asarray((self.tip_frame() @ point)[:3])
+
+    def _seated(self) -> Matrix:
+        mount = self._scene.mount
+        again = max(0, self._world.mountings() - 1)
+        off = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
+        tilt_rad = 0.0
+        for fault in self._active(BAD_SEAT):
+            off[2] -= float(fault.argument)
+            tilt_rad += radians(float(fault.arguments[1]))
+        return matrix_from(off, rotation_from_vector((tilt_rad, 0.0, 0.0)))
+
+    def _bent(self) -> Matrix:
+        """Bend about the upper end of the bore."""
+        guide = self._scene.mount.guide
+        away = np.array(guide.bent_mm)
+        for fault in self._active(BENT_TIP):
+            away += [float(number) for number in fault.arguments]
+        height_mm = guide.bore_mm + guide.reach_mm
+        tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
+        whole = rotation_from_vector(np.add(tilt, (*np.radians(guide.tilt_deg), 0.0)))
+        pivot, back = (matrix_from((0.0, 0.0, z), np.eye(3)) for z in (-height_mm, height_mm))
+        bent: Matrix = pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
+        return bent
+
+    def _active(self, kind: FaultKind) -> tuple[Fault, ...]:
+        return () if self._board.empty else self._board.active(kind.name)
+
+
+def calibrated_tip(world: World) -> Matrix:
+    """FLANGE <- tip (4, 4), true at the time of the calibration records."""
+    mount = world.scene.mount
+    pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
+    return pose
+
+
+def _in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
+    """Draw two points (2,) in a disc."""
+    radii = radius_mm * np.sqrt(generator.uniform(size=2))
+    angles = generator.uniform(0.0, 2.0 * np.pi, 2)
+    one, other = (
+        radius * np.array([np.cos(angle), np.sin(angle)]) for radius, angle in zip(radii, angles, strict=True)
+    )
+    return one, other
 
 
 def _three(vector: np.ndarray) -> Numbers3:

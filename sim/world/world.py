@@ -26,12 +26,12 @@ from ronna_hw.host.memory_map import MemoryMap
 from ronna_hw.host.shared_layout import text
 from ronna_hw.wire.theatre_clock import CLOCK
 from sim.errors import WorldUnavailable
-from sim.world.on_stand import OnStand
+from sim.world.options import OnStand
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Numbers6, Scene, parse_scene_json
 
-LOOKS = 100_000  # at what is being written, which takes microseconds
-LARGEST_SCENE_BYTES = 10_000_000  # a hundred times a scene of ours
+READ_ATTEMPTS = 100_000  # attempts to read what is being written, which takes microseconds
+LARGEST_SCENE_BYTES = 10_000_000  # a hundred times the largest scene of ours
 FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
@@ -86,7 +86,7 @@ class ArmState:
 
 
 class World:
-    """A view of the shared block. Made by `create` in the owning process, by `open` elsewhere."""
+    """View of the shared block: `create` it in the owning process, `open` it in others."""
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
@@ -102,11 +102,14 @@ class World:
             raise WorldUnavailable(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path)
-        self.scene = scene or self._read_scene()
+        if scene is None:
+            end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
+            scene = parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {path}")
+        self.scene = scene
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
-        """Make a world of `scene`; `paced` worlds follow the host's clock. `begins_ns` is its start time.
+        """Create a world; `paced` worlds follow the host's clock, which starts at `begins_ns`.
 
         Others can open it as long as this object exists.
         """
@@ -152,8 +155,8 @@ class World:
         _ARM_SEQUENCE.write(memory, sequence + 2)
 
     def arm(self) -> ArmState:
-        """The arm's true state, read consistently (seqlock); its writer may have died while writing."""
-        for _ in range(LOOKS):
+        """Read the arm's true state consistently (seqlock), even if its writer died while writing."""
+        for _ in range(READ_ATTEMPTS):
             before = _ARM_SEQUENCE.read(self._memory)
             row = _ARM.read(self._memory)
             if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
@@ -168,7 +171,7 @@ class World:
         return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
-        """True pose (4, 4) of the stereo head's tool centre point: moves with the arm."""
+        """True pose (4, 4) of the stereo head's tool centre point, moving with the arm."""
         pose: NDArray[np.float64] = self.arm().robot_from_flange @ matrix_of(
             self.scene.mount.flange_from_tool_true
         )
@@ -179,13 +182,13 @@ class World:
         return _TOOL.read(self._memory)
 
     def mountings(self) -> int:
-        """How often the guide was mounted: each time it is seated a little differently."""
+        """Number of times the guide was mounted, each with a slightly different seat."""
         return _MOUNTINGS.read(self._memory)
 
     def mount_tool(self, number: int, mountings: int | None = None) -> None:
-        """Mount a tool, or the same one again. A guide's mountings count; a world goes on from theirs.
+        """Mount a tool, or the same one again; for the control port only.
 
-        For the control port only.
+        Mountings of the guide are counted, unless a restored world sets `mountings`.
         """
         _TOOL.write(self._memory, number)
         if mountings is None:
@@ -193,12 +196,12 @@ class World:
         _MOUNTINGS.write(self._memory, mountings)
 
     def on_stand(self) -> OnStand:
-        """The object on the calibration stand."""
+        """Content of the calibration stand."""
         return tuple(OnStand)[_STAND.read(self._memory)]
 
-    def put_on_stand(self, what: OnStand) -> None:
-        """Put something else on it. For the control port only."""
-        _STAND.write(self._memory, tuple(OnStand).index(what))
+    def put_on_stand(self, content: OnStand) -> None:
+        """Change the content of the calibration stand. For the control port only."""
+        _STAND.write(self._memory, tuple(OnStand).index(content))
 
     def step(self) -> tuple[str, int]:
         """Name of the running step and the theatre time of its start in ns."""
@@ -214,11 +217,11 @@ class World:
         return _FAULTS_VERSION.read(self._memory)
 
     def fault_script(self) -> tuple[int, str]:
-        """Version and text of the fault script; the version changes with every change of the text.
+        """Version and text of the fault script.
 
-        Raises SIM-002 when it was left half written.
+        Raises SIM-002 if it was left half written.
         """
-        for _ in range(LOOKS):
+        for _ in range(READ_ATTEMPTS):
             version, content = _FAULTS_VERSION.read(self._memory), _FAULTS.read(self._memory)
             if content is not None:
                 return version, content.decode(errors="replace")
@@ -232,10 +235,6 @@ class World:
         _FAULTS.write(self._memory, content)
         _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
 
-    def _read_scene(self) -> Scene:
-        end = _SCENE_OFFSET + min(_SCENE_LENGTH.read(self._memory), LARGEST_SCENE_BYTES)
-        return parse_scene_json(check_json(self._memory[_SCENE_OFFSET:end]), f"the scene in {self._path}")
-
     def _is_world(self) -> bool:
         if len(self._memory) < _SCENE_OFFSET or not _MAP.is_marked(self._memory):
             return False
@@ -243,7 +242,7 @@ class World:
 
 
 def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
-    """A new anonymous block: its file, its path for other processes while that is open, and its memory."""
+    """Create an anonymous block: its file, its path for others while that is open, and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)
     return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

@@ -24,7 +24,7 @@ from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from sim.world.arm.true_arm import TrueArm
+from sim.world.true_arm import TrueArm
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from studies.accuracy.random_arms import RandomArms, drawn_arm
 from studies.accuracy.scene import Scene

@@ -24,7 +24,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM
+from sim.world.scene.as_built import TOOL_IN_FLANGE_MM
 from studies.accuracy.phantom import Phantom
 from studies.accuracy.solving import PlannedPoses
 from studies.errors import PhantomOutOfReach

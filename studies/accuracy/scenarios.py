@@ -12,9 +12,14 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
-from sim.world.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
+from sim.world.scene.as_built import (
+    BACKLASH_RAD,
+    JOINT_OFFSET_RAD,
+    LINK_ROTATION_RAD,
+    LINK_TRANSLATION_MM,
+    TOOL_ERROR_MM,
+)
 from sim.world.scene.model import ArmResidual
-from sim.world.scene.stereo_head import TOOL_ERROR_MM
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.trials import CT_FLE_MM, Sizes
 

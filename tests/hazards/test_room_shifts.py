@@ -33,8 +33,7 @@ from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.validity.room import require_unmoved
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.optics.marker_noise import eyes_mm
-from sim.polaris.optics.phantoms import phantoms
+from sim.polaris.measurement.optics import eyes_mm, phantoms
 
 Array = NDArray[np.float64]
 

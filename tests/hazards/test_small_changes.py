@@ -22,7 +22,7 @@ from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.strategies.approach import ONE_SIDE
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.measurement.rigid_fit import fit_rigid_body
+from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.world.rigid import apply, matrix_from, matrix_of
 
 Array = NDArray[np.float64]

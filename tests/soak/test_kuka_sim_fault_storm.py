@@ -11,8 +11,8 @@ from math import degrees
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.world.arm.robot_description import description
 from sim.world.faults.robot import ROBOT_FAULTS, TRIPS
+from sim.world.nominal_arm import description
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

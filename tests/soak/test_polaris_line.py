@@ -24,7 +24,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.polaris import FRAME_RATE_HZ
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene
 from sim.world.scene.model import TrackerTool
 from sim.world.world import World

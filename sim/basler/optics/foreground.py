@@ -16,7 +16,7 @@ from sim.basler.optics.film import Stain
 from sim.basler.optics.lens import Lens
 from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 from sim.basler.optics.sphere import Sphere
-from sim.world.room_shift import NOTHING_MOVED, RoomShift
+from sim.world.displacements import NOTHING_MOVED, RoomShift
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from math import copysign, exp
 
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.world.arm.robot_description import AXES, RobotDescription
+from sim.world.nominal_arm import AXES, RobotDescription
 
 STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis this far caught up sticks again; fast ones slide
 

@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 
 from sim.kuka.arm.drives import Drives
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.world.arm.joint_chain import JointChain, rotation_vector
-from sim.world.arm.orientation import frame_of
-from sim.world.arm.posture import axes_of_posture
-from sim.world.arm.robot_description import description
-from sim.world.arm.true_arm import TrueArm
+from sim.world.nominal_arm import axes_of_posture, description, frame_of
 from sim.world.rigid import inverse, rotation_from_vector
 from sim.world.scene.model import ArmTruth
+from sim.world.true_arm import JointChain, TrueArm, rotation_vector
 from sim.world.world import ArmState
 
 Matrix = NDArray[np.float64]

@@ -17,7 +17,7 @@ from sim.kuka.controller.messages import (
     too_much_acceleration,
 )
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.world.arm.robot_description import RobotDescription
+from sim.world.nominal_arm import RobotDescription
 
 ROUNDING_DEG = 1e-6  # six decimals on the wire
 SHORTEST_WINDOW_CYCLES = 3

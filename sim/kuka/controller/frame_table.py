@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.kuka.arm.manipulator import Manipulator
-from sim.world.arm.orientation import pose_of_frame
+from sim.world.nominal_arm import pose_of_frame
 
 Matrix = NDArray[np.float64]
 

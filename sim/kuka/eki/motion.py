@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from sim.kuka.controller.messages import Message, end_switch, near_singularity, too_fast
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.acknowledgement import Acknowledgement
-from sim.world.arm.joint_chain import rotation_vector
-from sim.world.arm.robot_description import RobotDescription
+from sim.world.nominal_arm import RobotDescription
 from sim.world.rigid import rotation_from_vector
+from sim.world.true_arm import rotation_vector
 
 Matrix = NDArray[np.float64]
 Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]

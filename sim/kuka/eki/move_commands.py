@@ -11,7 +11,7 @@ from sim.kuka.controller.messages import Message
 from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.attributes import axes, frame, number, share, whole
 from sim.kuka.eki.motion import EkiMotion, line, point_to_point
-from sim.world.arm.orientation import pose_of_frame
+from sim.world.nominal_arm import pose_of_frame
 
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm

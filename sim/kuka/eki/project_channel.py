@@ -29,7 +29,7 @@ from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.attributes import flag, frame, text, whole
 from sim.kuka.eki.move_commands import EkiMoves
 from sim.kuka.eki.server import EkiServer
-from sim.world.arm.orientation import status_and_turn
+from sim.world.nominal_arm import status_and_turn
 
 MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)
 UNASKED = "0"  # Id of an unsolicited State

@@ -12,7 +12,7 @@ from ronna_hw.wire.kuka_context import (
     AxisMonitor,
 )
 from sim.kuka.controller.messages import Message, out_of_range
-from sim.world.arm.robot_description import AXES, RobotDescription
+from sim.world.nominal_arm import AXES, RobotDescription
 
 ACTIVE_BIT = 1  # bit 0 of Stat; bit n means that axis n is at a limit
 

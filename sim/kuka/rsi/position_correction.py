@@ -15,7 +15,7 @@ from ronna_hw.wire.kuka_context import (
     PositionMonitor,
 )
 from sim.kuka.controller.messages import Message, near_singularity, out_of_range
-from sim.world.arm.orientation import pose_of_frame
+from sim.world.nominal_arm import pose_of_frame
 from sim.world.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]

@@ -24,7 +24,7 @@ from sim.kuka.rsi.rejected_replies import RejectedReplies
 from sim.kuka.rsi.reply_reader import Reply, ReplyReader
 from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
 from sim.kuka.rsi.telegram_writer import TelegramWriter
-from sim.world.arm.robot_description import RobotDescription
+from sim.world.nominal_arm import RobotDescription
 
 Matrix = NDArray[np.float64]
 

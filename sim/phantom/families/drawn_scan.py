@@ -43,10 +43,10 @@ from sim.phantom.scan import FREE, Scan
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.world.noise import noise
 from sim.world.rigid import rotation_towards
+from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM
-from sim.world.scene.target import Target
+from sim.world.scene.parts import Target
 
 Vector = NDArray[np.float64]
 

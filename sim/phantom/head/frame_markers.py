@@ -21,8 +21,8 @@ from sim.phantom.head.anatomy import FLANGE_MM, Marker, marker_on_foot, marker_o
 from sim.phantom.head.obstacles import skin_point
 from sim.phantom.head.shapes import Point, Rod, Shape
 from sim.world.rigid import rotation_towards
+from sim.world.scene.head import CAP_AXIS_CT
 from sim.world.scene.model import Fiducial, Head
-from sim.world.scene.skin import CAP_AXIS_CT
 
 Vector = NDArray[np.float64]
 

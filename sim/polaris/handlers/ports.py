@@ -1,29 +1,42 @@
-"""Commands of port handles: PHSR, PHRQ, PHF, PINIT, PENA, PDIS, PHINF, PFSEL."""
+"""Commands on port handles: PHSR, PHRQ, PHF, PINIT, PENA, PDIS, PHINF, PFSEL.
+
+Before PINIT, PHINF knows the port status only.
+"""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from types import MappingProxyType
+from typing import Literal
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS, HandleQuery, SystemStatus, TrackingPriority
-from sim.polaris.handlers.arguments import (
-    hexadecimal,
-    initialised_port_of,
-    occupied_port_of,
-    port_of,
-)
-from sim.polaris.handlers.port_information import PORT_INFORMATION
-from sim.polaris.tools.definition import BadDefinition, parse_definition
-from sim.polaris.tools.geometry_rules import warning_of
-from sim.polaris.tools.ports import ALL_FACES, Port
-from sim.polaris.unit.refusal import ErrorCode, Refusal, WarningCode
-from sim.polaris.unit.unit import Unit
-from sim.polaris.unit.user_parameter_table import RETURN_WARNING
+from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES
+from sim.polaris.tracker_unit import Unit
+from sim.polaris.unit.ports import ALL_FACES, Port
+from sim.polaris.unit.refusal import ErrorCode, Refusal, WarningCode, hexadecimal
+from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, warning_of
+from sim.polaris.unit.user_parameters import RETURN_WARNING
+
+SERIAL_BYTES = 4
+MANUFACTURER_CHARACTERS = 12
+NO_SWITCHES_NO_LEDS = "00"
+RESERVED = "00"
+NO_ACCESSORIES = "00"
+LONGEST_REVISION = 999
+DEVICE_CHARACTERS = 8
+SYSTEM_POLARIS, TOOL_WIRED, TOOL_WIRELESS, CHANNEL = "0", "0", "1", "00"
+NO_OUTPUTS = "00"  # only on Aurora
+PORT_STATUS_BYTE = 0xFF
+# Tool-in-port diode, switches 1 to 3, tracking LED, visible LEDs 1 to 3.
+ACCESSORY_BITS = (0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80)
 
 DEFAULT_INFORMATION = "0001"
 PRIORITIES = (TrackingPriority.STATIC, TrackingPriority.DYNAMIC, TrackingPriority.BUTTON_BOX)
-# Hardware device, system type (Polaris), tool type, port, and what to load: nothing or a dummy.
-_description = re.compile(r"[!-~]{8}[*0]([*01])(\*\*|[0-9]{2})(\*\*|00|01|02)")
+
+# Hardware device, system type (Polaris), tool type, port, and whether to load a dummy.
+_PORT_DESCRIPTION = re.compile(r"[!-~]{8}[*0]([*01])(\*\*|[0-9]{2})(\*\*|00|01|02)")
 WIRED = "0"
 ANY_PORT, NO_PORT = "**", "00"
 DUMMIES = ("01", "02")  # passive or wired, and active wireless
@@ -35,14 +48,14 @@ def search(unit: Unit, argument: str) -> str:
     option = hexadecimal(argument) if argument else HandleQuery.ALL
     if option not in list(HandleQuery):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    unit.port_changes = SystemStatus(0)  # freeing them is up to the host
+    unit.port_changes = SystemStatus(0)  # the host knows them now
     ports = unit.ports.matching(HandleQuery(option))
     return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
 
 
 def request(unit: Unit, argument: str) -> str:
     """PHRQ"""
-    asked = _description.fullmatch(argument)
+    asked = _PORT_DESCRIPTION.fullmatch(argument)
     if asked is None:
         raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
     kind, number, load = asked.groups()
@@ -52,12 +65,12 @@ def request(unit: Unit, argument: str) -> str:
 
 def free(unit: Unit, argument: str) -> None:
     """PHF hh"""
-    unit.ports.free(port_of(unit, argument).handle)
+    unit.ports.free(unit.ports.addressed(argument).handle)
 
 
 def initialise(unit: Unit, argument: str) -> str:
     """PINIT hh"""
-    port = occupied_port_of(unit, argument)
+    port = unit.ports.addressed_occupied(argument)
     if port.dummy:
         port.initialised = True
         return wire.REPLY_OKAY
@@ -72,11 +85,11 @@ def initialise(unit: Unit, argument: str) -> str:
 
 
 def enable(unit: Unit, argument: str) -> None:
-    """PENA hh and priority"""
+    """PENA hh p: enable with a priority"""
     priority = argument[HANDLE_DIGITS]
     if priority not in PRIORITIES:
         raise Refusal(ErrorCode.BAD_PRIORITY)
-    port = initialised_port_of(unit, argument)
+    port = unit.ports.addressed_initialised(argument)
     if not port.enabled and len(unit.ports.enabled()) >= unit.model.enabled_tools:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
     port.priority = priority
@@ -85,29 +98,29 @@ def enable(unit: Unit, argument: str) -> None:
 
 def disable(unit: Unit, argument: str) -> None:
     """PDIS hh"""
-    port = initialised_port_of(unit, argument)
+    port = unit.ports.addressed_initialised(argument)
     if not port.enabled:
         raise Refusal(ErrorCode.HANDLE_NOT_ENABLED)
     port.enabled = False
 
 
 def information(unit: Unit, argument: str) -> str:
-    """PHINF hh oooo: the parts of all requested options, lowest bit first."""
+    """PHINF hh oooo: the parts of all requested options, lowest bit first"""
     asked = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
     if not asked or asked & ~sum(PORT_INFORMATION):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    port = port_of(unit, argument)
+    port = unit.ports.addressed(argument)
     if not port.occupied:
         return wire.REPLY_UNOCCUPIED
     return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if asked & bit)
 
 
 def select_faces(unit: Unit, argument: str) -> None:
-    """PFSEL hhmm: only these faces are tracked."""
+    """PFSEL hhmm: track these faces only"""
     faces = hexadecimal(argument[HANDLE_DIGITS:])
     if not 0 < faces <= ALL_FACES:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    initialised_port_of(unit, argument).faces = faces
+    unit.ports.addressed_initialised(argument).faces = faces
 
 
 def _read_definition(unit: Unit, port: Port) -> None:
@@ -118,7 +131,7 @@ def _read_definition(unit: Unit, port: Port) -> None:
         limits = bad.limits
         raise Refusal(behaviour.definition_beyond_limits if limits else behaviour.bad_definition) from None
     port.place = None
-    if not unit.measurer.hangs_on_mount(port):
+    if not unit.measurer.is_mount_frame(port):
         port.place = unit.ports.free_place()
 
 
@@ -141,7 +154,7 @@ def _wireless(unit: Unit, number: str, load: str) -> Port:
 
 
 def _wired(unit: Unit, number: str, load: str) -> Port:
-    """A socket by number, or the first one without a handle."""
+    """Request a handle for a socket by number, or for the first socket without one."""
     sockets = range(1, unit.wired.count + 1)
     if number == ANY_PORT:
         free_ones = [socket for socket in sockets if unit.ports.of_socket(socket) is None]
@@ -153,3 +166,49 @@ def _wired(unit: Unit, number: str, load: str) -> Port:
     if socket not in sockets or load == ACTIVE_WIRELESS_DUMMY:
         raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
     return unit.ports.request_wired(socket, unit.wired.tool(socket), dummy=load in DUMMIES)
+
+
+def _tool_information(unit: Unit, port: Port) -> str:
+    tool = port.definition
+    status = f"{int(port.status) & PORT_STATUS_BYTE:02X}"
+    if tool is None:
+        return f"00{NO_SWITCHES_NO_LEDS}{RESERVED}00{'':12}{'000'}{'00000000'}{status}"
+    maker = tool.manufacturer[:MANUFACTURER_CHARACTERS].ljust(MANUFACTURER_CHARACTERS)
+    revision = f"{min(tool.revision, LONGEST_REVISION):03d}"
+    counts = f"{sum(tool.switches)}{sum(tool.lit)}" if port.wired_port else NO_SWITCHES_NO_LEDS
+    kind = f"{tool.main_type:02X}{counts}{RESERVED}{tool.subtype:02X}"
+    order: Literal["big", "little"] = "big" if unit.behaviour.serial_low_byte_first else "little"
+    serial = tool.serial.to_bytes(SERIAL_BYTES, order).hex().upper()
+    return f"{kind}{maker}{revision}{serial}{status}"
+
+
+def _part_number(_unit: Unit, port: Port) -> str:
+    number = port.definition.part_number if port.definition else ""
+    return number[:PART_NUMBER_BYTES].ljust(PART_NUMBER_BYTES)
+
+
+def _accessories(unit: Unit, port: Port) -> str:
+    tool = port.definition
+    if tool is None or not (port.wired_port or unit.behaviour.accessories_of_passive):
+        return NO_ACCESSORIES
+    fitted = (tool.in_port, *tool.switches, tool.tracking_led, *tool.lit)
+    return f"{sum(bit for bit, has in zip(ACCESSORY_BITS, fitted, strict=True) if has):02X}"
+
+
+def _location(unit: Unit, port: Port) -> str:
+    device = unit.model.serial_number[:DEVICE_CHARACTERS].ljust(DEVICE_CHARACTERS)
+    tool_type = TOOL_WIRED if port.wired_port else TOOL_WIRELESS
+    return f"{device}{SYSTEM_POLARIS}{tool_type}{port.wired_port:02d}{CHANNEL}"
+
+
+PORT_INFORMATION: MappingProxyType[int, Callable[[Unit, Port], str]] = MappingProxyType(
+    {
+        0x0001: _tool_information,
+        0x0002: lambda _unit, port: f"{port.current_test:08X}",
+        0x0004: _part_number,
+        0x0008: _accessories,
+        0x0010: lambda _unit, port: f"{port.definition.marker_type if port.definition else 0:02X}",
+        0x0020: _location,
+        0x0040: lambda _unit, _port: NO_OUTPUTS,
+    }
+)

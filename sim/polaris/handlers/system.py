@@ -1,14 +1,18 @@
-"""Commands of the unit itself and of its line: INIT, RESET, VER, APIREV, BEEP, COMM, ECHO."""
+"""Commands of the unit and its settings.
+
+INIT, RESET, VER, APIREV, BEEP, COMM, ECHO; GET, GETINFO, SET, DFLT, SAVE, VSEL, IRATE, HCWDOG; SFLIST, SSTAT.
+"""
 
 from __future__ import annotations
 
+import string
+
 from ronna_hw.wire import polaris as wire
-from ronna_hw.wire.polaris import LF
-from sim.polaris.handlers.arguments import digit_within
-from sim.polaris.line.line_settings import LineSettings
-from sim.polaris.unit.alerts import HARDWARE
-from sim.polaris.unit.refusal import ErrorCode, Refusal
-from sim.polaris.unit.unit import Unit
+from ronna_hw.wire.polaris import LF, Alert
+from sim.polaris.tracker_unit import Mode, Unit
+from sim.polaris.unit.framing import LineSettings
+from sim.polaris.unit.refusal import ErrorCode, Refusal, digit_within, hexadecimal
+from sim.polaris.unit.user_parameters import HARDWARE_ALERTS, LONGEST_WATCH_DOG_S, WATCH_DOG
 
 VERSION_CONTROL, VERSION_LEFT, VERSION_RIGHT, VERSION_WIRED, VERSION_ENHANCED, VERSION_COMBINED = range(6)
 BEEPED, BUSY_BEEPING = "1", "0"
@@ -18,10 +22,24 @@ ABSENT = (
 )  # fmt: skip
 FAULT_REPLIES = {"ERROR15": ErrorCode.CANNOT_INITIALISE, "ERROR1A": ErrorCode.INTERNAL}
 
+FEATURE_ACTIVE_PORTS = 0x0001
+FEATURE_PASSIVE_PORTS = 0x0002
+FEATURE_SEVERAL_VOLUMES = 0x0004
+FEATURE_TOOL_IN_PORT = 0x0008
+FEATURE_ACTIVE_WIRELESS = 0x0010
+AURORA_LISTS = (0x10, 0x12)
+
+CONTROL, SENSORS, TOOL_INTERFACE = 0x0001, 0x0002, 0x0004  # options of SSTAT, in the order of the reply
+CONTROL_SYSTEM_CHECKSUM = 0x02
+LEFT_ROM, RIGHT_ROM = 0x01, 0x10
+INTERFACE_VOLTAGES = 0x02
+
 
 def initialise(unit: Unit, _argument: str) -> str:
     """INIT"""
-    reply = unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE else wire.REPLY_OKAY
+    reply = (
+        unit.behaviour.hardware_fault_at_init if unit.alerts.current & HARDWARE_ALERTS else wire.REPLY_OKAY
+    )
     if reply in FAULT_REPLIES:
         raise Refusal(FAULT_REPLIES[reply])
     unit.initialise()
@@ -75,7 +93,7 @@ def beep(unit: Unit, argument: str) -> str:
 
 
 def communication(unit: Unit, argument: str) -> None:
-    """COMM: the reply is sent at the old settings."""
+    """COMM: the reply still has the old settings."""
     try:
         settings = LineSettings.from_argument(argument)
     except KeyError:
@@ -87,10 +105,104 @@ def communication(unit: Unit, argument: str) -> None:
 
 def echo(unit: Unit, argument: str) -> str:
     """ECHO text: lets a host resynchronise after a missed reply."""
-    unit.get_in_step()
+    unit.resend_frame()
     return argument
 
 
 def absent(unit: Unit, _argument: str) -> str:
-    """A command that real units have but whose format is not public."""
+    """Refuse a command that real units have but whose format is not public."""
     raise Refusal(unit.behaviour.absent_command)
+
+
+def get(unit: Unit, argument: str) -> str:
+    """GET name, or a prefix and *."""
+    return LF.join(
+        f"{p.name}={unit.user_parameters.value(p.name)}" for p in unit.user_parameters.list(argument)
+    )
+
+
+def get_information(unit: Unit, argument: str) -> str:
+    """GETINFO name"""
+    return LF.join(unit.user_parameters.information(p) for p in unit.user_parameters.list(argument))
+
+
+def set_parameter(unit: Unit, argument: str) -> None:
+    """SET name=value"""
+    name, equals, value = argument.partition("=")
+    if not name or not equals:
+        raise Refusal(ErrorCode.PARAMETER_COUNT)
+    unit.user_parameters.set(name, value, tracking=unit.mode is Mode.TRACKING)
+
+
+def set_default(unit: Unit, argument: str) -> None:
+    """DFLT name, or a prefix and *."""
+    unit.user_parameters.set_default(argument, tracking=unit.mode is Mode.TRACKING)
+
+
+def save(unit: Unit, _argument: str) -> None:
+    """SAVE: the settings survive a reset."""
+    unit.user_parameters.save()
+
+
+def select_volume(unit: Unit, argument: str) -> None:
+    """VSEL n, counted from 1; the parameter counts from 0."""
+    number = digit_within(argument, 1, len(unit.model.volumes), ErrorCode.NO_SUCH_VOLUME)
+    unit.user_parameters.set(wire.PARAMETER_SELECTED_VOLUME, str(number - 1), tracking=False)
+
+
+def illuminator_rate(unit: Unit, argument: str) -> None:
+    """IRATE n"""
+    number = digit_within(argument, 0, max(unit.model.illuminator_rates))
+    unit.user_parameters.set(wire.PARAMETER_ILLUMINATOR_RATE, str(number), tracking=False)
+
+
+def watch_dog(unit: Unit, argument: str) -> None:
+    """HCWDOG n: seconds in decimal digits, 0 for off."""
+    if not set(argument) <= set(string.digits) or int(argument[:9]) > LONGEST_WATCH_DOG_S:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    unit.user_parameters.set(WATCH_DOG, argument, tracking=False)
+
+
+def feature_list(unit: Unit, argument: str) -> str:
+    """SFLIST nn"""
+    model = unit.model
+    volumes = "".join(volume.feature_line() for volume in model.volumes)
+    lists = {
+        0x00: f"{_features(unit):08X}",
+        0x01: f"{unit.wired.count:X}",
+        0x02: f"{model.passive_ports:X}",
+        int(wire.SFLIST_VOLUMES, 16): f"{len(model.volumes)}{volumes}",
+        0x04: f"{unit.wired.count:X}",  # ports that sense current
+        0x05: f"{model.wireless_ports:X}",
+    }
+    number = hexadecimal(argument)
+    if number in AURORA_LISTS:
+        raise Refusal(ErrorCode.NO_FEATURE_LIST)
+    if number not in lists:
+        raise Refusal(unit.behaviour.unknown_feature_list)
+    return lists[number]
+
+
+def system_checks(unit: Unit, argument: str) -> str:
+    """SSTAT oooo: two digits per option, 00 when healthy."""
+    asked = hexadecimal(argument)
+    if not asked or asked & ~(CONTROL | SENSORS | TOOL_INTERFACE):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    alerts = unit.alerts.current
+    sensors_wrong = alerts & (Alert.SENSOR_PARAMETER | Alert.SENSOR_VOLTAGE)
+    found = {
+        CONTROL: CONTROL_SYSTEM_CHECKSUM if alerts & Alert.FATAL_PARAMETER else 0,
+        SENSORS: LEFT_ROM | RIGHT_ROM if sensors_wrong else 0,
+        TOOL_INTERFACE: INTERFACE_VOLTAGES if alerts & Alert.MAIN_VOLTAGE else 0,
+    }
+    return "".join(f"{value:02X}" for option, value in found.items() if asked & option)
+
+
+def _features(unit: Unit) -> int:
+    model = unit.model
+    return (
+        FEATURE_PASSIVE_PORTS
+        | (FEATURE_ACTIVE_PORTS | FEATURE_TOOL_IN_PORT if unit.wired.count else 0)
+        | (FEATURE_SEVERAL_VOLUMES if len(model.volumes) > 1 else 0)
+        | (FEATURE_ACTIVE_WIRELESS if model.wireless_ports else 0)
+    )

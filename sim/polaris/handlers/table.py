@@ -5,17 +5,16 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Container
 from dataclasses import dataclass
+from enum import Enum, auto
 from functools import cache
 from types import MappingProxyType
 
 from ronna_hw.wire.polaris import COMM_ARGUMENT_DIGITS, HANDLE_DIGITS, PHRQ_ARGUMENT_CHARACTERS
-from sim.polaris.handlers import diagnostic, features, ports, settings, system, tool_memory, tracking
-from sim.polaris.handlers.arguments import hexadecimal
+from sim.polaris.handlers import ports, system, tool_memory, tracking
 from sim.polaris.handlers.tool_memory import ADDRESS_DIGITS, BLOCK_DIGITS
+from sim.polaris.tracker_unit import Mode, Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.polaris.unit.mode import Group, Mode, modes_of
-from sim.polaris.unit.refusal import ErrorCode, Refusal
-from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
 
 CarryOut = Callable[[Unit, str], str | bytes | None]
 NOTHING = (0,)
@@ -25,16 +24,31 @@ TEXT = range(1, sys.maxsize)
 ANYTHING = range(sys.maxsize)
 
 
+class Group(Enum):
+    """Groups of commands that are allowed in the same modes."""
+
+    RESTART = auto()  # INIT, RESET
+    READING = auto()  # APIREV, GET, GETINFO, ECHO, BEEP
+    IDENTITY = auto()  # VER, COMM
+    ADJUSTING = auto()  # SET: some parameters may change while tracking
+    SETTINGS = auto()
+    HANDLES = auto()
+    STARTING = auto()
+    FRAMES = auto()
+    OUTPUTS = auto()
+    DIAGNOSTICS = auto()
+
+
 @dataclass(frozen=True)
 class Command:
-    """One command; `carry_out` returns text without CRC, all bytes of a reply, or None for OKAY."""
+    """One command; `carry_out` returns text without CRC, a complete reply in bytes, or None for OKAY."""
 
     carry_out: CarryOut
     group: Group
     lengths: Container[int] = NOTHING  # of the argument
     starts_with_handle: bool = False
-    reads_frame: bool = False  # its reply depends only on the frame
-    restarts_line: bool = False  # its reply is sent with the new settings
+    reads_frame: bool = False  # the reply depends on the frame only
+    restarts_line: bool = False  # the reply has the new line settings
 
     def check(self, argument: str) -> None:
         """Raise Refusal for an argument that does not have this command's form."""
@@ -45,8 +59,8 @@ class Command:
             hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE)
 
 
-def _of_handle(carry_out: CarryOut, *more: int, group: Group = Group.HANDLES) -> Command:
-    """A command whose argument is a handle plus as many further characters."""
+def _handle_command(carry_out: CarryOut, *more: int, group: Group = Group.HANDLES) -> Command:
+    """A command whose argument is a handle and `more` further characters."""
     lengths = tuple(HANDLE_DIGITS + count for count in more or NOTHING)
     return Command(carry_out, group, lengths, starts_with_handle=True)
 
@@ -60,46 +74,46 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
         "COMM": Command(system.communication, Group.IDENTITY, (COMM_ARGUMENT_DIGITS,)),
         "ECHO": Command(system.echo, Group.READING, ANYTHING),
         "BEEP": Command(system.beep, Group.READING, (1,)),
-        "HCWDOG": Command(settings.watch_dog, Group.SETTINGS, TEXT),
-        "SFLIST": Command(features.feature_list, Group.SETTINGS, (2,)),
-        "SSTAT": Command(features.system_checks, Group.SETTINGS, (4,)),
-        "GET": Command(settings.get, Group.READING, TEXT),
-        "GETINFO": Command(settings.get_information, Group.READING, TEXT),
-        "SET": Command(settings.set_parameter, Group.ADJUSTING, ANYTHING),
-        "DFLT": Command(settings.set_default, Group.SETTINGS, TEXT),
-        "SAVE": Command(settings.save, Group.SETTINGS),
-        "VSEL": Command(settings.select_volume, Group.SETTINGS, (1,)),
-        "IRATE": Command(settings.illuminator_rate, Group.SETTINGS, (1,)),
+        "HCWDOG": Command(system.watch_dog, Group.SETTINGS, TEXT),
+        "SFLIST": Command(system.feature_list, Group.SETTINGS, (2,)),
+        "SSTAT": Command(system.system_checks, Group.SETTINGS, (4,)),
+        "GET": Command(system.get, Group.READING, TEXT),
+        "GETINFO": Command(system.get_information, Group.READING, TEXT),
+        "SET": Command(system.set_parameter, Group.ADJUSTING, ANYTHING),
+        "DFLT": Command(system.set_default, Group.SETTINGS, TEXT),
+        "SAVE": Command(system.save, Group.SETTINGS),
+        "VSEL": Command(system.select_volume, Group.SETTINGS, (1,)),
+        "IRATE": Command(system.illuminator_rate, Group.SETTINGS, (1,)),
         "PHSR": Command(ports.search, Group.HANDLES, (0, 2)),
         "PHRQ": Command(ports.request, Group.HANDLES, (PHRQ_ARGUMENT_CHARACTERS,)),
-        "PHF": _of_handle(ports.free),
-        "PINIT": _of_handle(ports.initialise),
-        "PENA": _of_handle(ports.enable, 1),
-        "PDIS": _of_handle(ports.disable),
-        "PHINF": _of_handle(ports.information, *OPTIONS),
-        "PFSEL": _of_handle(ports.select_faces, 2),
-        "PVWR": _of_handle(tool_memory.write_virtual, ADDRESSED_BLOCK),
-        "PPRD": _of_handle(tool_memory.read, ADDRESS_DIGITS),
-        "PPWR": _of_handle(tool_memory.write, ADDRESSED_BLOCK),
-        "PURD": _of_handle(tool_memory.read_user_area, ADDRESS_DIGITS),
-        "PUWR": _of_handle(tool_memory.write_user_area, ADDRESSED_BLOCK),
-        "PSRCH": _of_handle(tool_memory.search),
+        "PHF": _handle_command(ports.free),
+        "PINIT": _handle_command(ports.initialise),
+        "PENA": _handle_command(ports.enable, 1),
+        "PDIS": _handle_command(ports.disable),
+        "PHINF": _handle_command(ports.information, *OPTIONS),
+        "PFSEL": _handle_command(ports.select_faces, 2),
+        "PVWR": _handle_command(tool_memory.write_virtual, ADDRESSED_BLOCK),
+        "PPRD": _handle_command(tool_memory.read, ADDRESS_DIGITS),
+        "PPWR": _handle_command(tool_memory.write, ADDRESSED_BLOCK),
+        "PURD": _handle_command(tool_memory.read_user_area, ADDRESS_DIGITS),
+        "PUWR": _handle_command(tool_memory.write_user_area, ADDRESSED_BLOCK),
+        "PSRCH": _handle_command(tool_memory.search),
         "PSEL": Command(tool_memory.select, Group.HANDLES, range(HANDLE_DIGITS + 1, sys.maxsize)),
-        "TTCFG": _of_handle(tool_memory.use_test_definition),
-        "TCTST": _of_handle(tool_memory.test_current),
-        "LED": _of_handle(tool_memory.light, 2, group=Group.OUTPUTS),
-        "PSOUT": _of_handle(tool_memory.general_purpose, tool_memory.OUTPUTS, group=Group.OUTPUTS),
+        "TTCFG": _handle_command(tool_memory.use_test_definition),
+        "TCTST": _handle_command(tool_memory.test_current),
+        "LED": _handle_command(tool_memory.light, 2, group=Group.OUTPUTS),
+        "PSOUT": _handle_command(tool_memory.general_purpose, tool_memory.OUTPUTS, group=Group.OUTPUTS),
         "TSTART": Command(tracking.start, Group.STARTING, (0, 2)),
         "TSTOP": Command(tracking.stop, Group.FRAMES),
         "TX": Command(tracking.text_frame, Group.FRAMES, OPTIONS, reads_frame=True),
         "BX": Command(tracking.binary_frame, Group.FRAMES, OPTIONS, reads_frame=True),
         "GX": Command(system.absent, Group.FRAMES, ANYTHING),
-        "DSTART": Command(diagnostic.start, Group.STARTING),
-        "DSTOP": Command(diagnostic.stop, Group.DIAGNOSTICS),
-        "IRED": _of_handle(diagnostic.fire, diagnostic.FIRING_DIGITS, group=Group.DIAGNOSTICS),
-        "3D": _of_handle(diagnostic.markers, 1, group=Group.DIAGNOSTICS),
-        "IRINIT": Command(diagnostic.prepare_infrared_check, Group.DIAGNOSTICS),
-        "IRCHK": Command(diagnostic.check_infrared, Group.DIAGNOSTICS, OPTIONS),
+        "DSTART": Command(tracking.start_diagnostic, Group.STARTING),
+        "DSTOP": Command(tracking.stop, Group.DIAGNOSTICS),
+        "IRED": _handle_command(tracking.fire, tracking.FIRING_DIGITS, group=Group.DIAGNOSTICS),
+        "3D": _handle_command(tracking.markers, 1, group=Group.DIAGNOSTICS),
+        "IRINIT": Command(tracking.prepare_infrared_check, Group.DIAGNOSTICS),
+        "IRCHK": Command(tracking.check_infrared, Group.DIAGNOSTICS, OPTIONS),
         **dict.fromkeys(system.ABSENT, Command(system.absent, Group.READING, ANYTHING)),
     }
 )
@@ -107,5 +121,28 @@ COMMANDS: MappingProxyType[str, Command] = MappingProxyType(
 
 @cache
 def modes_of_commands(behaviour: UnitBehaviour) -> dict[str, frozenset[Mode]]:
-    """The modes in which each command is allowed."""
+    """Modes in which each command is allowed, by name."""
     return {name: modes_of(command.group, behaviour) for name, command in COMMANDS.items()}
+
+
+def modes_of(group: Group, behaviour: UnitBehaviour) -> frozenset[Mode]:
+    """Modes in which the commands of a group are allowed."""
+    early = {Mode.NOT_INITIALISED} if behaviour.answers_before_init else set()
+    settings = {Mode.DIAGNOSTIC} if behaviour.settings_in_diagnostic else set()
+    settings |= {Mode.TRACKING} if behaviour.settings_while_tracking else set()
+    handles = {Mode.DIAGNOSTIC} if behaviour.handles_in_diagnostic else set()
+    identity = {Mode.TRACKING} if behaviour.identity_while_tracking else set()
+    running = {Mode.SETUP, Mode.TRACKING, Mode.DIAGNOSTIC}
+    modes: dict[Group, set[Mode]] = {
+        Group.RESTART: set(Mode),
+        Group.READING: running | early,
+        Group.IDENTITY: {Mode.SETUP, Mode.DIAGNOSTIC} | identity | early,
+        Group.ADJUSTING: {Mode.SETUP, Mode.TRACKING} | settings,
+        Group.SETTINGS: {Mode.SETUP} | settings,
+        Group.HANDLES: {Mode.SETUP} | handles,
+        Group.STARTING: {Mode.SETUP},
+        Group.FRAMES: {Mode.TRACKING},
+        Group.OUTPUTS: running,
+        Group.DIAGNOSTICS: {Mode.DIAGNOSTIC},
+    }
+    return frozenset(modes[group])

@@ -1,20 +1,16 @@
-"""Memory and outputs of a tool: PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST, LED, PSOUT."""
+"""Commands on memory and outputs of a tool.
+
+PVWR, PPRD, PPWR, PURD, PUWR, PSRCH, PSEL, TTCFG, TCTST, LED, PSOUT.
+"""
 
 from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import HANDLE_DIGITS
-from sim.polaris.handlers.arguments import (
-    hexadecimal,
-    initialised_port_of,
-    port_of,
-    wired_port_of,
-)
-from sim.polaris.tools.definition import wiring_definition
-from sim.polaris.tools.ports import Port
-from sim.polaris.tools.wired_tools import WiredTool
-from sim.polaris.unit.refusal import ErrorCode, Refusal
-from sim.polaris.unit.unit import Unit
+from sim.polaris.tracker_unit import Unit
+from sim.polaris.unit.ports import WiredTool
+from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.tool_definition import built_in_definition
 
 ADDRESS_DIGITS = 4
 BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
@@ -26,9 +22,9 @@ OUTPUT_STATES = frozenset("NSPO")  # no change, solid, pulse, off
 
 
 def write_virtual(unit: Unit, argument: str) -> None:
-    """PVWR hh aaaa and 64 bytes: the content is checked by PINIT."""
+    """PVWR hh aaaa and 64 bytes: loaded unchecked, PINIT checks the content"""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
-    port = port_of(unit, argument)
+    port = unit.ports.addressed(argument)
     if port.unoccupied:
         raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
     if port.dummy:
@@ -38,7 +34,7 @@ def write_virtual(unit: Unit, argument: str) -> None:
 
 
 def read(unit: Unit, argument: str) -> str:
-    """PPRD hh aaaa: 64 bytes of a wired tool's memory."""
+    """PPRD hh aaaa: 64 bytes of a wired tool's memory"""
     address = _address(argument, wire.PVWR_SPACE_BYTES)
     tool = _tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
     if tool.memory is None:
@@ -47,13 +43,13 @@ def read(unit: Unit, argument: str) -> str:
 
 
 def write(unit: Unit, argument: str) -> None:
-    """PPWR hh aaaa and 64 bytes: kept in the tool."""
+    """PPWR hh aaaa and 64 bytes: stored in the tool"""
     address, content = _block(argument, wire.PVWR_SPACE_BYTES)
     tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     if tool.memory is None:
         raise Refusal(ErrorCode.CANNOT_WRITE_MEMORY)
     tool.memory[address : address + len(content)] = content
-    port_of(unit, argument).memory[:] = tool.memory
+    unit.ports.addressed(argument).memory[:] = tool.memory
 
 
 def read_user_area(unit: Unit, argument: str) -> str:
@@ -71,36 +67,37 @@ def write_user_area(unit: Unit, argument: str) -> None:
 
 
 def search(unit: Unit, argument: str) -> str:
-    """PSRCH hh: number and identifiers of the tool's memory devices."""
-    tool = wired_port_of(unit, argument).tool
+    """PSRCH hh: number and identifiers of the tool's memory devices"""
+    tool = unit.ports.addressed_wired(argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
 
 
 def select(unit: Unit, argument: str) -> None:
-    """PSEL hh and the identifier of a memory device"""
+    """PSEL hh d...: select a memory device by its identifier"""
     if len(argument) <= HANDLE_DIGITS:
         raise Refusal(ErrorCode.PARAMETER_COUNT)
-    tool = wired_port_of(unit, argument).tool
+    tool = unit.ports.addressed_wired(argument).tool
     if tool is None or tool.memory is None or argument[HANDLE_DIGITS:].upper() != tool.identifier:
         raise Refusal(ErrorCode.CANNOT_SELECT_MEMORY)
 
 
 def use_test_definition(unit: Unit, argument: str) -> None:
-    """TTCFG hh: test definition for a tool without memory."""
-    port = wired_port_of(unit, argument)
+    """TTCFG hh: load the test definition, for a tool without memory"""
+    port = unit.ports.addressed_wired(argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
-    content = wiring_definition()
+    content = built_in_definition()
     port.memory[: len(content)] = content
     port.written = True
 
 
 def test_current(unit: Unit, argument: str) -> None:
-    """TCTST hh: the result is read by PHINF 0002."""
-    port = wired_port_of(unit, argument)
-    if initialised_port_of(unit, argument).definition is None:  # a dummy draws no current
+    """TCTST hh: test the markers' current; PHINF 0002 reads the result"""
+    port = unit.ports.addressed_wired(argument)
+    definition = unit.ports.addressed_initialised(argument).definition
+    if definition is None:  # a dummy draws no current
         raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
-    port.current_test = _all_markers(port)
+    port.current_test = (1 << len(definition.markers_mm)) - 1  # every marker passes
 
 
 def light(unit: Unit, argument: str) -> None:
@@ -110,20 +107,16 @@ def light(unit: Unit, argument: str) -> None:
         raise Refusal(ErrorCode.BAD_LED_NUMBER)
     if state not in LIGHT_STATES:
         raise Refusal(ErrorCode.BAD_LED_STATE)
-    wired_port_of(unit, argument)
-    initialised_port_of(unit, argument)
+    unit.ports.addressed_wired(argument)
+    unit.ports.addressed_initialised(argument)
 
 
 def general_purpose(unit: Unit, argument: str) -> None:
     """PSOUT hh abc"""
     if not OUTPUT_STATES.issuperset(argument[HANDLE_DIGITS:]):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    wired_port_of(unit, argument)
-    initialised_port_of(unit, argument)
-
-
-def _all_markers(port: Port) -> int:
-    return 0 if port.definition is None else (1 << len(port.definition.markers_mm)) - 1
+    unit.ports.addressed_wired(argument)
+    unit.ports.addressed_initialised(argument)
 
 
 def _address(argument: str, space_bytes: int) -> int:
@@ -140,10 +133,10 @@ def _block(argument: str, space_bytes: int) -> tuple[int, bytes]:
 
 
 def _tool(unit: Unit, argument: str, without_memory: ErrorCode) -> WiredTool:
-    port = port_of(unit, argument)
+    port = unit.ports.addressed(argument)
     if not port.wired_port and unit.behaviour.memory_of_passive == "1E/1F":
         raise Refusal(without_memory)
-    tool = wired_port_of(unit, argument).tool
+    tool = unit.ports.addressed_wired(argument).tool
     if tool is None:
         raise Refusal(without_memory)
     return tool

@@ -1,22 +1,28 @@
-"""Tracking: TSTART, TSTOP, TX, BX."""
+"""Commands that measure: TSTART, TSTOP, TX, BX; in diagnostic mode DSTART, DSTOP, IRED, 3D, IRINIT, IRCHK."""
 
 from __future__ import annotations
 
 from ronna_hw.wire import polaris as wire
-from ronna_hw.wire.polaris import ReplyOption
-from sim.polaris.handlers.arguments import hexadecimal
-from sim.polaris.line.framing import ascii_reply, binary_reply
-from sim.polaris.replies.bx import binary_body
-from sim.polaris.replies.tx import text_reply
-from sim.polaris.tools.geometry_rules import wavelength_of
-from sim.polaris.tools.ports import Port
-from sim.polaris.unit.alerts import HARDWARE
-from sim.polaris.unit.refusal import ErrorCode, Refusal
-from sim.polaris.unit.unit import Unit
+from ronna_hw.wire.polaris import HANDLE_DIGITS, LF, MAXIMUM_STRAYS, ReplyOption
+from sim.polaris.handlers.frame_replies import binary_body, text_reply
+from sim.polaris.tracker_unit import Unit
+from sim.polaris.unit.framing import ascii_reply, binary_reply
+from sim.polaris.unit.ports import Port
+from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.tool_definition import wavelength_of
+from sim.polaris.unit.user_parameters import HARDWARE_ALERTS
 
 RESTART_COUNTER = int(wire.TSTART_RESET_FRAME_COUNTER, 16)
 START_OPTIONS = RESTART_COUNTER | int(wire.TSTART_FASTER, 16)
 OPTIONS = int(sum(ReplyOption))
+
+FIRING_DIGITS = 8
+EVERYTHING_SEEN = "5"  # the only form of 3D with a public reply
+POSITION_SCALE = 10_000  # 3D: four implied decimals
+SEPARATION_SCALE = 100  # two implied decimals
+LARGEST_SEPARATION = 9999
+DETECTED, SOURCES = 0x0001, 0x0002  # options of IRCHK
+NO_SOURCES = "000"  # three digits per sensor
 
 
 def start(unit: Unit, argument: str) -> None:
@@ -25,7 +31,7 @@ def start(unit: Unit, argument: str) -> None:
     if options & ~START_OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     enabled = unit.ports.enabled()
-    faulty = unit.alerts.current & HARDWARE and not unit.behaviour.starts_with_hardware_fault
+    faulty = unit.alerts.current & HARDWARE_ALERTS and not unit.behaviour.starts_with_hardware_fault
     idle = not enabled and not unit.behaviour.starts_without_tools
     if faulty or idle or _dummy_beside_tool(enabled):
         raise Refusal(ErrorCode.CANNOT_START_TRACKING)
@@ -37,8 +43,15 @@ def start(unit: Unit, argument: str) -> None:
     unit.start_tracking(restart=bool(options & RESTART_COUNTER))
 
 
+def start_diagnostic(unit: Unit, _argument: str) -> None:
+    """DSTART"""
+    if unit.alerts.current & HARDWARE_ALERTS and not unit.behaviour.starts_with_hardware_fault:
+        raise Refusal(ErrorCode.CANNOT_START_DIAGNOSTIC)
+    unit.start_diagnostic()
+
+
 def stop(unit: Unit, _argument: str) -> None:
-    """TSTOP"""
+    """TSTOP, DSTOP"""
     unit.stop()
 
 
@@ -67,3 +80,51 @@ def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
     """Whether a dummy and a real tool of one type are both enabled."""
     dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
     return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)
+
+
+def fire(unit: Unit, argument: str) -> None:
+    """IRED hh bbbbbbbb: one bit per marker to fire"""
+    bits = hexadecimal(argument[HANDLE_DIGITS:])
+    port = unit.ports.addressed_wired(argument)
+    unit.ports.addressed_initialised(argument)
+    port.firing = bits
+
+
+def markers(unit: Unit, argument: str) -> str:
+    """3D hh n: every marker in view, of a tool or stray"""
+    if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    port = unit.ports.addressed_initialised(argument)
+    frame = unit.diagnostic_frame(port)
+    seen = [(stray.position_mm, stray.inside) for stray in frame.strays]
+    for own, tracked in frame.tools:
+        if tracked is not None:
+            own_markers = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
+            for index, (position, inside) in enumerate(own_markers):
+                if position is not None and (not own.wired_port or own.firing >> index & 1):
+                    seen.append((position, inside))
+    separation = min(round(unit.behaviour.line_separation_mm * SEPARATION_SCALE), LARGEST_SEPARATION)
+    records = [
+        "".join(f"{round(value * POSITION_SCALE):+09d}" for value in position)
+        + f"{separation:04d}{int(not inside)}"
+        for position, inside in seen[:MAXIMUM_STRAYS]
+    ]
+    return LF.join([f"{len(records):03d}", *records])
+
+
+def prepare_infrared_check(unit: Unit, _argument: str) -> None:
+    """IRINIT"""
+    unit.infrared_checked = True
+
+
+def check_infrared(unit: Unit, argument: str) -> str:
+    """IRCHK [oooo]: whether and where there is ambient infrared light"""
+    asked = hexadecimal(argument) if argument else DETECTED
+    if not asked or asked & ~(DETECTED | SOURCES):
+        raise Refusal(ErrorCode.OUT_OF_RANGE)
+    if not unit.infrared_checked:
+        raise Refusal(ErrorCode.INFRARED_CHECK_NOT_READY)
+    if unit.measurer.light:
+        raise Refusal(ErrorCode.TOO_MUCH_INFRARED)
+    detected = "0" if asked & DETECTED else ""
+    return detected + (2 * NO_SOURCES if asked & SOURCES else "")

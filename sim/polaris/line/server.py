@@ -1,25 +1,86 @@
-"""Serves one host at a time until the process is asked to end."""
+"""Serve one host at a time, over a serial line or TCP, until the process is asked to end."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import select
 import socket
 import time
+from collections.abc import Sequence
 from math import inf
+from typing import Protocol
 
-from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import REPLY_ERROR
 from sim.errors import EndpointTaken
-from sim.polaris.line.channel import Channel, Connection, Ready
-from sim.polaris.line.framing import LineBuffer
+from sim.polaris.faults import LineFaults
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.line.line_faults import LineFaults
-from sim.polaris.line.pseudo_terminal import PseudoTerminal
+from sim.polaris.unit.framing import LineBuffer, LineSettings
+
+RECEIVE_BYTES = 4096
+Ready = Sequence[tuple[int, int]]  # (file descriptor, events) as `poll` returns them
+SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, whatever the unit's own limit
 
 REFUSED = REPLY_ERROR.encode("ascii")
 WAITING_HOSTS = 4  # hosts that may queue for the connection
-WAITING_LOOK_S = 0.2  # a silent host yields this long after the next one has connected
+WAITING_LOOK_S = 0.2  # host time between looks for a waiting host
+
+
+class Channel(Protocol):
+    """A byte stream to one host."""
+
+    def files(self) -> tuple[int, ...]:
+        """File descriptors to wait on."""
+        ...
+
+    def receive(self, ready: Ready) -> bytes | None:
+        """Bytes from the ready descriptors, possibly none; None when the host is gone."""
+        ...
+
+    def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
+        """Wait as long as this many bytes take to arrive on a line with these settings."""
+        ...
+
+    def send(self, data: bytes, line: LineSettings) -> None:
+        """Send a reply with these line settings."""
+        ...
+
+
+class Connection:
+    """One TCP connection, without line settings; a host that accepts no reply for `patience_s` is gone."""
+
+    def __init__(self, peer: socket.socket, patience_s: float) -> None:
+        self._peer = peer
+        self._gone = False
+        peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        peer.settimeout(min(patience_s, SEND_PATIENCE_S))
+
+    def files(self) -> tuple[int, ...]:
+        return (self._peer.fileno(),)
+
+    def receive(self, ready: Ready) -> bytes | None:
+        if self._gone:  # commands still in its buffer are not executed
+            return None
+        try:
+            return self._peer.recv(RECEIVE_BYTES) or None
+        except OSError:
+            return None
+
+    def wait_for_arrival(self, received_bytes: int, line: LineSettings) -> None:
+        """A network has no baud rate: no wait."""
+
+    def send(self, data: bytes, line: LineSettings) -> None:
+        try:
+            self._peer.sendall(data)
+        except OSError:  # half a reply is useless: make the next receive report the host as gone
+            self._gone = True
+            with contextlib.suppress(OSError):
+                self._peer.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._peer.close()
 
 
 class EndSignal:
@@ -30,7 +91,7 @@ class EndSignal:
         self.given = False
 
     def give(self) -> None:
-        """Ask the server to end."""
+        """Ask the server to end; safe in a signal handler."""
         self.given = True
         os.write(self._writer, b"\0")
 
@@ -48,17 +109,17 @@ class Server:
         self._silent_host_s = interpreter.unit.behaviour.silent_host_s
         self._silent_until_s = inf  # host time from which a silent host yields to a waiting one
 
-    def serve_line(self, line: PseudoTerminal) -> None:
+    def serve_line(self, line: Channel) -> None:
         """Serve a serial line."""
         self._converse(line)
 
     def serve_network(self, listener: socket.socket) -> None:
-        """Serve connections one after another; the unit's state outlives them."""
+        """Serve connections one after another; the unit keeps its state between them."""
         self._listener = listener
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
             if not ready:
-                self._interpreter.unasked()  # no host is connected
+                self._interpreter.unsolicited()  # no host is connected
                 continue
             connection = Connection(listener.accept()[0], self._silent_host_s)
             try:
@@ -72,33 +133,34 @@ class Server:
         faults = LineFaults(interpreter.unit)
         lines = LineBuffer(interpreter.unit.model.longest_command)
         waiting = self._poll(*channel.files())
-        self._hears()
+        self._restart_silence()
         while (ready := self._wait(waiting)) is not None:
-            if self._gives_way():
+            if self._yields():
                 return
-            if unasked := interpreter.unasked():
-                channel.send(unasked, interpreter.reply_line)
+            if unsolicited := interpreter.unsolicited():
+                channel.send(unsolicited, interpreter.reply_line)
             received = channel.receive(ready) if ready else b""
             if received is None:
                 return
             if not received:
                 continue
             for line in lines.feed(received, time.monotonic()):
-                channel.let_arrive(len(line) + 1, interpreter.line)
+                channel.wait_for_arrival(len(line) + 1, interpreter.line)
                 line = faults.to_unit(line)
                 reply = interpreter.reply(line)
                 if not reply.startswith(REFUSED):
-                    self._hears()
+                    self._restart_silence()
                 reply = faults.to_host(line, reply)
                 if reply:
                     channel.send(reply, interpreter.reply_line)
 
-    def _hears(self) -> None:
-        """The host has given a command that was not refused, or has just connected."""
+    def _restart_silence(self) -> None:
+        """Restart the silence limit: the host has connected, or its command was accepted."""
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 
-    def _gives_way(self) -> bool:
+    def _yields(self) -> bool:
+        """Whether a silent network host must yield to one waiting to connect."""
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:
             return False
@@ -119,13 +181,8 @@ class Server:
         return None if self._end.given else ready
 
 
-def network_address(text: str) -> Endpoint:
-    """Parse the address to listen on; port 0 means any free one. Raises CFG-002 unless tcp://host:port."""
-    return parse_endpoint(text, listening=True).require("tcp")
-
-
 def listen(address: Endpoint) -> socket.socket:
-    """Listen on the address; raises SIM-004 when it is taken."""
+    """Listen on the address; raises SIM-004 if it is taken."""
     try:
         return socket.create_server((address.host, address.port), backlog=WAITING_HOSTS)
     except OSError as error:

@@ -1,7 +1,7 @@
-"""One frame: every enabled tool and every stray, measured marker by marker.
+"""Measurement of a frame: every enabled tool and every stray, marker by marker.
 
-The noise of a frame is a function of the scene's seed, the tracking and the frames since it started, so
-requesting the same frame again, or skipping others, changes nothing.
+Noise is a function of the scene's seed, the tracking session and the frames since its start, so requesting a
+frame again, or skipping others, changes nothing.
 """
 
 from __future__ import annotations
@@ -12,19 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
+from sim.polaris.measurement.line_of_sight import Flags, visible
+from sim.polaris.measurement.optics import (
+    Optics,
+    Sight,
+    extra_strays,
+    eyes_mm,
+    in_field,
+    phantoms,
+    reflecting_places,
+    reflections,
+)
 from sim.polaris.measurement.tracking_rules import INFRARED_COPY, Tracked, track
-from sim.polaris.measurement.visible_markers import Group, MarkerVisibility, VisibleMarkers
-from sim.polaris.optics.marker_noise import Optics
-from sim.polaris.optics.measuring_volume import Volume
-from sim.polaris.scene.disturbance import Disturbance, Disturbances
-from sim.polaris.scene.extra_strays import reflecting_places, reflections
-from sim.polaris.scene.true_scene import TrueScene
-from sim.polaris.tools.ports import Port
+from sim.polaris.measurement.true_scene import Disturbance, Disturbances, TrueScene, TrueTool
+from sim.polaris.unit.model import Volume
+from sim.polaris.unit.ports import Port
+from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.noise import noise
-from sim.world.room_shift import ShiftedRoom
-from sim.world.world import World
+from sim.world.world import ArmState, World
 
+SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
 Vectors = NDArray[np.float64]
 
 DEVICE = "tracker"
@@ -36,7 +44,7 @@ WITHHELD = SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE | SystemS
 
 @dataclass(frozen=True)
 class Stray:
-    """A marker that belongs to no tool."""
+    """Marker that belongs to no tool."""
 
     position_mm: tuple[float, float, float]
     inside: bool
@@ -44,16 +52,16 @@ class Stray:
 
 @dataclass(frozen=True)
 class Frame:
-    """Everything one reply can report. `tools` pairs each enabled port's handle with what was found."""
+    """Everything that one reply can report. `tools` pairs each enabled port with its result."""
 
     number: int
-    tools: tuple[tuple[Port, Tracked | None], ...]  # None: nothing visible under this handle
+    tools: tuple[tuple[Port, Tracked | None], ...]  # None: no result
     strays: tuple[Stray, ...]
     system_status: SystemStatus
 
 
 class Measurer:
-    """Measures the scene of a world like a unit with these volumes."""
+    """Measures the scene of a world as a unit with these volumes."""
 
     def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
         truth = world.scene.tracker
@@ -66,26 +74,26 @@ class Measurer:
         self._disturbances = Disturbances(FaultBoard(world, DEVICE), ShiftedRoom(world))
         self._usual_reflections = truth.reflections
         self._first_volume = volumes[0]
-        self._faces: dict[int, int] = {}  # by handle: the face tracked in the previous frame
-        self._trackings = 0  # how often it has started
+        self._faces: dict[int, int] = {}  # face tracked in the previous frame, by handle
+        self._sessions = 0  # starts of tracking
         self._noise_key = DEVICE
 
-    def hangs_on_mount(self, port: Port) -> bool:
+    def is_mount_frame(self, port: Port) -> bool:
         """Whether this port's tool is the reference frame M on the mount."""
-        return port.definition is not None and self._scene.hangs_on_mount(port.definition)
+        return port.definition is not None and self._scene.is_mount_frame(port.definition)
 
     def begin_tracking(self) -> None:
-        """Tracking starts: every one after the first has its own noise.
+        """Start a tracking session; each after the first has its own noise.
 
         A guard that reads the tracker between the steps of a case therefore changes none of its numbers, and
-        does not see the noise of an earlier one again.
+        does not repeat the noise of an earlier session.
         """
-        self._trackings += 1
-        if self._trackings > 1:
-            self._noise_key = f"{DEVICE}, session {self._trackings}"
+        self._sessions += 1
+        if self._sessions > 1:
+            self._noise_key = f"{DEVICE}, session {self._sessions}"
 
     def forget_tools(self) -> None:
-        """Drop caches: tools were loaded, freed or enabled."""
+        """Drop caches after tools were loaded, freed or enabled."""
         self._visibility.forget()
         self._faces.clear()
 
@@ -98,21 +106,21 @@ class Measurer:
     def frame(
         self, number: int, since_start: int, ports: tuple[Port, ...], volume: Volume, status: SystemStatus
     ) -> Frame:
-        """Measure frame `number`, the `since_start`-th since tracking began."""
+        """Measure frame `number`, `since_start` frames after tracking began."""
         if status & WITHHELD:
             return Frame(number, tuple((port, None) for port in ports), (), status)
         disturbance = self._disturbances.now()
-        arranged = self._visibility.now(ports, disturbance)
+        in_view = self._visibility.now(ports, disturbance)
         generator = noise(self._seed, self._noise_key, since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
-        unclaimed: list[tuple[float, float, float]] = []  # markers of tools that were not found
+        unclaimed: list[tuple[float, float, float]] = []  # markers of tools without a pose
         for port in ports:
-            tracked = self._tool(port, arranged.tools[port.handle], generator, volume)
+            tracked = self._tool(port, in_view.tools[port.handle], generator, volume)
             tools.append((port, tracked))
             if tracked is not None and tracked.pose is None:
                 unclaimed += tracked.measured_mm
-        # Only enabled passive handles make the illuminators fire.
-        strays = self._strays(since_start, arranged, disturbance, unclaimed, volume) if ports else ()
+        # Illuminators fire for enabled handles only.
+        strays = self._strays(since_start, in_view, disturbance, unclaimed, volume) if ports else ()
         return Frame(number, tuple(tools), strays, status)
 
     def _tool(
@@ -141,15 +149,15 @@ class Measurer:
     def _strays(
         self,
         since_start: int,
-        arranged: VisibleMarkers,
+        in_view: VisibleMarkers,
         disturbance: Disturbance,
         unclaimed: list[tuple[float, float, float]],
         volume: Volume,
     ) -> tuple[Stray, ...]:
-        points = self._points(arranged.fixed, since_start, STRAY_LANE) + unclaimed
-        if arranged.frame is not None:  # its spheres are in view whether or not the tool is tracked
-            points += self._points(arranged.frame, since_start, FRAME_LANE)
-        points += self._points(arranged.phantoms, since_start, PHANTOM_LANE)
+        points = self._points(in_view.fixed, since_start, STRAY_LANE) + unclaimed
+        if in_view.frame is not None:  # its spheres are in view even if the tool is not loaded
+            points += self._points(in_view.frame, since_start, FRAME_LANE)
+        points += self._points(in_view.phantoms, since_start, PHANTOM_LANE)
         glints = self._usual_reflections + disturbance.reflections
         glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
         if glints:
@@ -158,12 +166,12 @@ class Measurer:
                 reflections(places, noise(self._seed, self._noise_key, since_start, REFLECTION_LANE))
             )
         points = points[:MAXIMUM_STRAYS]
-        # Strays have no identity: their order changes with every frame.
+        # Strays have no identity: their order differs from frame to frame.
         order = noise(self._seed, self._noise_key, since_start, ORDER_LANE).permutation(len(points)).tolist()
         return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
     def _points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
-        """One measurement of the visible markers of a group."""
+        """Measure the visible markers of a group once."""
         if not group.seen:
             return []
         generator = noise(self._seed, self._noise_key, since_start, lane)
@@ -174,3 +182,114 @@ class Measurer:
 
 def _triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
     return [(x, y, z) for x, y, z in points_mm.tolist()]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Markers of one tool or kind: mean and noise, and the rows that both sensors see."""
+
+    sight: Sight
+    seen: list[int]
+    disturbed: bool = False  # by infrared light
+
+
+@dataclass(frozen=True)
+class VisibleMarkers:
+    """All markers in view; `tools` by handle, None for a tool without markers or not in the room."""
+
+    tools: dict[int, Group | None]
+    frame: Group | None  # reference frame M, unless loaded under a handle
+    fixed: Group
+    phantoms: Group
+
+
+class MarkerVisibility:
+    """Computes the visible markers, and caches them while nothing moves."""
+
+    def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
+        self._scene = scene
+        self._optics = optics
+        self._seed = seed
+        self._volume = volume
+        self._line_separation_mm = line_mm
+        self._key: object = None
+        self._kept: VisibleMarkers | None = None
+
+    def forget(self) -> None:
+        """Drop the cache after a change of handles."""
+        self._kept = None
+
+    def now(self, ports: tuple[Port, ...], disturbance: Disturbance) -> VisibleMarkers:
+        """Markers visible now, with these ports enabled."""
+        arm, mounted = self._scene.arm(), self._scene.mounted_tool()
+        key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
+        if self._kept is None or key != self._key:
+            self._kept = self._computed(ports, disturbance, arm, mounted)
+            self._key = key
+        return self._kept
+
+    def _computed(
+        self, ports: tuple[Port, ...], disturbance: Disturbance, arm: ArmState | None, mounted: int
+    ) -> VisibleMarkers:
+        scene = self._scene
+        tools = {
+            port.handle: None
+            if port.definition is None
+            else scene.tool(port.definition, port.place, arm, disturbance)
+            for port in ports
+        }
+        loaded = {port.definition.part_number for port in ports if port.definition is not None}
+        frame_loaded = scene.frame_on_mount.part_number in loaded
+        frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
+        on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
+        fixed = self._fixed(disturbance, as_tool=on_head)
+
+        groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
+        points = np.vstack([group.markers_mm for group in groups])
+        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted, disturbance.room))
+        bodies_past_mount = scene.bodies(arm, mounted, disturbance.room, past_mount=True)
+        ends = np.cumsum([len(group.markers_mm) for group in groups]).tolist()
+        for group, end in zip(groups, ends, strict=True):
+            first = end - len(group.markers_mm)
+            if scene.on_mount(group):
+                seen[:, first:end] = visible(eyes_mm(), points[first:end], bodies_past_mount)
+            seen[:, [first + row for row in group.covered]] = False
+        seen &= in_field(points)
+        rows = {
+            id(group): seen[:, end - len(group.markers_mm) : end]
+            for group, end in zip(groups, ends, strict=True)
+        }
+
+        def group_of(tool: TrueTool | None) -> Group | None:
+            return None if tool is None else self._group(tool, rows[id(tool)], disturbance)
+
+        ghosts = phantoms(
+            eyes_mm(), points, seen, max(self._line_separation_mm, disturbance.line_separation_mm)
+        )
+        ghost_group = Group(self._optics.sight(ghosts), list(range(len(ghosts))))
+        return VisibleMarkers(
+            tools={handle: group_of(tool) for handle, tool in tools.items()},
+            frame=group_of(frame),
+            fixed=self._group(fixed, rows[id(fixed)], disturbance),
+            phantoms=ghost_group,
+        )
+
+    def _fixed(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
+        """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
+        scene = self._scene
+        more = extra_strays(self._seed, disturbance.strays, self._volume)
+        if as_tool:
+            return TrueTool(frozenset(), np.vstack([scene.strays_mm, more]), ())
+        covered = tuple(
+            row for row, number in enumerate(scene.fiducial_numbers) if number in disturbance.hidden_fiducials
+        )
+        return TrueTool(
+            frozenset(), np.vstack([scene.fiducials_at(disturbance.room), scene.strays_mm, more]), covered
+        )
+
+    def _group(self, tool: TrueTool, seen: Flags, disturbance: Disturbance) -> Group:
+        sight = self._optics.sight(tool.markers_mm)
+        disturbed = disturbance.sunlight or bool(tool.names & disturbance.interfered)
+        if disturbed:
+            sight = Sight(sight.mean_mm, sight.sigma_mm * SUNLIGHT_NOISE)
+        return Group(sight, np.nonzero(seen.all(axis=0))[0].tolist(), disturbed)

@@ -1,25 +1,29 @@
-"""From one tool's measured markers to its pose, or to the reason why there is none.
+"""Determine a tool's pose from its measured markers, or the reason why there is none.
 
-In the unit's order: fit at least three markers, drop those beyond the maximum angle, out of the volume, and
-beyond the maximum 3D error, then test the spread of the rest; enough markers must remain after each step.
-What a reply may report about a tool outside the volume depends on the request: `as_asked` applies that rule.
+In the unit's order: choose the face, fit at least three markers, drop those beyond the maximum angle, out of
+the volume, and beyond the maximum 3D error, then test the spread of the rest; enough markers must remain
+after each step. A reply reports a tool outside the volume only if requested: `as_requested`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos, radians
+from math import atan2, cos, degrees, radians
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire.polaris import MarkerState, PortStatus, ToolInformation
-from sim.polaris.measurement.face_choice import ALL_FACES, ONLY_FACE, FittedFace, best_face
-from sim.polaris.measurement.rigid_fit import RigidFit, fit_rigid_body
-from sim.polaris.tools.definition import ToolDefinition
+from sim.polaris.unit.ports import ALL_FACES
+from sim.polaris.unit.tool_definition import ToolDefinition
 from sim.world.rigid import quaternion_from_rotation
 
 Vectors = NDArray[np.float64]
+
+LEAST_TO_FIT = 3
+HYSTERESIS_DEG = 2.0  # by which another face must be turned more directly to the sensor
+ONLY_FACE = 1
 
 DROPPED_OUT_OF_VOLUME = 4  # marker digits of newer firmware; undocumented for older
 USED_OUT_OF_VOLUME = 5
@@ -31,7 +35,7 @@ OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 @dataclass(frozen=True)
 class ToolPose:
-    """Pose tracker <- tool: scalar-first quaternion, mm, and the rms distance of the fitted markers."""
+    """Pose tracker <- tool (quaternion scalar first) and the rms distance of the fitted markers."""
 
     quaternion: tuple[float, float, float, float]
     position_mm: tuple[float, float, float]
@@ -40,20 +44,20 @@ class ToolPose:
 
 @dataclass(frozen=True)
 class Tracked:
-    """The result for one tool in one frame, inside the volume or not."""
+    """Result for one tool in one frame, inside the volume or not."""
 
     pose: ToolPose | None
     volume_status: PortStatus  # bits that the frame adds to the port status
     information: int
     marker_digits: tuple[int, ...]  # one per marker of the definition
     face: int = ONLY_FACE
-    seen: tuple[int, ...] = ()  # numbers of the measured markers
+    seen: tuple[int, ...] = ()  # indices of the measured markers
     measured_mm: tuple[tuple[float, float, float], ...] = ()  # their positions, in the same order
     inside: tuple[bool, ...] = ()  # whether each is inside the volume
 
     @property
     def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
-        """Measured position of each marker of the definition; None if it was not seen."""
+        """Measured position of each marker of the definition; None if not seen."""
         places = dict(zip(self.seen, self.measured_mm, strict=True))
         return tuple(places.get(number) for number in range(len(self.marker_digits)))
 
@@ -72,18 +76,18 @@ def track(
     previous_face: int = 0,
     allowed_faces: int = ALL_FACES,
 ) -> Tracked:
-    """Apply the rules. `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order."""
+    """Apply the rules. `seen` are the indices of the markers in `measured_mm` (n, 3), in the same order."""
     judge = _Judge(definition, seen, measured_mm, inside)
     return judge.tracked(
         best_face(definition, seen, measured_mm, previous_face, allowed_faces), previous_face
     )
 
 
-def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
-    """The tool as a reply reports it.
+def as_requested(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
+    """Hide the pose of a tool outside the volume unless it was requested.
 
-    `outside`: tools out of the volume were requested. `partially_outside`: the unit reports a tool
-    unrequested if some markers, but fewer than the minimum, are inside.
+    `outside`: such tools were requested. `partially_outside`: the unit reports them unrequested if some
+    markers, but fewer than the minimum, are inside.
     """
     hidden = PortStatus.OUT_OF_VOLUME if partially_outside else OUTSIDE
     if outside or not tracked.volume_status & hidden:
@@ -96,7 +100,7 @@ def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tra
 
 
 class _Judge:
-    """Applies the rules to one tool in one frame and records the digit of each marker."""
+    """Applies the rules to one tool in one frame, recording the digit of each marker."""
 
     def __init__(
         self, definition: ToolDefinition, seen: list[int], measured_mm: Vectors, inside: list[bool]
@@ -141,7 +145,7 @@ class _Judge:
         return self._verdict(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
-        """The markers that pass a rule; the others are assigned the digit of that rule."""
+        """Keep the markers that pass a rule; the others get the digit of that rule."""
         for k in numbers:
             if not keep[k]:
                 self._digits[markers[k]] = int(digit)
@@ -154,7 +158,7 @@ class _Judge:
 
 
 def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
-    """Which markers face the sensor (the origin) within the maximum angle."""
+    """Whether each marker faces the sensor (the origin) within the maximum angle."""
     towards = -(normals * markers_mm).sum(axis=1)
     limit = cos(radians(maximum_angle_deg)) * np.sqrt((markers_mm * markers_mm).sum(axis=1))
     facing: list[bool] = (towards >= limit).tolist()
@@ -162,7 +166,7 @@ def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> 
 
 
 def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
-    """Out of volume: every marker outside. Partially out: too few inside because others are outside."""
+    """Volume status: out with every marker outside, partially out with too few inside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
         return PortStatus(0)
@@ -170,9 +174,9 @@ def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
 
 
 def _spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Whether the spread of the used markers is large enough along each of their principal axes.
+    """Whether the used markers are spread enough along each of their principal axes.
 
-    NDI's measure is not public; here it is the distance between the outermost markers.
+    NDI's measure is not public; this one is the distance between the outermost markers.
     """
     if not any(definition.minimum_spread_mm):
         return True
@@ -185,3 +189,93 @@ def _pose(fit: RigidFit) -> ToolPose:
     w, qx, qy, qz = quaternion_from_rotation(fit.rotation).tolist()
     x, y, z = fit.translation_mm.tolist()
     return ToolPose((w, qx, qy, qz), (x, y, z), float(np.sqrt(np.mean(fit.distances_mm**2))))
+
+
+@dataclass(frozen=True)
+class FittedFace:
+    """Visible markers of one face: their indices, their rows in the measurement, and the fit."""
+
+    face: int
+    markers: list[int]
+    rows: list[int]
+    fit: RigidFit
+
+
+def best_face(
+    definition: ToolDefinition,
+    seen: list[int],
+    measured_mm: Vectors,
+    previous: int = 0,
+    allowed: int = ALL_FACES,
+) -> FittedFace | None:
+    """Choose the face to track; None if no face has enough visible markers for a fit.
+
+    The face turned most directly to the sensor, with hysteresis in favour of `previous`, the face of the last
+    frame. `seen` as in `track`; `allowed` has one bit per face that may be tracked, lowest bit for face 1.
+    """
+    faces = [face for face in sorted(set(definition.faces)) or [ONLY_FACE] if allowed >> (face - 1) & 1]
+    if len(faces) == 1:
+        return _fit(definition, faces[0], seen, measured_mm)
+    candidates: dict[int, tuple[float, FittedFace]] = {}
+    for face in faces:
+        fitted = _fit(definition, face, seen, measured_mm)
+        if fitted is not None:
+            candidates[face] = (_angle_to_sensor_deg(definition, fitted), fitted)
+    if not candidates:
+        return None
+    best_deg, best = min(candidates.values(), key=lambda candidate: candidate[0])
+    if previous in candidates and candidates[previous][0] <= best_deg + HYSTERESIS_DEG:
+        return candidates[previous][1]
+    return best
+
+
+def _fit(definition: ToolDefinition, face: int, seen: list[int], measured_mm: Vectors) -> FittedFace | None:
+    faces = definition.faces
+    rows = [row for row, marker in enumerate(seen) if not faces or faces[marker] == face]
+    if len(rows) < LEAST_TO_FIT:
+        return None
+    markers = [seen[row] for row in rows]
+    return FittedFace(face, markers, rows, fit_rigid_body(definition.markers_mm[markers], measured_mm[rows]))
+
+
+def _angle_to_sensor_deg(definition: ToolDefinition, fitted: FittedFace) -> float:
+    """Angle between the normal of a face and the direction to the sensor (the origin).
+
+    0 if the normals cancel out, as with markers back to back: such a face is seen from all around.
+    """
+    members = [marker for marker, face in enumerate(definition.faces) if face == fitted.face]
+    normal = fitted.fit.rotation @ definition.normals[members].mean(axis=0)
+    towards = -(fitted.fit.rotation @ definition.markers_mm[members].mean(axis=0) + fitted.fit.translation_mm)
+    return degrees(atan2(float(np.linalg.norm(np.cross(normal, towards))), float(normal @ towards)))
+
+
+class RigidFit(NamedTuple):
+    """Pose tracker <- tool: rotation (3, 3), translation (3,), and the residual (n,) of each marker."""
+
+    rotation: Vectors
+    translation_mm: Vectors
+    distances_mm: Vectors
+
+
+def fit_rigid_body(body_mm: Vectors, measured_mm: Vectors) -> RigidFit:
+    """Fit markers (n, 3) to their measured positions (n, 3), n >= 3, paired.
+
+    Orthogonal Procrustes by SVD (Arun 1987) with Umeyama's sign, so that a mirror image is never returned.
+    """
+    count = len(body_mm)
+    body_centre = body_mm.sum(axis=0) / count
+    measured_centre = measured_mm.sum(axis=0) / count
+    left, _, right = np.linalg.svd((measured_mm - measured_centre).T @ (body_mm - body_centre))
+    rotation: Vectors = left @ right
+    if _determinant(rotation.tolist()) < 0.0:
+        left[:, 2] = -left[:, 2]
+        rotation = left @ right
+    translation = measured_centre - rotation @ body_centre
+    residuals = body_mm @ rotation.T + translation - measured_mm
+    return RigidFit(rotation, translation, np.sqrt((residuals * residuals).sum(axis=1)))
+
+
+def _determinant(matrix: list[list[float]]) -> float:
+    """Determinant of a (3, 3) matrix; ten times as fast as `numpy.linalg.det`."""
+    (a, b, c), (d, e, f), (g, h, i) = matrix
+    return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)

@@ -1,7 +1,7 @@
 """Behaviour that public sources leave open, one named parameter each.
 
-The defaults are best estimates. A driver must work with every alternative; choose one with `ronna-sim
-polaris --set NAME=VALUE`.
+Defaults are best estimates. A driver must work with every alternative; `ronna-sim polaris --set NAME=VALUE`
+selects one.
 """
 
 from __future__ import annotations
@@ -167,5 +167,5 @@ class UnitBehaviour:
 
 
 def changed_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
-    """The defaults with some parameters set by `NAME=VALUE`; raises PSU-001."""
+    """Apply `NAME=VALUE` assignments to the defaults; raises PSU-001."""
     return changed(UnitBehaviour(), assignments, BadUnitParameter)

@@ -1,16 +1,86 @@
-"""Models: identity, ports, volumes and limits. Serial numbers are invented."""
+"""Models of the unit: identity, ports, limits, measuring volumes. Serial numbers are invented.
+
+Tracker frame: origin at the sensor, z backwards, so everything in view has negative z. A volume is a pyramid
+with a knee, given by the ten numbers of the feature list (SFLIST 03) in its own units: lengths in 1/100 mm,
+slopes in 1/100 000.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from types import MappingProxyType
 
-from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
+from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
+
+SLOPE_SCALE = 100_000  # slopes are given per 1000 mm, in hundredths
+NO_CAP = 999_999
+WAVELENGTHS = "24"  # as sent by real Spectras; the meaning of its two digits is not public
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A measuring volume: shape code and the ten numbers D1..D10."""
+
+    name: str
+    shape: str
+    dimensions: tuple[int, int, int, int, int, int, int, int, int, int]
+
+    def holds(self, x_mm: float, y_mm: float, z_mm: float) -> bool:
+        """Whether a point (tracker frame) is inside."""
+        near_mm, far_mm = self.depths_mm
+        if not near_mm <= -z_mm <= far_mm:
+            return False
+        x_half_mm, y_half_mm = self.half_widths_mm(-z_mm)
+        return abs(y_mm) <= y_half_mm and abs(x_mm) <= x_half_mm
+
+    @cached_property
+    def depths_mm(self) -> tuple[float, float]:
+        """Nearest and farthest distance from the sensor, along its axis."""
+        far, _, near, *_ = self.dimensions
+        return -near / SFLIST_DIMENSION_SCALE, -far / SFLIST_DIMENSION_SCALE
+
+    @property
+    def middle_depth_mm(self) -> float:
+        """Mean of the nearest and farthest distance."""
+        return sum(self.depths_mm) / 2.0
+
+    def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
+        """Half extents in x and y at a distance from the sensor."""
+        _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.dimensions
+        before_knee_mm = -depth_mm - knee / SFLIST_DIMENSION_SCALE
+        y_slope = y_front if before_knee_mm >= 0.0 else y_behind
+        y_half_mm = y_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * y_slope / SLOPE_SCALE
+        x_half_mm = x_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * x_slope / SLOPE_SCALE
+        return min(x_half_mm, x_cap / SFLIST_DIMENSION_SCALE), min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE)
+
+    def feature_line(self) -> str:
+        """Record of the feature list: 74 characters, the last a line feed."""
+        numbers = "".join(f"{value:+07d}" for value in self.dimensions)
+        return f"{self.shape}{numbers}{WAVELENGTHS}{LF}"
+
+
+PYRAMID = Volume(
+    name="Pyramid",
+    shape="5",
+    dimensions=(-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, NO_CAP),
+)
+EXTENDED_PYRAMID = Volume(
+    name="Extended Pyramid",
+    shape="5",
+    dimensions=(-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, NO_CAP, 73500),
+)
+# About 491 x 392 mm at 557 mm and 938 x 887 mm at 1336 mm; the ten numbers themselves are not public.
+VICRA_VOLUME = Volume(
+    name="Vicra",
+    shape="7",
+    dimensions=(-133600, -55700, -55700, 24550, 19600, 28690, 28690, 31772, NO_CAP, NO_CAP),
+)
 
 
 @dataclass(frozen=True)
 class UnitModel:
-    """One model of unit."""
+    """One model of the unit."""
 
     name: str
     serial_number: str
@@ -23,7 +93,7 @@ class UnitModel:
     volumes: tuple[Volume, ...]
     handles: int
     enabled_tools: int
-    wired_ports: int  # of the tool interface that can be connected; 0 if there is none
+    wired_ports: int  # of the optional tool interface; 0 if the model has none
     passive_ports: int
     wireless_ports: int
     baud_codes: str

@@ -1,8 +1,11 @@
-"""Codes of `ERRORhh` and `WARNINGhh`: why a command is refused, and what the unit warns about."""
+"""Error and warning codes of the unit, refused commands, and checks of numeric arguments."""
 
 from __future__ import annotations
 
+import string
 from enum import IntEnum
+
+_HEXADECIMAL = frozenset(string.hexdigits)
 
 
 class ErrorCode(IntEnum):
@@ -72,3 +75,17 @@ class Refusal(Exception):
     def __init__(self, code: ErrorCode) -> None:
         super().__init__(code.name)
         self.code = code
+
+
+def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+    """Parse hexadecimal digits of either case; raises `refusal` for anything else."""
+    if not text or not _HEXADECIMAL.issuperset(text):
+        raise Refusal(refusal)
+    return int(text, 16)
+
+
+def digit_within(argument: str, low: int, high: int, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
+    """Parse one decimal digit between `low` and `high`; raises `refusal` for anything else."""
+    if argument not in string.digits or not low <= int(argument) <= high:
+        raise Refusal(refusal)
+    return int(argument)

@@ -1,21 +1,39 @@
-"""User parameters: values, access, and what SAVE keeps (GET, GETINFO, SET, DFLT, SAVE)."""
+"""User parameters (GET, GETINFO, SET, DFLT, SAVE), and the alerts that hosts read and clear through them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 from ronna_hw.wire import polaris as wire
-from sim.polaris.unit.alerts import Alerts
+from ronna_hw.wire.polaris import Alert, SystemStatus
 from sim.polaris.unit.model import UnitModel
 from sim.polaris.unit.refusal import ErrorCode, Refusal
-from sim.polaris.unit.user_parameter_table import (
-    BUMP_DETECTED,
-    BUMP_DETECTION,
-    SIMULATED_ALERTS,
-    SYSTEM_MODE,
-    Parameter,
-    parameter_table,
+
+LONGEST_WATCH_DOG_S = 3600
+LARGEST_SENSITIVITY = 7
+USER_STRINGS = 5
+ALL_ALERTS = int(sum(Alert))
+
+SYSTEM_MODE = "Info.Status.System Mode"
+BUMP_DETECTED = "Info.Status.Bump Detected"
+BUMP_DETECTION = "Param.Bump Detector.Bump Detection"
+SIMULATED_ALERTS = "Param.Simulated Alerts"
+WATCH_DOG = "Param.Watch Dog Timer"
+RETURN_WARNING = "Param.Default Wavelength.Return Warning"
+
+HARDWARE_ALERTS = (
+    Alert.FATAL_PARAMETER
+    | Alert.SENSOR_PARAMETER
+    | Alert.MAIN_VOLTAGE
+    | Alert.SENSOR_VOLTAGE
+    | Alert.ILLUMINATOR_VOLTAGE
+    | Alert.ILLUMINATOR_CURRENT
+    | Alert.LEFT_SENSOR_TEMPERATURE
+    | Alert.RIGHT_SENSOR_TEMPERATURE
+    | Alert.MAIN_BOARD_TEMPERATURE
 )
+TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
 
 LONGEST_TEXT = 255
 DEVICE_PREFIX = "PS-0."  # names may include their device
@@ -25,7 +43,7 @@ ATTRIBUTE_READ, ATTRIBUTE_WRITE = "1", "3"
 
 
 class UserParameters:
-    """All parameters of a unit. Saved values survive `reset`, like a power cut."""
+    """All parameters of a unit. Values stored by SAVE survive `reset`."""
 
     def __init__(
         self, model: UnitModel, wired_ports: int, alerts: Alerts, mode_name: Callable[[], str]
@@ -43,17 +61,17 @@ class UserParameters:
         }
 
     def value(self, name: str) -> str:
-        """The value of one parameter; raises Refusal for an unknown name."""
+        """Value of a parameter; raises Refusal for an unknown name."""
         known = self._known(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
     def number(self, name: str) -> int:
-        """The value of one integer parameter."""
+        """Value of an integer parameter."""
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """The parameters selected by a name, or by a prefix and `*`."""
+        """Parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
         if not pattern.endswith(WILDCARD):
             return (self._known(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -63,7 +81,7 @@ class UserParameters:
         return found
 
     def information(self, parameter: Parameter) -> str:
-        """One line of GETINFO: seven fields."""
+        """One line of GETINFO, with seven fields."""
         low, high = parameter.limits or ("", "")
         kind = TYPE_INTEGER if parameter.limits else TYPE_TEXT
         attribute = ATTRIBUTE_WRITE if parameter.writable else ATTRIBUTE_READ
@@ -72,7 +90,7 @@ class UserParameters:
         return ";".join(fields)
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Change a parameter; raises Refusal if it does not exist, is read-only, or the value is invalid."""
+        """Change a parameter; raises Refusal if it is unknown or read-only, or the value invalid."""
         parameter = self._writable(name, tracking=tracking)
         if parameter.limits is not None:
             value = str(_number_within(value, parameter.limits))
@@ -81,7 +99,7 @@ class UserParameters:
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
-        """Restore factory values; a wildcard skips read-only ones."""
+        """Restore factory values; a wildcard skips read-only parameters."""
         if not pattern.endswith(WILDCARD):
             parameter = self._writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
@@ -91,16 +109,16 @@ class UserParameters:
                 self._store(parameter, parameter.default)
 
     def save(self) -> None:
-        """Save the current settings for after a reset."""
+        """Store the current settings; a reset restores them."""
         self._saved = {name: self._values[name] for name, p in self._parameters.items() if p.kept}
 
     def save_value(self, name: str, value: str) -> None:
-        """Set and save one setting, like an earlier user of the unit."""
+        """Set and store one setting, as an earlier user of the unit may have."""
         self.set(name, value, tracking=False)
         self._saved[name] = value
 
     def reset(self) -> None:
-        """Restore the saved values."""
+        """Restore the stored values."""
         self._values = {name: p.default for name, p in self._parameters.items()} | self._saved
         self._alerts.detects_bumps = self._values[BUMP_DETECTION] == "1"
 
@@ -130,7 +148,7 @@ class UserParameters:
         return parameter
 
     def _bumped(self) -> str:
-        return "1" if self._alerts.current & wire.Alert.BUMP else "0"
+        return "1" if self._alerts.current & Alert.BUMP else "0"
 
 
 def _number_within(value: str, limits: tuple[int, int]) -> int:
@@ -140,3 +158,181 @@ def _number_within(value: str, limits: tuple[int, int]) -> int:
     if len(value) > len(str(high)) + 1 or not low <= int(value) <= high:
         raise Refusal(ErrorCode.VALUE_OUT_OF_RANGE)
     return int(value)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: an integer if it has `limits`, otherwise text.
+
+    SAVE stores `kept` parameters; `options` names the values of an enumeration.
+    """
+
+    name: str
+    default: str
+    description: str = ""
+    writable: bool = False
+    while_tracking: bool = False
+    limits: tuple[int, int] | None = None
+    kept: bool = False
+    options: str = ""
+
+
+def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
+    """All parameters with factory values, in the order in which a wildcard lists them."""
+    return (*_features(model, wired_ports), *_settings(model), *_status(), *_others(model))
+
+
+def _features(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
+    major, minor, build = model.firmware.split(".")
+    return (
+        Parameter(wire.PARAMETER_MODEL, model.name, "Hardware model"),
+        Parameter(wire.PARAMETER_SERIAL, model.serial_number, "Hardware serial number"),
+        Parameter("Features.Hardware.OEM Number", "", "OEM number"),
+        Parameter(wire.PARAMETER_FIRMWARE, model.firmware, "Firmware version"),
+        Parameter("Features.Firmware.Major Version", major),
+        Parameter("Features.Firmware.Minor Version", minor),
+        Parameter("Features.Firmware.Build Number", build),
+        Parameter("Features.Firmware.Combined Firmware Revision", model.combined_revision),
+        Parameter("Features.Firmware.Package Number", model.package),
+        Parameter("Features.Tools.Enabled Tools", str(model.enabled_tools), "Tools enabled at once"),
+        Parameter("Features.Tools.Active Ports", str(wired_ports)),
+        Parameter("Features.Tools.Passive Ports", str(model.passive_ports)),
+        Parameter("Features.Tools.Wireless Ports", str(model.wireless_ports)),
+    )
+
+
+def _settings(model: UnitModel) -> tuple[Parameter, ...]:
+    volumes = ",".join(volume.name for volume in model.volumes)
+    rates = ",".join(f"{wire.ILLUMINATOR_RATES_HZ[code]}Hz" for code in model.illuminator_rates)
+    last_volume = len(model.volumes) - 1
+    return (
+        Parameter("Param.Tracking.Available Volumes", volumes),
+        _number(wire.PARAMETER_SELECTED_VOLUME, 0, (0, last_volume), "From 0", options=volumes),
+        _number("Param.Tracking.Sensitivity", 4, (1, LARGEST_SENSITIVITY), "Of the sensors"),
+        _number(
+            wire.PARAMETER_ILLUMINATOR_RATE,
+            0,
+            (0, max(model.illuminator_rates)),
+            "Passive measurements per second",
+            options=rates,
+        ),
+        _number(RETURN_WARNING, 1, (0, 1), "PINIT warns of a missing wavelength"),
+        _number(BUMP_DETECTION, 1, (0, 1), "Bumps raise an alert"),
+        Parameter(wire.PARAMETER_BUMP_CLEAR, "0", "Write 1 to clear", True, True, (0, 1)),
+        Parameter(wire.PARAMETER_BUMPED, "0", "A bump has not been cleared"),
+        _number("Param.System Beeper", 1, (0, 1), "Beeps at power-up", while_tracking=True),
+        _number(WATCH_DOG, 0, (0, LONGEST_WATCH_DOG_S), "Seconds, 0 off", while_tracking=True),
+        Parameter(SIMULATED_ALERTS, "0", "Raises alerts", True, True, (0, ALL_ALERTS)),
+        Parameter("Param.Host Connection", "0", "0 serial"),
+        *(
+            Parameter(f"Param.User.String{index}", "", "Free text", True, True, kept=True)
+            for index in range(USER_STRINGS)
+        ),
+    )
+
+
+def _status() -> tuple[Parameter, ...]:
+    timeouts = (
+        Parameter(f"{wire.PARAMETER_TIMEOUT_PREFIX}{name}", f"{seconds:g}", "Seconds")
+        for name, seconds in wire.COMMAND_TIMEOUT_S.items()
+    )
+    return (
+        Parameter(SYSTEM_MODE, ""),
+        Parameter(wire.PARAMETER_ALERTS, "0", "Present alerts"),
+        Parameter(wire.PARAMETER_NEW_ALERTS, "0", "Cleared by reading"),
+        Parameter("Info.Status.Alerts Overflow", "0"),
+        Parameter(BUMP_DETECTED, "0"),
+        Parameter("Info.Status.New Log Entry", "0"),
+        *timeouts,
+    )
+
+
+def _others(model: UnitModel) -> tuple[Parameter, ...]:
+    return (
+        Parameter("Config.Password", "", "Opens further parameters", True),
+        Parameter("Config.Combined Firmware Revision", model.combined_revision),
+        Parameter("Config.Ext Device Syncing", "0"),
+        Parameter("Device.Type.0", "PS"),
+        Parameter("Device.Instance.0", "0"),
+    )
+
+
+def _number(
+    name: str,
+    default: int,
+    limits: tuple[int, int],
+    description: str,
+    *,
+    options: str = "",
+    while_tracking: bool = False,
+) -> Parameter:
+    """An integer that hosts may set and SAVE stores."""
+    return Parameter(
+        name, str(default), description, True, while_tracking, limits, kept=True, options=options
+    )
+
+
+class Alerts:
+    """Present alerts, and new ones, which reading clears.
+
+    Three sources: simulated by the host, actual lasting problems, and a bump, which stays until cleared.
+    """
+
+    def __init__(self) -> None:
+        self.detects_bumps = True
+        self.system_status = SystemStatus(0)  # bits that alerts set in TX and BX
+        self.current = Alert(0)
+        self._new = Alert(0)
+        self._simulated = Alert(0)
+        self._lasting = Alert(0)
+        self._raised = Alert(0)
+
+    def reset(self) -> None:
+        """Clear bump and simulated alerts at power-up; lasting ones are detected again."""
+        self._simulated = self._raised = self._new = self.current = Alert(0)
+        self._update()
+
+    def simulate(self, bits: int) -> None:
+        """Set the alerts that the host simulates (`Param.Simulated Alerts`)."""
+        self._simulated = Alert(bits & ALL_ALERTS)
+        self._update()
+
+    def set_lasting(self, bits: int) -> None:
+        """Set the alerts of actual lasting problems."""
+        self._lasting = Alert(bits & ALL_ALERTS)
+        self._update()
+
+    def raise_alert(self, alert: Alert) -> None:
+        """Raise an alert that stays until the host clears it; a bump only if its detection is on."""
+        if alert is Alert.BUMP and not self.detects_bumps:
+            return
+        self._new |= alert  # a second bump is also a new alert
+        self._raised |= alert
+        self._update()
+
+    def clear_bump(self) -> None:
+        """Clear the bump."""
+        self._raised &= ~Alert.BUMP
+        self._simulated &= ~Alert.BUMP
+        self._new &= ~Alert.BUMP
+        self._update()
+
+    def read_new(self) -> int:
+        """Return the alerts not read before; reading clears them."""
+        new = int(self._new)
+        self._new = Alert(0)
+        self._update()
+        return new
+
+    def _update(self) -> None:
+        current = self._simulated | self._lasting | self._raised
+        self._new |= current & ~self.current
+        self.current = current
+        status = SystemStatus(0)
+        if self._new:
+            status |= SystemStatus.DIAGNOSTICS_PENDING
+        if current & HARDWARE_ALERTS:
+            status |= SystemStatus.HARDWARE_FAILURE
+        if current & TEMPERATURE_ALERTS:
+            status |= SystemStatus.TEMPERATURE
+        self.system_status = status

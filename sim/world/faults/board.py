@@ -1,27 +1,32 @@
-"""The faults that currently affect a device."""
+"""The fault script of a running theatre: faults that act on a device now, and edits of the text."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 
+from sim.errors import BadFaultScript
 from sim.world.faults.fault import Fault
-from sim.world.faults.language import parse_faults
+from sim.world.faults.language import NOW, SINCE, STEP, has_beginning, parse_faults, parse_request
 from sim.world.world import World
+
+_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
 
 
 class FaultBoard:
-    """The current scripted faults of one device. Cheap to query when there are none."""
+    """Active faults of one device. Cheap to query if there are none."""
 
     def __init__(self, world: World, device: str, cycle: Callable[[], int] | None = None) -> None:
         """`cycle` returns the device's current cycle, if it counts cycles."""
         self._world = world
         self._device = device
         self._cycle = cycle
-        self._cycles_began_s: dict[int, float] = {}  # start of the cycles that faults begin with
+        self._cycles_began_s: dict[int, float] = {}  # theatre time at which a cycle was first seen
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
-        self._happened: set[tuple[Fault, float]] = set()  # momentary ones already reported, with their onset
+        # Momentary faults already reported, with their onset.
+        self._happened: set[tuple[Fault, float]] = set()
 
     @property
     def empty(self) -> bool:
@@ -30,15 +35,15 @@ class FaultBoard:
         return not self._faults
 
     def active(self, kind: str) -> tuple[Fault, ...]:
-        """All active lasting faults of this kind."""
+        """Active lasting faults of one kind."""
         return tuple(fault for fault in self.acting() if fault.kind.name == kind)
 
     def acting(self) -> tuple[Fault, ...]:
-        """All active lasting faults of any kind."""
+        """Active lasting faults of all kinds."""
         return tuple(fault for fault, _ in self.acting_since())
 
     def acting_since(self) -> tuple[tuple[Fault, float], ...]:
-        """The same, each with the theatre time at which it began."""
+        """Active lasting faults, each with the theatre time of its onset."""
         now_s = self._world.clock.now_s()
         return tuple(
             (fault, onset_s)
@@ -47,9 +52,9 @@ class FaultBoard:
         )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:
-        """Momentary faults of this kind that have become due since the last call; each is reported once.
+        """Report momentary faults of this kind that became due since the last call, each once.
 
-        One bound to a step happens once each time the step is entered.
+        A fault bound to a step happens once each time the step is entered.
         """
         now_s = self._world.clock.now_s()
         due = []
@@ -61,7 +66,7 @@ class FaultBoard:
         return tuple(due)
 
     def _onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
-        """Each fault with the theatre time at which it begins."""
+        """Yield each fault with the theatre time of its onset."""
         self._refresh()
         if not self._faults:
             return
@@ -82,3 +87,44 @@ class FaultBoard:
             self._faults = tuple(fault for fault in faults if fault.kind.device == self._device)
             self._happened = {one for one in self._happened if one[0] in self._faults}
             self._version = version
+
+
+def at_moment(now_s: float) -> str:
+    """Beginning of a line that acts from that theatre time on, to the nanosecond.
+
+    Coarser rounding could place it ahead of a clock that stands still until someone advances it.
+    """
+    return f"at {now_s:.9f} s"
+
+
+def begin_now(line: str, now_s: float) -> str:
+    """Replace `now`, or a missing beginning, by the present theatre time."""
+    if not has_beginning(line):
+        return f"{at_moment(now_s)}: {line}"
+    trigger, colon, rest = line.partition(":")
+    return f"{at_moment(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
+
+
+def begin_with_step(text: str, step: str, now_s: float) -> str:
+    """Let the faults `since` that step begin, at the present theatre time plus their delay."""
+    lines = text.split("\n")
+    for fault in parse_faults(text):
+        if fault.lasts and fault.begins_in(step):
+            begins = f"{at_moment(now_s + fault.after_s)}:"
+            lines[fault.line - 1] = _SINCE_STEP.sub(begins, lines[fault.line - 1])
+    return "\n".join(lines)
+
+
+def without_fault(text: str, line: str) -> str:
+    """Remove a fault from the script, whenever it begins; raises SIM-003 if there is none such."""
+    phrase = parse_request(line).phrase
+    faults = parse_faults(text)
+    ended = {fault.line for fault in faults if fault.phrase == phrase}
+    if not ended:
+        others = sorted({repr(fault.phrase) for fault in faults})
+        raise BadFaultScript(
+            f"there is no fault {phrase!r} to clear",
+            expected=", ".join(others) or "one that was injected",
+            action="`ronna-sim fault --clear` clears all.",
+        )
+    return "\n".join(one for number, one in enumerate(text.split("\n"), 1) if number not in ended)

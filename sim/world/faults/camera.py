@@ -1,10 +1,10 @@
-"""Faults of the cameras: view, stream, control channel, triggers and clocks, and lens."""
+"""Kinds of fault of the cameras: view, stream, control channel, triggers and clocks, lens."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.world.faults.kinds import (
+from sim.world.faults.fault import (
     WHOLE_PERCENT,
     Arguments,
     Both,
@@ -16,9 +16,9 @@ from sim.world.faults.kinds import (
 from sim.world.scene.model import Scene
 
 BOTH = "both"
-SMALLEST_PATH_BYTES = 68  # the smallest packet size a network may carry
+SMALLEST_PATH_BYTES = 68  # least packet size that a network must carry
 MOST_SPOTS = 500
-MOST_STAINED_PERCENT = 60.0  # spots overlap: far more would take long and look no different
+MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alike
 
 SIGHT = DeviceFaults("camera")
 PAIR = DeviceFaults("camera", prefix="camera_")

@@ -1,40 +1,48 @@
-"""One line of a fault script."""
+"""Faults of a script, and kinds of fault: phrase, checks against a scene, meaning."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
-from sim.world.faults.kinds import TERMINALS, Arguments, FaultKind
+from sim.world.scene.model import Scene
 
+Arguments = tuple[str, ...]
+Check = Callable[[Arguments, Scene], Iterable[str]]
 
-def _never(_cycle: int) -> float:
-    return math.inf
+WHOLE_PERCENT = 100.0
+
+# Arguments as terminals of the grammar, and as shown in usage and examples.
+USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
+EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))
+EXAMPLE_NAME = "robot_frame"  # a tool
+TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a script: one of `at_s`, `step` and `cycle` determines when it begins."""
+    """One fault of a script; `at_s`, `step` or `cycle` determines when it begins."""
 
     kind: FaultKind
     arguments: Arguments
     duration_s: float  # theatre time; 0 for a momentary fault, infinite without an end
     at_s: float | None = None
     step: str | None = None
-    lasts: bool = False  # beyond that step
-    after_s: float = 0.0  # that step's first beginning
+    lasts: bool = False  # beyond the step
+    after_s: float = 0.0  # delay from the first start of the step
     cycle: int | None = None  # of the robot's controller
     line: int = 1  # of the script
 
     @property
     def argument(self) -> str:
-        """The first argument; an empty text for a fault without one."""
+        """First argument; empty for a fault without one."""
         return self.arguments[0] if self.arguments else ""
 
     @property
     def phrase(self) -> str:
-        """As written in a script, without beginning and duration."""
+        """The fault as written in a script, without beginning and duration."""
         words = iter(self.arguments)
         return " ".join(
             next(words) if word in TERMINALS else word
@@ -43,7 +51,7 @@ class Fault:
 
     @property
     def effect(self) -> str:
-        """Its effect and timing, as shown to the person who injected it."""
+        """Effect and timing in words, for the person who injected it."""
         begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
             later = f"{self.after_s:g} s after " if self.after_s else "when "
@@ -55,18 +63,144 @@ class Fault:
             lasts = "until that step ends" if math.isinf(self.duration_s) else f"{lasts} of that step"
         return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"
 
-    def onset_s(
-        self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float] = _never
-    ) -> float:
-        """Theatre time at which it begins; infinite while its step is not running, or before its cycle."""
+    def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
+        """Theatre time of the beginning; infinite while its step is not running, or before its cycle."""
         if self.at_s is not None:
             return self.at_s
         if self.cycle is not None:
             return cycle_began_s(self.cycle)
-        if self.begins_in(step) and not self.lasts:  # the control port sets a time for those
+        if self.begins_in(step) and not self.lasts:  # the control port sets a time for lasting ones
             return step_started_s
         return math.inf
 
     def begins_in(self, step: str) -> bool:
-        """Whether it begins with that step."""
+        """Whether the fault begins with that step."""
         return self.step in (step, step.partition(":")[0])
+
+
+@dataclass(frozen=True)
+class FaultKind:
+    """One kind of fault of one device.
+
+    `phrase` is the text between the device's name and `for`: words verbatim, arguments as terminals of the
+    grammar (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or until cleared
+    without one; a momentary fault happens once and has none. `check` yields mistakes in the arguments for a
+    scene: "expected X, got Y".
+    """
+
+    name: str
+    device: str  # "tracker", "robot", "camera" or "room"
+    phrase: str
+    meaning: str  # one sentence for the reference page
+    momentary: bool
+    check: Check
+
+    @cached_property
+    def usage(self) -> str:
+        """Phrase with readable arguments."""
+        return _replaced(f"{self.device} {self.phrase}", USAGE)
+
+    @property
+    def choices(self) -> Sequence[str]:
+        """Words that the first argument may be; empty if any, or if they depend on the scene."""
+        check = self.check.first if isinstance(self.check, Both) else self.check
+        return check.known if isinstance(check, OneOf) else ()
+
+    @property
+    def example(self) -> str:
+        """Complete line of a script."""
+        name = self.choices[0] if self.choices else EXAMPLE_NAME
+        phrase = _replaced(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
+        return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
+
+
+def accept_any(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
+    """Check nothing."""
+    yield from ()
+
+
+class DeviceFaults:
+    """Declares the kinds of fault of one device.
+
+    `prefix` distinguishes their names from those of other devices; `first` checks every first argument.
+    """
+
+    def __init__(self, device: str, prefix: str = "", first: Check | None = None) -> None:
+        self._device = device
+        self._prefix = prefix
+        self._first = first
+
+    def lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+        """Declare a fault that acts for its duration."""
+        return self._kind(name, phrase, meaning, check, momentary=False)
+
+    def once(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+        """Declare a fault that happens once."""
+        return self._kind(name, phrase, meaning, check, momentary=True)
+
+    def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
+        """Declare a lasting fault with a percentage, after the first argument if that is checked."""
+        percent = at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
+        return self.lasting(name, phrase, meaning, percent)
+
+    def _kind(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
+        if self._first is not None:
+            check = self._first if check is accept_any else Both(self._first, check)
+        return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """Check that the first argument is one of the known words."""
+
+    what: str
+    known: Sequence[str]
+
+    def __call__(self, arguments: Arguments, _scene: Scene) -> Iterator[str]:
+        yield from unless_known(self.what, self.known, arguments[0])
+
+
+def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
+    """Check that an argument does not exceed a limit."""
+
+    def check(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+        if float(arguments[argument]) > largest:
+            yield f"expected at most {largest:g} {unit}, got {arguments[argument]}"
+
+    return check
+
+
+@dataclass(frozen=True)
+class Both:
+    """Apply two checks."""
+
+    first: Check
+    second: Check
+
+    def __call__(self, arguments: Arguments, scene: Scene) -> Iterator[str]:
+        yield from self.first(arguments, scene)
+        yield from self.second(arguments, scene)
+
+
+def unless_known(what: str, known: Sequence[str], got: str) -> Iterator[str]:
+    """Yield a mistake unless the word is known."""
+    if got not in known:
+        yield f"expected {what} {join_choices(known)}, got {got}"
+
+
+def join_choices(words: Sequence[str]) -> str:
+    """Join words as in `a, b or c`."""
+    return " or ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    """Check that the first argument is the number of a fiducial of the scene."""
+    yield from unless_known(
+        "marker", [str(fiducial.number) for fiducial in scene.head.fiducials], arguments[0]
+    )
+
+
+def _replaced(phrase: str, words: Iterable[tuple[str, str]]) -> str:
+    for word, value in words:
+        phrase = phrase.replace(word, value)
+    return phrase

@@ -26,11 +26,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from sim.errors import BadFaultScript
 from sim.world.faults.camera import CAMERA_FAULTS
-from sim.world.faults.fault import Fault
-from sim.world.faults.kinds import TERMINALS, FaultKind, either
+from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
-from sim.world.faults.suggestion import meant, nearest_kind
 from sim.world.faults.tracker import TRACKER_FAULTS, tool_is_there
 from sim.world.scene.model import Scene
 
@@ -38,14 +36,21 @@ if TYPE_CHECKING:
     from lark import Lark
     from lark.exceptions import UnexpectedInput
 
+LONGEST_COMPARED = 200  # characters of a line compared with phrases
+MOST_TRIED = 4  # similar lines, each of which is parsed
+LEAST_ALIKE = 0.6  # similarity of line and suggestion; below, an example helps more
+_ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
+_TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
+
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
 NOW, SINCE = "now", "since"
-CYCLES_OF = "robot"  # the device whose cycles a script can name
+CYCLES_OF = "robot"  # device whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")
+
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # reported at once
-MOST_LISTED = 6  # of what is allowed at a position; with more, the closest ones are listed
+MOST_LISTED = 6  # words allowed at a position; of more, the closest ones
 END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
 BEGINS_NOW = f"{NOW}: "  # prepended to a line typed without a beginning
 EXAMPLE = "at 12.5 s: tracker occlude marker 2 for 2 s"
@@ -58,7 +63,6 @@ READABLE = {
 }
 
 STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
-_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}[^:]*:")
 GRAMMAR = r"""
 start: statement?
 statement: trigger ":" fault duration?
@@ -82,7 +86,7 @@ COMMENT: /#[^\n]*/
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 with every invalid line, and what was probably meant."""
+    """Parse a script; raises SIM-003 with every invalid line, and what the first probably meant."""
     from lark.exceptions import UnexpectedInput
 
     if len(text) > LONGEST_SCRIPT:
@@ -109,65 +113,25 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
 
 
 def parse_request(line: str) -> Fault:
-    """The single fault in a line typed at the control port; without a beginning it begins now.
+    """Parse the single fault in a line typed at the control port; raises SIM-003.
 
-    Raises SIM-003.
+    Without a beginning it begins now.
     """
     if "\n" in line:
         raise BadFaultScript("expected one line", got=repr(line), action="Give one fault at a time.")
-    faults = parse_faults(line if _begins(line) or not line.strip() else f"{BEGINS_NOW}{line}")
+    faults = parse_faults(line if has_beginning(line) or not line.strip() else f"{BEGINS_NOW}{line}")
     if not faults:
         raise BadFaultScript(f"no fault in {line!r}", action=f"Write for example: {EXAMPLE}.")
     return faults[0]
 
 
-def at_moment(now_s: float) -> str:
-    """The beginning of a line that acts from that theatre time on, with nanosecond resolution like the clock.
-
-    Coarser rounding could place it ahead of a clock that stands still until someone advances it.
-    """
-    return f"at {now_s:.9f} s"
-
-
-def begin_now(line: str, now_s: float) -> str:
-    """The line with `now`, or a missing beginning, replaced by the present theatre time."""
-    if not _begins(line):
-        return f"{at_moment(now_s)}: {line}"
-    trigger, colon, rest = line.partition(":")
-    return f"{at_moment(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
-
-
-def begin_with_step(text: str, step: str, now_s: float) -> str:
-    """The script with the faults that last since that step starting at the present theatre time."""
-    lines = text.split("\n")
-    for fault in parse_faults(text):
-        if fault.lasts and fault.begins_in(step):
-            begins = f"{at_moment(now_s + fault.after_s)}:"
-            lines[fault.line - 1] = _SINCE_STEP.sub(begins, lines[fault.line - 1])
-    return "\n".join(lines)
-
-
-def without_fault(text: str, line: str) -> str:
-    """The script without this fault, whenever it begins. Raises SIM-003 when it has none such."""
-    phrase = parse_request(line).phrase
-    faults = parse_faults(text)
-    ended = {fault.line for fault in faults if fault.phrase == phrase}
-    if not ended:
-        others = sorted({repr(fault.phrase) for fault in faults})
-        raise BadFaultScript(
-            f"there is no fault {phrase!r} to clear",
-            expected=", ".join(others) or "one that was injected",
-            action="`ronna-sim fault --clear` clears all.",
-        )
-    return "\n".join(one for number, one in enumerate(text.split("\n"), 1) if number not in ended)
-
-
-def _begins(line: str) -> bool:
+def has_beginning(line: str) -> bool:
+    """Whether a line states when its fault begins."""
     return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
 def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Text of a script that is valid for `scene` and the devices in it; raises SIM-003."""
+    """Read a script and check it against the scene and the devices in it; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -190,7 +154,7 @@ def check_faults(
     devices: Sequence[str] = DEVICES,
     loaded: Sequence[str] | None = None,
 ) -> None:
-    """Raise SIM-003 with every fault of a device, marker or tool that does not exist.
+    """Raise SIM-003 with every fault of a missing device, marker or tool.
 
     `loaded` are the tools that a client has loaded into the tracker, if known.
     """
@@ -200,18 +164,14 @@ def check_faults(
         if not found and loaded is not None:
             found = list(tool_is_there(fault, scene, loaded))
         here = fault.kind.device in devices
-        example = (fault.kind if here else _first_of(devices)).example
-        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
+        shown = fault.kind if here else next(kind for kind in FAULT_KINDS if kind.device in devices)
+        mistakes += [Mistake(f"line {fault.line}: {mistake}", shown.example) for mistake in found]
     _refuse(mistakes)
-
-
-def _first_of(devices: Sequence[str]) -> FaultKind:
-    return next(kind for kind in FAULT_KINDS if kind.device in devices)
 
 
 def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
     if fault.kind.device not in devices:
-        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: no other device here"
+        yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
     if fault.cycle is not None and fault.kind.device != CYCLES_OF:
         yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
@@ -219,9 +179,9 @@ def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[st
 
 
 class Mistake(NamedTuple):
-    """What is wrong with a line, an example of a valid line, and what this one was probably meant to be.
+    """Mistake in a line, with an example of a valid line, and what this one probably meant.
 
-    Only the first in a script gives advice.
+    Only the first mistake of a script gives advice.
     """
 
     what: str
@@ -238,7 +198,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
 
 
 def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
-    """The mistake at which the parser stopped; the intended line is only searched for if it `advises`."""
+    """Describe the mistake at which the parser stopped; search for the intended line only if it `advises`."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -249,31 +209,29 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
         names, ended = set(error.accepts or error.expected), error.token.type == END
     column = len(line) + 1 if ended else error.column
     got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
-    words = sorted({_readable(name) for name in names - {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}})
+    names -= {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}
+    words = sorted(
+        {READABLE.get(name) or repr(_grammar().get_terminal(name).pattern.value) for name in names}
+    )
     words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
     typed = line.removeprefix(BEGINS_NOW)
     place = f"line {number}, column {column - len(line) + len(typed)}"
-    if not _begins(line) and _reads(f"{BEGINS_NOW}{line}"):
+    if not has_beginning(line) and _reads(f"{BEGINS_NOW}{line}"):
         what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
-    what = f"{place}: expected {either(words)}, got {got}"
+    what = f"{place}: expected {join_choices(words)}, got {got}"
     if not advises:
         return Mistake(what)
-    said = None
-    if any(
-        word not in READABLE.values() for word in words
-    ):  # otherwise an argument is wrong, which the parser's error says best
-        said = meant(
-            typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
-        )
-    nearest = None if said else nearest_kind(typed, FAULT_KINDS)
-    return Mistake(what, nearest.example if nearest else EXAMPLE, said)
+    wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
+    intended = None if wrong_argument else _intended_line(typed)
+    nearest = None if intended else _nearest_kind(typed)
+    return Mistake(what, nearest.example if nearest else EXAMPLE, intended)
 
 
 def _reads(line: str) -> bool:
-    """Whether this is a valid line."""
+    """Whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:
@@ -283,27 +241,21 @@ def _reads(line: str) -> bool:
     return True
 
 
-def _readable(terminal: str) -> str:
-    return READABLE.get(terminal) or repr(_grammar().get_terminal(terminal).pattern.value)
-
-
 @cache
 def _grammar() -> Lark:
     from lark import Lark
 
-    alternatives = "\n      | ".join(
-        " ".join([f'"{kind.device}"', *(_symbol(word) for word in kind.phrase.split())]) + f" -> {kind.name}"
-        for kind in FAULT_KINDS
-    )
-    return Lark(GRAMMAR.replace("{faults}", alternatives).replace("{step}", STEP), parser="lalr")
-
-
-def _symbol(word: str) -> str:
-    return word if word in TERMINALS else f'"{word}"'
+    alternatives = []
+    for kind in FAULT_KINDS:
+        words = (kind.device, *kind.phrase.split())
+        symbols = " ".join(word if word in TERMINALS else f'"{word}"' for word in words)
+        alternatives.append(f"{symbols} -> {kind.name}")
+    faults = "\n      | ".join(alternatives)
+    return Lark(GRAMMAR.replace("{faults}", faults).replace("{step}", STEP), parser="lalr")
 
 
 def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
-    """The fault, and whether the line stated a duration."""
+    """Build the fault of a parsed line; also return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
@@ -320,3 +272,45 @@ def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
         line=line,
     )
     return fault, bool(ending)
+
+
+def _nearest_kind(line: str) -> FaultKind | None:
+    """Kind whose phrase is most similar to the line after its beginning; None if none is close."""
+    by_usage = {kind.usage: kind for kind in FAULT_KINDS}
+    return next((by_usage[usage] for usage in _nearest(_without_beginning(line), [*by_usage], 1)), None)
+
+
+def _intended_line(line: str) -> str | None:
+    """Valid line most similar to this one, with its numbers and names; None if none is close."""
+    fault = _without_beginning(line)
+    beginning = line[: len(line) - len(fault)]
+    phrase, lasts, duration = fault.partition(" for ")
+    filled = [one for kind in FAULT_KINDS for one in _filled(kind, phrase.split())]
+    for nearest in _nearest(phrase, filled, MOST_TRIED):
+        whole = f"{beginning}{nearest}{lasts}{duration}".strip()
+        if _reads(whole if has_beginning(whole) else f"{BEGINS_NOW}{whole}"):
+            return whole
+    return None
+
+
+def _without_beginning(line: str) -> str:
+    """Strip the beginning of a line, if it has one."""
+    found = _TRIGGER.match(line)
+    return line[found.end() :].lstrip() if found else line
+
+
+def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
+    """Fill a kind's phrase with the words at the places of its arguments."""
+    phrase = [kind.device, *kind.phrase.split()]
+    for typed in (words, [kind.device, *words]):  # the device is easily forgotten
+        if len(typed) in (len(phrase), len(phrase) - 1):  # so is the unit at the end
+            pairs = zip(phrase, [*typed, ""], strict=False)
+            filled = [word if known in TERMINALS else known for known, word in pairs]
+            arguments = [word for known, word in zip(phrase, filled, strict=True) if known in TERMINALS]
+            known_one = not (arguments and kind.choices) or arguments[0] in kind.choices
+            if all(filled) and known_one and all(map(_ARGUMENT.fullmatch, arguments)):
+                yield " ".join(filled)
+
+
+def _nearest(text: str, known: Sequence[str], count: int) -> list[str]:
+    return get_close_matches(text[:LONGEST_COMPARED], known, count, LEAST_ALIKE)

@@ -1,8 +1,8 @@
-"""Faults of the robot's controller, its links, and its operator controls."""
+"""Kinds of fault of the robot: RSI link, cell and controller, EKI."""
 
 from __future__ import annotations
 
-from sim.world.faults.kinds import DeviceFaults, OneOf
+from sim.world.faults.fault import DeviceFaults, OneOf
 
 MODES = ("T1", "T2", "AUT", "EXT")
 AXES = ("1", "2", "3", "4", "5", "6")

@@ -1,14 +1,14 @@
-"""Faults outside the devices: the room moves, screws loosen, manual errors, altered tools.
+"""Kinds of fault outside the devices: things moved, screws loosened, manual errors, altered tools.
 
-Displacements and forces are along the axes of the robot before it moved; for a tool, along
-those of its tip frame.
+Displacements and forces are along the axes of the robot before it moved; for a tool, along those of its tip
+frame.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from sim.world.faults.kinds import Arguments, DeviceFaults, OneOf, expected, fiducial_number
+from sim.world.faults.fault import Arguments, DeviceFaults, OneOf, fiducial_number, unless_known
 from sim.world.scene.model import Scene
 
 DEVICE = "room"
@@ -18,12 +18,12 @@ lasting = ROOM.lasting
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:
-    """The tools in the room; 0 is none."""
+    """Numbers of the tools in the room; 0 is none."""
     return (0, scene.mount.tool_number_stereo, scene.mount.tool_number_guide)
 
 
 def _a_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    yield from expected("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
+    yield from unless_known("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
 
 
 SHIFT = lasting(

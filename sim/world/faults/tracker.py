@@ -1,16 +1,23 @@
-"""Faults of the optical tracker: what its sensors see, the unit itself, and its line to the host."""
+"""Kinds of fault of the tracker: view of its sensors, the unit, its line to the host."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS
-from sim.world.faults.fault import Fault
-from sim.world.faults.kinds import Arguments, DeviceFaults, OneOf, at_most, expected, fiducial_number
+from sim.world.faults.fault import (
+    Arguments,
+    DeviceFaults,
+    Fault,
+    OneOf,
+    at_most,
+    fiducial_number,
+    unless_known,
+)
 from sim.world.scene.model import Scene, TrackerTool
 
 SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
-SOCKETS = ("1", "2", "3")  # of the unit for wired tools that can be connected
+SOCKETS = ("1", "2", "3")  # for wired tools
 # Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
 TRACKER = DeviceFaults("tracker")
@@ -22,23 +29,23 @@ def _tools(name: str, scene: Scene) -> list[TrackerTool]:
 
 
 def _tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    # If there are places for other tools, a client may load definitions unknown to the scene.
+    # With places for other tools, a client may load definitions unknown to the scene.
     if not scene.tracker.places and not _tools(arguments[0], scene):
-        yield from expected("tool", [tool.name for tool in scene.tracker.tools], arguments[0])
+        yield from unless_known("tool", [tool.name for tool in scene.tracker.tools], arguments[0])
 
 
 def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from _tool(arguments, scene)
     for tool in _tools(arguments[0], scene):
         numbers = [str(number) for number in range(1, len(tool.markers_mm) + 1)]
-        yield from expected(f"{tool.name} marker", numbers, arguments[1])
+        yield from unless_known(f"{tool.name} marker", numbers, arguments[1])
 
 
 def tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
-    """Check that the fault's tool is in the scene, or that a client has loaded its definition."""
+    """Check that the fault's tool is in the scene or loaded by a client."""
     if fault.kind.check in (_tool, _tool_marker) and not _tools(fault.argument, scene):
         known = [*(tool.name for tool in scene.tracker.tools), *loaded]
-        yield from expected("tool", list(dict.fromkeys(known)), fault.argument)
+        yield from unless_known("tool", list(dict.fromkeys(known)), fault.argument)
 
 
 def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:

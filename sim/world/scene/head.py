@@ -1,7 +1,13 @@
-"""The patient: an ellipsoid head, spheres on bone screws where a surgeon can reach, trajectories."""
+"""The patient drawn at random: an ellipsoid head, spheres on it, and trajectories between them.
+
+Spheres are on bone screws within the cap of skin that a surgeon can reach, or on the x-shaped frame: it is
+screwed to the skull by one foot, next to the entry points, and stays on from the CT to the end of the
+operation.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import cos, radians, sin
 from typing import Any
 
@@ -9,29 +15,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STANDOFF_MM, bodies
 from sim.errors import BadScene
-from sim.world.rigid import apply, matrix_from, pose_of, rotation_from_vector
-from sim.world.scene.frame import FrameOnHead, draw_frame
+from sim.world.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.world.scene.model import Fiducial, Head
+from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
-from sim.world.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
-from sim.world.scene.target import Target
 
 Vector = NDArray[np.float64]
+
+SEMI_AXES_MM = (75.0, 95.0, 90.0)  # left-right, front-back, foot-head
+CENTRE_CT_MM = (3.2, -41.7, 812.4)  # off the origin, so that a swapped axis shows
+CAP_AXIS_CT = (0.0, -1.0, 1.0)  # forehead to vertex: towards the ceiling
+
+# The frame is tilted from the middle of the cap towards the patient's left, the tracker's side: the tracker
+# sees a tool up to 60 degrees off its normal.
+FRAME_TILT_RAD = (radians(15.0), radians(25.0))
+SIDE_RAD = radians(35.0)  # to either side of straight left
+LEFT_CT = (1.0, 0.0, 0.0)
+HEAD_CLEARANCE_MM = 2.0  # between skin and bars
+GUIDE_CLEARANCE_MM = 26.0  # between the axis of a trajectory and spheres or bars
+GUIDE_MM, SAMPLE_MM = 90.0, 3.0  # length of the guide outside the skin; spacing of points along bars
+FRAME_ATTEMPTS = 2000
 
 HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # keeps the wrist away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
-RECLINE_RAD = radians(60.0)  # of the vertex above the horizontal
+RECLINE_RAD = radians(60.0)  # elevation of the vertex above the horizontal
 CAP_HALF_ANGLE_RAD = radians(50.0)
-STANDOFF_MM = 16.0  # skin to the centre of the sphere
+
+SPHERE_STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
-SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # of triangles: below 6 mm three points are ambiguous
+SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # in triangles: below 6 mm three points are ambiguous
 JIG_MM = 0.2  # per axis: deviation of a sphere from its template position
+
 ENTRY_HALF_ANGLE_RAD = radians(22.0)
 TILT_RAD = radians(10.0)  # between a trajectory and the skin's normal
 DEPTH_RANGE_MM = (35.0, 75.0)
 ENTRY_CLEARANCE_MM = 28.0  # from every sphere, so that guide and cameras fit
+
 ATTEMPTS = 20_000
 
 
@@ -43,9 +65,9 @@ def draw_head(
     *,
     x_frame: bool = False,
 ) -> Head:
-    """Draw a head with this many spheres (3..8) and targets; raises SIM-001 when they do not fit.
+    """Draw a head with this many spheres (3..8) and targets; raises SIM-001 if they do not fit.
 
-    With a template the spheres are implanted with it, each slightly off; with `x_frame` they are the frame's.
+    A template fixes the spheres' places, each slightly missed; with `x_frame` they are those of the frame.
     """
     if not 3 <= markers <= 8:
         raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
@@ -55,7 +77,9 @@ def draw_head(
     if frame is not None:
         fiducials = frame.fiducials
     else:
-        fiducials = _implanted(generator, template) if template else _draw_fiducials(generator, markers)
+        fiducials = (
+            _implant_fiducials(generator, template) if template else _draw_fiducials(generator, markers)
+        )
     pose = _draw_pose(generator)
     return Head(
         robot_from_ct=pose_of(pose),
@@ -81,7 +105,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
     axis = np.array(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
         found = [skin_at(drawn_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
-        centres = np.array([point + normal * STANDOFF_MM for point, normal in found])
+        centres = np.array([point + normal * SPHERE_STANDOFF_MM for point, normal in found])
         if _well_spread(centres):
             break
     else:
@@ -92,8 +116,8 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
     )
 
 
-def _implanted(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
-    """The spheres of a template, as placed with its jig."""
+def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
+    """Spheres of a template, as placed with its jig."""
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
@@ -124,7 +148,7 @@ def _draw_targets(
     robot_from_ct: Vector,
     frame: FrameOnHead | None,
 ) -> tuple[Target, ...]:
-    """Trajectories between the spheres that the arm can reach, all in one posture."""
+    """Draw trajectories between the spheres, all within reach of the arm in one posture."""
     axis = np.array(CAP_AXIS_CT)
     spheres = np.array([fiducial.centre_ct_mm for fiducial in fiducials])
     feasibility = PlanFeasibility(apply(robot_from_ct, spheres))
@@ -140,7 +164,7 @@ def _draw_targets(
             continue
         target = entry + inward * generator.uniform(*DEPTH_RANGE_MM)
         ends = apply(robot_from_ct, entry), apply(robot_from_ct, target)
-        if not feasibility.serves([*drawn, ends]):
+        if not feasibility.is_feasible([*drawn, ends]):
             continue
         drawn.append(ends)
         targets.append(
@@ -149,6 +173,80 @@ def _draw_targets(
         if len(targets) == count:
             return tuple(targets)
     raise BadScene(f"{count} trajectories do not fit between the markers within the arm's reach")
+
+
+@dataclass(frozen=True)
+class FrameOnHead:
+    """The x-shaped frame on the head: its spheres, and points (n, 3) on its body, CT frame."""
+
+    fiducials: tuple[Fiducial, ...]
+    body_mm: Vector
+
+    def leaves_free(self, entry_mm: Vector, outwards: Vector) -> bool:
+        """Whether a guide over an entry (3,), along a unit vector (3,), is clear of the frame."""
+        away = self.body_mm - entry_mm
+        along = np.clip(away @ outwards, 0.0, GUIDE_MM)
+        aside = np.linalg.norm(away - along[:, None] * outwards, axis=1)
+        return bool(aside.min() >= GUIDE_CLEARANCE_MM)
+
+
+def draw_frame(generator: np.random.Generator) -> FrameOnHead:
+    """Draw the place of the frame on the head; raises SIM-001 if none is clear of the skin."""
+    axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
+    left = np.array(LEFT_CT)
+    front = np.cross(axis, left)
+    for _ in range(FRAME_ATTEMPTS):
+        tilt, side = generator.uniform(*FRAME_TILT_RAD), generator.uniform(-SIDE_RAD, SIDE_RAD)
+        direction = cos(tilt) * axis + sin(tilt) * (cos(side) * left + sin(side) * front)
+        skin, normal = skin_at(direction)
+        turn = generator.uniform(0.0, 2.0 * np.pi)
+        across = np.cross(normal, front)
+        rotation = rotation_towards(normal, cos(turn) * front + sin(turn) * across)
+        origin = skin + CENTRE_CT_MM + STANDOFF_MM * normal
+        bars, foot = bodies()[:-1], bodies()[-1]
+        on_bars = np.vstack([_along(one.start_mm, one.end_mm) for one in bars]) @ rotation.T + origin
+        if not _clear(on_bars):
+            continue
+        centres = np.array(SPHERE_CENTRES_MM) @ rotation.T + origin
+        on_foot = _along(foot.start_mm, foot.end_mm) @ rotation.T + origin
+        return FrameOnHead(
+            tuple(
+                Fiducial(
+                    number=number, centre_ct_mm=_three(centre), post_ct=_three(normal), base_mm=BAR_BELOW_MM
+                )
+                for number, centre in enumerate(centres, start=1)
+            ),
+            np.vstack([centres, on_bars, on_foot]),
+        )
+    raise BadScene("the x-shaped frame is not clear of the head")
+
+
+def _clear(points_mm: Vector) -> bool:
+    axes = np.array(SEMI_AXES_MM) + BAR_RADIUS_MM + HEAD_CLEARANCE_MM
+    return bool((np.linalg.norm((points_mm - CENTRE_CT_MM) / axes, axis=1) > 1.0).all())
+
+
+def _along(start: tuple[float, ...], end: tuple[float, ...]) -> Vector:
+    length = float(np.linalg.norm(np.subtract(end, start)))
+    return np.linspace(start, end, 2 + round(length / SAMPLE_MM))
+
+
+def drawn_direction(generator: np.random.Generator, axis: Vector, half_angle_rad: float) -> Vector:
+    """Draw a direction within a cone, uniform over its solid angle."""
+    cosine = generator.uniform(cos(half_angle_rad), 1.0)
+    turn = generator.uniform(0.0, 2 * np.pi)
+    sine = (1 - cosine**2) ** 0.5
+    frame = rotation_towards(axis, (1.0, 0.0, 0.0))
+    direction: Vector = frame @ np.array([sine * np.cos(turn), sine * np.sin(turn), cosine])
+    return direction
+
+
+def skin_at(direction: Vector) -> tuple[Vector, Vector]:
+    """Point on the skin in a direction from the centre, relative to the centre, and its outward normal."""
+    axes = np.array(SEMI_AXES_MM)
+    point = direction / np.linalg.norm(direction / axes)
+    normal = point / axes**2
+    return point, normal / np.linalg.norm(normal)
 
 
 def _three(vector: Vector) -> Any:

@@ -1,7 +1,7 @@
-"""The scene: the true state of everything. Read by every simulated device, written once.
+"""Model of the scene: the true state of everything, written once and read by every simulated device.
 
-Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths mm, angles rad. `nominal`
-values are those on paper; `true` values are the real ones.
+Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths in mm, angles in rad.
+`nominal` values are those on paper, `true` values the real ones.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from ronna_hw.plausible import FocalPixels, Length
 from ronna_hw.text.counting import counted
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
-from sim.world.scene.guide import Guide, Hands
-from sim.world.scene.quantities import (
+from sim.world.scene.parts import (
     Facing,
+    Guide,
+    Hands,
     MarkerCentres,
     NotNegative,
     PartNumber,
     Positive,
     Serial,
+    Target,
     ToolName,
 )
-from sim.world.scene.target import Target
 
 Numbers6 = tuple[float, float, float, float, float, float]
 Count = Annotated[int, Field(ge=1)]
@@ -39,7 +40,7 @@ HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
 ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as reported by the controller's inputs
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
 BASE_MM = 16.0  # from a screw's head to the centre of its sphere
-MOST_WORN_PERCENT = 60.0  # of a film: with more, the sphere cannot be found
+MOST_WORN_PERCENT = 60.0  # of a film; beyond, the sphere cannot be found
 FRAME_TOLERANCE_MM = 0.01  # on the distances within a one-piece frame
 SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
@@ -370,7 +371,7 @@ class Scene(Strict):
 
 
 def parse_scene(content: dict[str, Any], name: str) -> Scene:
-    """Check the content of a scene; raises SIM-001 with every mistake in it."""
+    """Validate the content of a scene; raises SIM-001 with every mistake."""
     try:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
@@ -379,7 +380,7 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
 
 
 def parse_scene_json(content: bytes, name: str) -> Scene:
-    """The scene in the content of a JSON file; raises SIM-001 with every mistake in it."""
+    """Parse the content of a JSON scene file; raises SIM-001 with every mistake."""
     try:
         return Scene.model_validate_json(content, strict=False)
     except ValidationError as error:
@@ -387,7 +388,7 @@ def parse_scene_json(content: bytes, name: str) -> Scene:
 
 
 def read_scene(path: Path) -> Scene:
-    """Read a scene file (TOML or JSON); raises SIM-001 with every mistake in it."""
+    """Read a scene file (TOML or JSON); raises SIM-001 with every mistake."""
     try:
         if path.suffix == ".json":
             return parse_scene_json(read_json_bytes(path), path.name)

@@ -1,4 +1,4 @@
-"""The named scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
+"""Named scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
 
 The room: the robot's base is the origin, x forward, z up. The patient is semi-reclined, the vertex up and
 towards the robot; the tracker views the head from above and the side.
@@ -17,12 +17,16 @@ from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BadScene
 from sim.world.noise import noise
 from sim.world.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
-from sim.world.scene import guide_frame
-from sim.world.scene.arm_truth import draw_arm
-from sim.world.scene.guide import Guide
+from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
-from sim.world.scene.stereo_head import draw_cameras, draw_mount
+from sim.world.scene.parts import (
+    GUIDE_FRAME_IN_TIP,
+    GUIDE_FRAME_MARKERS_MM,
+    GUIDE_FRAME_NAME,
+    GUIDE_FRAME_PART_NUMBER,
+    Guide,
+)
 
 SCENES = ("default", "mini", "bench", "bench-near")
 MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
@@ -30,16 +34,16 @@ MINI_AREA_PX = (800, 800)
 # The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
 MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
 TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
-TRACKER_DISTANCE_MM = 1900.0  # from the midpoint of the two
+TRACKER_DISTANCE_MM = 1900.0  # from the midpoint of head and frame
 # Four markers whose six distances differ by at least 4 mm, so that the pose is unique.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
-# The bench of a tracker: `bench-near` is within the volume of a Polaris Vicra.
 USUAL_REFLECTIONS = 2  # in a room with lamps and instruments
-# The stand is placed by hand where requested, its dials aligned with the robot's axes by eye.
+# Staff place the stand by hand, its dials aligned with the robot's axes by eye.
 STAND_MM = (563.0, -325.0, 230.0)
 STAND_SPREAD_MM = 3.0
-DIVOT_MM = 0.005  # per axis: manufacturing tolerance of such stands
+DIVOT_MM = 0.005  # manufacturing tolerance per axis
 DIALS_RAD = radians(1.0)
+# Distance of the tools on a tracker's bench; `bench-near` is within the volume of a Polaris Vicra.
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
 
@@ -54,7 +58,7 @@ def named_scene(
 ) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
-    The default scene has 5 markers and 3 targets, the mini scene 3 and 1; with `x_frame` the four markers of
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1; `x_frame` has the four markers of
     that frame, which the tracker knows as a tool.
     """
     if name not in SCENES:
@@ -74,7 +78,7 @@ def named_scene(
     arm, mount = draw_arm(generator), draw_mount(generator)
     on_bench = name in BENCH_DISTANCES_MM
     if not on_bench:
-        mount = mount.model_copy(update={"guide": Guide(tip_from_frame=guide_frame.IN_TIP)})
+        mount = mount.model_copy(update={"guide": Guide(tip_from_frame=GUIDE_FRAME_IN_TIP)})
     return Scene(
         name=name,
         seed=seed,
@@ -97,7 +101,7 @@ def named_scene(
 
 
 def _stand(seed: int) -> Stand:
-    """As placed on the table; drawn separately, so that the rest of a scene does not depend on it."""
+    """Draw the stand with noise of its own, on which the rest of a scene does not depend."""
     generator = noise(seed, "stand", 0)
 
     def three(values: np.ndarray) -> tuple[float, float, float]:
@@ -112,21 +116,21 @@ def _stand(seed: int) -> Stand:
 
 
 def robot_frame() -> TrackerTool:
-    """The reference frame M on the tool mount."""
+    """Reference frame M on the mount, as a tracker tool."""
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 
 def frame_on_head() -> TrackerTool:
-    """The x-shaped frame as a tool."""
+    """The x-shaped frame as a tracker tool."""
     return TrackerTool(
         name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
     )
 
 
 def frame_on_guide() -> TrackerTool:
-    """The frame on the guide, by which the tracker checks what is mounted."""
+    """The frame on the guide as a tracker tool, which identifies the mounted tool."""
     return TrackerTool(
-        name=guide_frame.NAME, part_number=guide_frame.PART_NUMBER, markers_mm=guide_frame.MARKERS_MM
+        name=GUIDE_FRAME_NAME, part_number=GUIDE_FRAME_PART_NUMBER, markers_mm=GUIDE_FRAME_MARKERS_MM
     )
 
 

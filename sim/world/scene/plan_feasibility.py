@@ -1,9 +1,9 @@
-"""Whether the arm can carry out a drawn plan, so that every drawn scene is feasible.
+"""Feasibility of a drawn plan for the arm: every drawn scene must be feasible.
 
-A trajectory is served if some turn about its axis brings the tool to every sphere in the orientation of the
-trajectory, then to where the guide is held before the entry, and also the stereo head to the target, for a
-phantom with a ball there; each from a point above, with all poses in one arm posture. At that turn no sphere
-may be in front of or behind another one in either camera. Robot frame, mm.
+A trajectory is feasible if some turn about its axis brings the tool to every sphere in the orientation of the
+trajectory, then to where the guide is held before the entry, and the stereo head to the target, for a phantom
+with a ball there; each from a point above, with all poses in one arm posture. At that turn no sphere may be
+in front of or behind another one in either camera. Robot frame, mm.
 """
 
 from __future__ import annotations
@@ -14,28 +14,27 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.world.arm.posture import axes_of_status
-from sim.world.arm.robot_description import Variant, description
+from sim.world.nominal_arm import Variant, axes_of_status, description
 from sim.world.rigid import inverse, matrix_from
-from sim.world.scene.guide import Guide
-from sim.world.scene.stereo_head import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
+from sim.world.scene.as_built import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
+from sim.world.scene.parts import Guide
 
 Vector = NDArray[np.float64]
 
-APPROACH_MM = 60.0  # of the tool, outside the sphere or the skin
-STANDOFF_MM = 30.0  # from the entry to the guide, in the plan of a phantom
+APPROACH_MM = 60.0  # distance of the tool outside sphere or skin
+STANDOFF_MM = 30.0  # distance of the guide from the entry, in the plan of a phantom
 TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
-# Arm postures, the usual one first. The wrist's two are equivalent: its ranges are symmetric.
+# Status S of arm postures, the usual one first; the wrist's two are equivalent, its ranges being symmetric.
 STATUSES = (2, 0, 3, 1)
-MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some millimetres off
+MARGIN_RAD = radians(3.0)  # from the end switches: a coarse registration is off by millimetres
 SPHERE_MM = 5.75  # radius
-BESIDE_MM = 4.0  # around each sphere: a millimetre more than the planner requires
+BESIDE_MM = 4.0  # clearance around each sphere, a millimetre more than the planner requires
 # A4 and A6 turn more than a full circle, so they reach every angle.
 LIMITED = (0, 1, 2, 4)
 
 
 class PlanFeasibility:
-    """The arm, and the spheres (n, 3) it must measure."""
+    """Feasibility of trajectories for an arm that must measure the spheres (n, 3)."""
 
     def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
         self._arm = description(variant)
@@ -43,11 +42,11 @@ class PlanFeasibility:
         self._tool_from_flange = inverse(matrix_from(TOOL_IN_FLANGE_MM, np.eye(3)))
         self._known: dict[tuple[int, bytes], bool] = {}
 
-    def serves(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
-        """Whether one posture reaches all trajectories, each entry (3,) and target (3,)."""
-        return any(all(self._one(*ends, status) for ends in trajectories) for status in STATUSES)
+    def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
+        """Whether one posture reaches all trajectories, each an entry (3,) and a target (3,)."""
+        return any(all(self._reaches(*ends, status) for ends in trajectories) for status in STATUSES)
 
-    def _one(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
+    def _reaches(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
         key = status, entry_mm.tobytes() + target_mm.tobytes()
         if key not in self._known:
             way = target_mm - entry_mm
@@ -58,12 +57,16 @@ class PlanFeasibility:
             places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
             tips = np.array([tip for place, back in places for tip in (place, place - back * axis)])
             self._known[key] = any(
-                self._sees(orientation) and self._serves(tips, orientation, status)
+                self._sees_each(orientation)
+                and all(
+                    self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, status)
+                    for tip in tips
+                )
                 for orientation in _orientations(axis, target_mm)
             )
         return self._known[key]
 
-    def _sees(self, orientation: Vector) -> bool:
+    def _sees_each(self, orientation: Vector) -> bool:
         """Whether each sphere, with the tool on it, is clear of the others in both cameras."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
@@ -78,12 +81,7 @@ class PlanFeasibility:
                 return False
         return True
 
-    def _serves(self, tips_mm: Vector, orientation: Vector, status: int) -> bool:
-        return all(
-            self._within(matrix_from(tip, orientation) @ self._tool_from_flange, status) for tip in tips_mm
-        )
-
-    def _within(self, flange: Vector, status: int) -> bool:
+    def _is_within_ranges(self, flange: Vector, status: int) -> bool:
         axes = axes_of_status(self._arm, flange, status)
         if axes is None:
             return False
@@ -97,7 +95,7 @@ class PlanFeasibility:
 
 
 def _orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
-    """Rotations robot <- tool: z along the trajectory, x away from the robot's base, then turned from it."""
+    """Rotations robot <- tool: z along the trajectory, x away from the base, then turned ever further."""
     radial = np.array([at_mm[0], at_mm[1], 0.0])
     across = radial - axis * float(axis @ radial)
     x_zero = across / np.linalg.norm(across)

@@ -18,10 +18,10 @@ from ronna_hw.config import parse_theatre
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
 from sim.theatre.theatre_file import theatre_content
-from sim.world.arm.true_arm import TrueArm
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.true_arm import TrueArm
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
 ENDPOINTS = {

@@ -40,8 +40,8 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.frames import Frame, Transform
-from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
 
 Array = NDArray[np.float64]
 

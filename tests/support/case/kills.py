@@ -18,7 +18,7 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
-from sim.world.scene.arm_truth import REPEATABILITY_MM
+from sim.world.scene.as_built import REPEATABILITY_MM
 
 MOTION_LINK, COMMAND_LINK = "robot.master.rsi", "robot.master.eki"
 MOVING_COMMAND = re.compile(rb'Name="(RSI_START|DRIVES|PTP_AXIS|PTP_POS|LIN|SELECT)"')

@@ -24,10 +24,10 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.scene.line_of_sight import head_ellipsoid, visible
+from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of
+from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
 
 Array = NDArray[np.float64]
 

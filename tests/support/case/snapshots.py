@@ -24,7 +24,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import BLOCK_BYTES, JOURNAL_FILE
 from ronna_hw.evidence.journal_reading import read_chain
-from sim.world.left_world import write_left_world
+from sim.world.saved_world import save_world
 from sim.world.world import World
 
 BEING_WRITTEN = "being_written.json"
@@ -99,7 +99,7 @@ def _keep(program: int, folder: Path, line: int, world: World) -> None:
         time.sleep(0.005)
     copy = folder / f"{line:03d}" / "runs" / run.name
     shutil.copytree(run, copy, copy_function=_linked_or_copied)
-    write_left_world(world, copy / "theatre")
+    save_world(world, copy / "theatre")
     (copy.parents[1] / BEING_WRITTEN).write_text(json.dumps(_open_for_writing(program, run)))
 
 

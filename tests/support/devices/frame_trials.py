@@ -11,7 +11,7 @@ from procedures.guards.head_frames import HeadFrames
 from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
-from sim.polaris.optics.marker_noise import Optics
+from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.named_scenes import named_scene

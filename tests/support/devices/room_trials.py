@@ -28,15 +28,14 @@ from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.measurement.rigid_fit import fit_rigid_body
-from sim.polaris.optics.marker_noise import Optics
+from sim.polaris.measurement.optics import Optics
+from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.polaris.unit.model import SPECTRA
 from sim.theatre.theatre_file import theatre_content
-from sim.world.arm.true_arm import TrueArm
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
-from sim.world.scene.guide_frame import IN_TIP as GUIDE_FRAME_IN_TIP
-from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
 from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.parts import GUIDE_FRAME_IN_TIP, GUIDE_FRAME_MARKERS_MM
+from sim.world.true_arm import TrueArm
 
 Array = NDArray[np.float64]
 

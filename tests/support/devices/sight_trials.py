@@ -27,9 +27,8 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame
-from sim.polaris.optics.marker_noise import eyes_mm
-from sim.polaris.scene.arm_capsules import ArmBody
-from sim.polaris.scene.line_of_sight import head_ellipsoid, visible
+from sim.polaris.measurement.line_of_sight import ArmBody, head_ellipsoid, visible
+from sim.polaris.measurement.optics import eyes_mm
 from sim.world.rigid import apply
 from sim.world.world import ArmState
 

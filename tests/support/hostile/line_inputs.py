@@ -28,8 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.control_port import ControlPortClient
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
-from sim.world.control import Room
-from sim.world.control_port import _Conversation
+from sim.world.control_port import Room, _Conversation
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
@@ -104,7 +103,7 @@ def _conversation(room: Room) -> Take:
         conversation = _Conversation.__new__(_Conversation)
         conversation.request = cast("socket.socket", came)
         server = {"room": room, "token": "a", "limits_s": (1.0, 1.0), "changing": threading.Lock()}
-        conversation.server = cast("Any", SimpleNamespace(**server, strangers=[came], trusted=[]))
+        conversation.server = cast("Any", SimpleNamespace(**server, untrusted=[came], trusted=[]))
         conversation.handle()
         for answer in map(json.loads, came.sent):
             assert not str(answer.get("reason")).startswith("the simulator failed"), answer

@@ -61,8 +61,8 @@ from ronna_hw.marker_template import read_marker_template
 from ronna_hw.recording.device_calls import ANSWERS, LOOKS
 from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.world.control import Room
-from sim.world.left_world import read_left_world
+from sim.world.control_port import Room
+from sim.world.saved_world import read_saved_world
 from sim.world.scene.named_scenes import named_scene
 from sim.world.truth import read_samples
 from sim.world.world import World
@@ -158,7 +158,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         ),
         "left world": (
             (json.dumps(LEFT).encode(),),
-            of("theatre/world.json", read_left_world, run / "theatre"),
+            of("theatre/world.json", read_saved_world, run / "theatre"),
         ),
         "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", kept_truth)),
         "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", figures_if_readable)),

@@ -39,10 +39,10 @@ from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, cut_requests
-from sim.polaris.line.framing import LineBuffer
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tools.definition import BadDefinition, parse_definition, write_definition
-from sim.polaris.unit.unit import Unit
+from sim.polaris.tracker_unit import Unit
+from sim.polaris.unit.framing import LineBuffer
+from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, write_definition
 from sim.world.scene.named_scenes import named_scene, robot_frame
 from sim.world.world import World
 
@@ -79,7 +79,7 @@ def _told(world: World, data: bytes) -> None:
     for begin in range(0, len(data), PIECE_BYTES):
         for line in lines.feed(data[begin : begin + PIECE_BYTES], 0.0):
             _well_formed(interpreter.reply(line))
-        interpreter.unasked()
+        interpreter.unsolicited()
 
 
 def _loaded(world: World, data: bytes) -> None:

@@ -26,9 +26,9 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
+from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import read_scene
-from sim.world.scene.seating import spheres_in_theatre
 from studies.accuracy.postures import ARM, TOOL_MM
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.solving import PlannedPoses, centred

@@ -11,7 +11,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
-from sim.world.left_world import LEFT_WORLD_FILE
+from sim.world.saved_world import WORLD_FILE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 
@@ -65,11 +65,11 @@ def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed
 @pytest.mark.hazard(2)
 def test_resuming_without_acceptance_moves_nothing(commands: Commands, tmp_path: Path) -> None:
     killed = killed_at(commands, MINI_SEED_3, tmp_path, GOES_IN)
-    left = (killed.folder / "theatre" / LEFT_WORLD_FILE).read_bytes()
+    left = (killed.folder / "theatre" / WORLD_FILE).read_bytes()
     refused = commands.run("ronna-procedure", "resume", str(killed.folder), "--json")
     assert refused.returncode == EXIT_RECOVERY_NEEDED, refused.stderr
     assert_no_byte_before_acceptance(killed.folder, tuple(read_journal(killed.folder / JOURNAL_FILE)))
-    now = json.loads((killed.folder / "theatre" / LEFT_WORLD_FILE).read_text())
+    now = json.loads((killed.folder / "theatre" / WORLD_FILE).read_text())
     assert now["arm"] == json.loads(left)["arm"]
     assert taken_up(commands, killed)["outcome"] == "done"
 

@@ -12,8 +12,7 @@ import pytest
 from bad_inputs import BadInput, app_of, write_bench
 from user_commands import in_this_process, one_error
 
-from sim.world.control import Room
-from sim.world.control_port import ControlPort
+from sim.world.control_port import ControlPort, Room
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 from studies.own import trial

@@ -21,7 +21,7 @@ from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.cli import app
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.named_scenes import robot_frame
 
 ANSWER_LIMIT_S = 5.0

@@ -17,7 +17,7 @@ from tracker_strangers import NdicapiHost, StrangerError, scikit_frames
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import named_scene, robot_frame

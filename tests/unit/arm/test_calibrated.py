@@ -13,9 +13,9 @@ from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
 from sim.theatre.arm_record import arm_values
-from sim.world.arm.true_arm import TrueArm
-from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual
+from sim.world.true_arm import TrueArm
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
 EXACT = ArmResidual(link_mm=0.0, angle_rad=0.0, tool_mm=0.0)

@@ -12,9 +12,9 @@ from procedures.calibration.arm_geometry import (
     error_columns,
 )
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.robot_description import description
+from sim.world.nominal_arm import description
 from sim.world.scene.model import LinkError
+from sim.world.true_arm import JointChain
 
 VARIANT = "kr6_r900_sixx"
 JOINTS = (0.3, -1.2, 1.6, 0.4, 1.0, 2.5)

@@ -18,7 +18,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.host.control_port import LONGEST_LINE
 from sim.kuka.eki.server import READ_BYTES
-from sim.polaris.line.channel import RECEIVE_BYTES
+from sim.polaris.line.server import RECEIVE_BYTES
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
 

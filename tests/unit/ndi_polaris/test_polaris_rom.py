@@ -27,7 +27,7 @@ from drivers.ndi_polaris.tools.geometry import (
 from drivers.ndi_polaris.tools.robot_frame import robot_frame
 from drivers.ndi_polaris.tools.shipped import FOLDER, shipped_definitions
 from drivers.ndi_polaris.tools.x_frame import x_frame
-from sim.polaris.tools.definition import parse_definition, write_definition
+from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.world.scene.named_scenes import robot_frame as robot_frame_of_the_scene
 
 RIGID_BODY = planar_tool(

@@ -17,11 +17,11 @@ from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
 from sim.basler.view import View
 from sim.errors import BadFaultScript
+from sim.world.displacements import spheres_in_theatre
 from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]

@@ -14,10 +14,10 @@ from sim.basler.camera.settings import FrameSettings, RampImage, Settings
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import View
+from sim.world.displacements import spheres_in_theatre
 from sim.world.noise import noise
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import ArmState, World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0

@@ -5,9 +5,9 @@ import pytest
 
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
+from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.named_scenes import named_scene
-from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import ArmState, World
 
 

@@ -20,8 +20,8 @@ from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.rsi.reply_reader import ReplyReader
-from sim.world.arm.true_arm import TrueArm
 from sim.world.scene.model import ArmTruth
+from sim.world.true_arm import TrueArm
 
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {

@@ -1,4 +1,4 @@
-"""A bench with a unit on it, spoken to line by line."""
+"""A unit on the bench and a host that sends it command lines."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.line.interpreter import CommandInterpreter
-from sim.polaris.tools.definition import write_definition
-from sim.polaris.tools.wired_tools import WiredPorts
+from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
-from sim.polaris.unit.unit import Unit
+from sim.polaris.unit.ports import WiredPorts
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
@@ -38,15 +38,15 @@ class Bench:
     interpreter: CommandInterpreter
 
     def send(self, line: str) -> str:
-        """Answer to a line in the form without CRC, its own CRC checked and cut off."""
+        """Send a line without CRC; return the reply, its CRC checked and removed."""
         return text_of(self.interpreter.reply(line.encode("latin-1")))
 
     def send_with_crc(self, line: str) -> str:
-        """The same in the form with CRC; the line includes the colon."""
+        """Send a line with CRC, up to and including its colon; return the reply without CRC."""
         return text_of(self.interpreter.reply(f"{line}{crc16(line.encode()):04X}".encode()))
 
     def raw(self, line: str) -> bytes:
-        """The bytes of an answer."""
+        """Send a line without CRC; return the bytes of the reply."""
         return self.interpreter.reply(line.encode("latin-1"))
 
     def ready(self) -> Bench:
@@ -71,7 +71,7 @@ class Bench:
         return handle
 
     def enable(self, tool: TrackerTool) -> int:
-        """Load, initialise and enable a tool; one that is loaded twice brings a warning."""
+        """Load, initialise and enable a tool; a tool loaded twice raises a warning."""
         handle = self.load(write_definition(tool))
         assert not self.send(f"PINIT {handle:02X}").startswith("ERROR")
         assert self.send(f"PENA {handle:02X}D") == "OKAY"
@@ -79,7 +79,7 @@ class Bench:
 
 
 def text_of(reply: bytes) -> str:
-    """The text of an ASCII answer; its CRC must be right."""
+    """Text of an ASCII reply; its CRC must be right."""
     assert reply.endswith(b"\r")
     content, crc = reply[:-5], reply[-5:-1]
     assert crc == b"%04X" % crc16(content)
@@ -88,7 +88,7 @@ def text_of(reply: bytes) -> str:
 
 @pytest.fixture
 def make_bench() -> Callable[..., Bench]:
-    """Make a bench from a scene; its clock is advanced by requests, so every frame is a new one."""
+    """Make a bench from a scene; requests advance its clock, so every frame is new."""
 
     def make(
         scene: Scene | None = None,

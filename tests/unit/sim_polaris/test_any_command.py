@@ -11,11 +11,11 @@ import pytest
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.tools.definition import write_definition
-from sim.polaris.tools.wired_tools import WiredPorts, WiredTool
-from sim.polaris.unit.mode import Mode
+from sim.polaris.tracker_unit import Mode
 from sim.polaris.unit.model import SPECTRA
-from sim.polaris.unit.user_parameter_table import parameter_table
+from sim.polaris.unit.ports import WiredPorts, WiredTool
+from sim.polaris.unit.tool_definition import write_definition
+from sim.polaris.unit.user_parameters import parameter_table
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ RARE = {"INIT": 0.1, "RESET": 0.05, "TSTOP": 0.5, "DSTOP": 0.5}  # commands that
 
 
 class Dice:
-    """Commands that are nearly right."""
+    """Random commands, most of them nearly right."""
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
@@ -92,7 +92,7 @@ class Dice:
 
 @pytest.fixture
 def well_equipped(make_bench: Callable[..., Bench], pointer: TrackerTool) -> Bench:
-    """A unit with two wired tools, one of them without memory, that tells all it can."""
+    """A unit with two wired tools, one without memory, that allows and reports as much as possible."""
     sockets = WiredPorts(SOCKETS)
     sockets.add(WiredTool.from_definition(write_definition(pointer), 1, USER_BYTES))
     sockets.add(WiredTool(None, bytearray(USER_BYTES)))
@@ -106,7 +106,7 @@ def well_equipped(make_bench: Callable[..., Bench], pointer: TrackerTool) -> Ben
 
 
 def check(reply: bytes, seen: Counter[str], line: str) -> None:
-    """One answer, its form and its CRCs; counts it."""
+    """Check form and CRC of a reply, and count it."""
     if reply.startswith(b"\xc4\xa5"):
         assert len(reply) == int.from_bytes(reply[2:4], "little") + 8
         assert crc16(reply[:6]) == crc16(reply[6:]) == 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.polaris.line.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
+from sim.polaris.unit.framing import LineBuffer, Overlong, ascii_reply, binary_reply, parse_request
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
 LIMIT = 40

@@ -9,7 +9,6 @@ import pytest
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 from sim.polaris.handlers.table import COMMANDS
-from sim.polaris.unit.unit import Unit
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -22,17 +21,17 @@ FRAME_NS = 1_000_000_000 // 60
 def counted(
     make_bench: Callable[..., Bench], pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Bench, list[int], list[int]]:
-    """A tracking bench whose time is set by hand, and the numbers of the frames that it measured."""
+    """A tracking bench, its time in ns, set by hand, and the numbers of the frames measured."""
     bench = make_bench(paced=True)
     now_ns, measured = [0], []
     monkeypatch.setattr(bench.world.clock, "now_ns", lambda: now_ns[0])
-    measure = Unit._measured
+    measure = bench.unit.measurer.frame
 
-    def counting(unit: Unit, number: int, *rest: Any) -> Any:
+    def counting(number: int, *rest: Any) -> Any:
         measured.append(number)
-        return measure(unit, number, *rest)
+        return measure(number, *rest)
 
-    monkeypatch.setattr(Unit, "_measured", counting)
+    monkeypatch.setattr(bench.unit.measurer, "frame", counting)
     bench.send("INIT ")
     bench.track(pointer)
     return bench, now_ns, measured
@@ -54,7 +53,7 @@ def test_a_repeated_reply_is_encoded_once(
 ) -> None:
     bench, now_ns, _ = counted
     first = bench.raw("BX 1801")
-    monkeypatch.setattr("sim.polaris.handlers.tracking.binary_body", None)  # would fail if it were called
+    monkeypatch.setattr("sim.polaris.handlers.tracking.binary_body", None)  # fails if called
     assert {bench.raw("BX 1801") for _ in range(20)} == {first}
     now_ns[0] += FRAME_NS + 1
     with pytest.raises(TypeError):

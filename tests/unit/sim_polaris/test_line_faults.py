@@ -1,27 +1,19 @@
-"""Line faults between host and unit, and hosts that keep the line from others."""
+"""Line faults between host and unit."""
 
 from __future__ import annotations
 
-import contextlib
-import socket
-import threading
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import pytest
 
 from ronna_hw.wire.polaris import crc16
-from sim.polaris.line import channel
-from sim.polaris.line.line_faults import LineFaults
-from sim.polaris.line.server import EndSignal, Server
+from sim.polaris.faults import LineFaults
 
 if TYPE_CHECKING:
     from conftest import Bench
 
 OKAY = b"OKAYA896\r"
 NO_HANDLES = b"001414\r"
-SILENT_HOST_S = 0.2
-HANG_GUARD_S = 30.0
 
 
 def happen(bench: Bench, *lines: str) -> LineFaults:
@@ -34,7 +26,7 @@ def with_crc(text: str) -> bytes:
 
 
 def conversation(bench: Bench, faults: LineFaults, line: bytes) -> bytes:
-    """What a host hears when it sends one line."""
+    """Send one line over the disturbed line; return the reply as received."""
     heard = faults.to_unit(line)
     return faults.to_host(heard, bench.interpreter.reply(heard))
 
@@ -45,9 +37,9 @@ def test_a_good_line_changes_nothing(bench: Bench) -> None:
 
 def test_a_bit_error_in_a_command_with_crc_is_refused_and_has_no_effect(bench: Bench) -> None:
     faults = happen(bench, "garble commands 100 %")
-    line = with_crc("TSTART:")  # its CRC 5423 has no letters, whose case would not matter
+    line = with_crc("TSTART:")  # CRC 5423 has no letters, so every bit error shows
     answers = {conversation(bench, faults, line)[:7] for _ in range(200)}
-    # a hit colon is no separator any more, and the name is unknown
+    # with the colon hit, the whole line is an unknown name
     assert answers == {b"ERROR04", b"ERROR01"}
     happen(bench)
     assert bench.send("TX ") == "ERROR0C"
@@ -107,120 +99,9 @@ def test_theatre_time_passes_while_a_host_waits_for_a_lost_reply(bench: Bench) -
 
 def test_a_delayed_reply_still_arrives(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("sim.polaris.line.line_faults.time.sleep", slept.append)
+    monkeypatch.setattr("sim.polaris.faults.time.sleep", slept.append)
     faults = happen(bench, "delay replies 3 s")
     began_s = bench.world.clock.now_s()
     assert conversation(bench, faults, b"INIT ") == OKAY
     assert slept == [3.0]
     assert bench.world.clock.now_s() - began_s == pytest.approx(3.0)
-
-
-@pytest.fixture
-def host(make_bench: Callable[..., Bench]) -> Iterator[tuple[Bench, socket.socket]]:
-    """A unit behind its server, and a host connected to it."""
-    bench = make_bench(reset_s=0.0, silent_host_s=SILENT_HOST_S)
-    end = EndSignal()
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        server = threading.Thread(target=Server(bench.interpreter, end).serve_network, args=(listener,))
-        server.start()
-        with socket.create_connection(listener.getsockname(), timeout=HANG_GUARD_S) as connection:
-            yield bench, connection
-        end.give()
-        server.join(HANG_GUARD_S)
-        assert not server.is_alive()
-
-
-def read_until(connection: socket.socket, ending: bytes) -> bytes:
-    received = b""
-    while not received.endswith(ending):
-        received += connection.recv(4096)
-    return received
-
-
-@pytest.mark.parametrize("drip", [b"", b"INIT"])
-def test_a_host_that_sends_no_command_is_dropped_for_a_waiting_one(
-    host: tuple[Bench, socket.socket], drip: bytes
-) -> None:
-    _, silent = host
-    with socket.create_connection(silent.getpeername(), timeout=HANG_GUARD_S) as waiting:
-        silent.sendall(drip)
-        waiting.sendall(b"INIT \r")
-        assert read_until(waiting, b"\r") == OKAY
-        assert silent.recv(1) == b""
-
-
-@pytest.fixture
-def no_other_patience(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(channel, "SEND_PATIENCE_S", 10 * HANG_GUARD_S)
-
-
-@pytest.mark.hazard(34)
-def test_a_host_that_reads_no_replies_is_dropped_for_a_waiting_one(
-    no_other_patience: None, host: tuple[Bench, socket.socket]
-) -> None:
-    _, deaf = host
-    deaf.settimeout(SILENT_HOST_S)
-    with contextlib.suppress(TimeoutError):
-        deaf.sendall(b"GET *\r" * 3000)  # more is answered than both sides keep
-    with socket.create_connection(deaf.getpeername(), timeout=HANG_GUARD_S) as waiting:
-        waiting.sendall(b"INIT \r")
-        assert read_until(waiting, b"\r") == OKAY
-
-
-@pytest.mark.hazard(34)
-def test_a_host_that_sends_only_refused_commands_is_dropped_for_a_waiting_one(
-    host: tuple[Bench, socket.socket],
-) -> None:
-    _, babbling = host
-
-    def babble() -> None:
-        with contextlib.suppress(OSError):
-            while True:
-                babbling.sendall(b"no command\r" * 10)
-                if not babbling.recv(4096):
-                    return
-
-    with socket.create_connection(babbling.getpeername(), timeout=HANG_GUARD_S) as waiting:
-        thread = threading.Thread(target=babble)
-        thread.start()
-        try:
-            waiting.sendall(b"INIT \r")
-            assert read_until(waiting, b"\r") == OKAY
-        finally:
-            with contextlib.suppress(OSError):  # it was hung up on
-                babbling.shutdown(socket.SHUT_RDWR)
-            thread.join(HANG_GUARD_S)
-
-
-def test_a_silent_host_keeps_the_line_while_no_other_host_waits(host: tuple[Bench, socket.socket]) -> None:
-    _, silent = host
-    silent.settimeout(2 * SILENT_HOST_S)
-    with pytest.raises(TimeoutError):
-        silent.recv(1)
-    silent.settimeout(HANG_GUARD_S)
-    silent.sendall(b"INIT \r")
-    assert read_until(silent, b"\r") == OKAY
-
-
-def test_faults_take_effect_on_an_open_connection(host: tuple[Bench, socket.socket]) -> None:
-    bench, connection = host
-    connection.sendall(b"INIT \r")
-    assert read_until(connection, b"\r") == OKAY
-    happen(bench, "double bytes 100 %")
-    connection.sendall(b"INIT \r")
-    assert len(read_until(connection, b"\r")) >= len(OKAY)
-    happen(bench)
-    connection.sendall(b"INIT \r")
-    assert read_until(connection, OKAY).endswith(OKAY)
-
-
-def test_a_unit_sends_reset_unprompted_when_its_power_returns(host: tuple[Bench, socket.socket]) -> None:
-    bench, connection = host
-    connection.sendall(b"INIT \r")
-    assert read_until(connection, b"\r") == OKAY
-    bench.world.set_fault_script("at 0 s: tracker power off for 3 s")
-    connection.sendall(b"VER 4\r")  # never answered; in theatre time a host waits 2 s for it
-    connection.sendall(b"VER 4\r")
-    assert read_until(connection, b"\r") == b"RESETBE6F\r"
-    connection.sendall(b"TX \r")
-    assert read_until(connection, b"\r").startswith(b"ERROR10")

@@ -1,4 +1,4 @@
-"""Line of sight: what the head, the arm and its tools hide from the tracker."""
+"""Occlusion by the head, the arm and its tools."""
 
 from __future__ import annotations
 
@@ -7,16 +7,14 @@ import pytest
 
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.collision_config import CollisionConfig
-from sim.polaris.optics.marker_noise import eyes_mm
-from sim.polaris.scene.arm_capsules import ArmBody
-from sim.polaris.scene.disturbance import NONE
-from sim.polaris.scene.line_of_sight import Capsules, Ellipsoid, visible
-from sim.polaris.scene.true_scene import TrueScene
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.robot_description import description
+from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
+from sim.polaris.measurement.optics import eyes_mm
+from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
+from sim.world.nominal_arm import description
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.true_arm import JointChain
 from sim.world.world import ArmState, World
 
 EYE = np.zeros((1, 3))
@@ -89,7 +87,7 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: str, seed: i
     scene, world = stage_at_home(name, seed)
     arm = scene.arm()
     assert arm is not None
-    frame = scene.frame(arm, NONE)
+    frame = scene.frame(arm, UNDISTURBED)
     assert scene.on_mount(frame)
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
         assert visible(eyes_mm(), scene.fiducials_mm, scene.bodies(arm, tool)).all()
@@ -120,7 +118,7 @@ def test_a_tool_on_the_flange_axis_gives_finite_capsules() -> None:
 
 
 def carried(scene: Scene, tool: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Both ends of the axes (n, 3) and radii (n) of all that the mount carries, in the tool frame."""
+    """Ends (n, 3) and radii (n,) of the capsules of the mount and the tool on it; tool frame."""
     flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
     arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
     capsules = ArmBody(scene).capsules(arm, tool, np.eye(4))
@@ -128,7 +126,7 @@ def carried(scene: Scene, tool: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def inside_mm(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float) -> np.ndarray:
-    """Places (n, 3) on and in a rod with flat ends: the round ones only make sight easy to compute."""
+    """Points (n, 3) in a rod with flat ends; capsules have round ones only to compute sight easily."""
     across = np.linalg.svd((end_mm - start_mm)[None])[2][1:]
     angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
@@ -138,7 +136,7 @@ def inside_mm(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float) -> np.
 
 
 def beyond_mm(places_mm: np.ndarray, capsules: list[Capsule]) -> float:
-    """How far the farthest of the places (n, 3) is outside the capsules; not positive if all are inside."""
+    """Largest distance of the points (n, 3) outside the capsules; not positive if all are inside."""
     nearest = np.full(len(places_mm), np.inf)
     for start_mm, end_mm, radius_mm in capsules:
         way = np.subtract(end_mm, start_mm)

@@ -11,9 +11,8 @@ import pytest
 from ronna_hw.wire.polaris import ReplyOption, SystemStatus
 from sim.named_parameters import rows
 from sim.polaris.errors import BadUnitParameter
+from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import Frame, Stray
-from sim.polaris.replies.bx import binary_body
-from sim.polaris.replies.tx import text_reply
 from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
 from sim.polaris.unit.refusal import ErrorCode
 from sim.world.scene.model import TrackerTool

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.model import SPECTRA, VICRA, UnitModel
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:

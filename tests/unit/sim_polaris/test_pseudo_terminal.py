@@ -18,9 +18,8 @@ from sim.polaris.errors import LineUnavailable
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 from sim.polaris.line.server import EndSignal, Server
+from sim.polaris.tracker_unit import Mode, Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.polaris.unit.mode import Mode
-from sim.polaris.unit.unit import Unit
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
@@ -31,7 +30,7 @@ INPUT_SPEED, OUTPUT_SPEED, CONTROL_FLAGS = 4, 5, 2
 
 
 class Host:
-    """A host with a hand on every setting of its end."""
+    """A host that can change every setting of its end."""
 
     def __init__(self, path: str) -> None:
         self._file = os.open(path, os.O_RDWR | os.O_NOCTTY)
@@ -45,7 +44,7 @@ class Host:
         os.write(self._file, data)
 
     def read(self) -> bytes:
-        """Up to a CR."""
+        """Read up to a CR."""
         answer = b""
         while not answer.endswith(b"\r"):
             answer += self.read_some(1)

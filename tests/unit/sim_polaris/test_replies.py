@@ -7,13 +7,12 @@ import struct
 import pytest
 
 from ronna_hw.wire.polaris import PortStatus, ReplyOption, SystemStatus
-from sim.polaris.line.framing import ascii_reply, binary_reply
+from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import Frame, Stray
 from sim.polaris.measurement.tracking_rules import ToolPose, Tracked
-from sim.polaris.replies.bx import binary_body
-from sim.polaris.replies.tx import text_reply
-from sim.polaris.tools.ports import Port
 from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.framing import ascii_reply, binary_reply
+from sim.polaris.unit.ports import Port
 
 T = ReplyOption.TRANSFORMS
 PORT = Port(0x01, initialised=True, enabled=True)

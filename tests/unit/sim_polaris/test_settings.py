@@ -1,10 +1,15 @@
-"""User parameters, alerts and the feature list."""
+"""User parameters, alerts, the feature list, what survives a reset, the watchdog, and the Vicra model."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
+
+from sim.polaris.unit.model import VICRA
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import named_scene
 
 if TYPE_CHECKING:
     from conftest import Bench
@@ -67,3 +72,154 @@ def test_volume_k_of_the_feature_list_starts_at_1_plus_74_k_as_plus_expects(benc
         "5-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n",
         "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n",
     ]
+
+
+SENSITIVITY = "Param.Tracking.Sensitivity"
+BUMP, MAIN_VOLTAGE = 1 << 21, 1 << 2
+
+
+def value(bench: Bench, name: str) -> str:
+    """Value of a parameter in the reply to GET."""
+    return bench.send(f"GET {name}").partition("=")[2]
+
+
+def test_only_saved_settings_survive_a_reset(bench: Bench) -> None:
+    for line in (f"SET {SENSITIVITY}=7", "SET Param.User.String1=ours", "SAVE ", f"SET {SENSITIVITY}=2"):
+        assert bench.send(line) == "OKAY"
+    bench.send("INIT ")
+    assert value(bench, SENSITIVITY) == "2"
+    bench.send("RESET 0")
+    assert value(bench, SENSITIVITY) == "7"
+    assert value(bench, "Param.User.String1") == "ours"
+
+
+def test_alerts_are_not_saved(bench: Bench) -> None:
+    bench.send(f"SET Param.Simulated Alerts={BUMP}")
+    bench.send("SAVE ")
+    bench.send("RESET 0")
+    assert value(bench, "Param.Simulated Alerts") == "0"
+    assert value(bench, "Info.Status.Alerts") == "0"
+
+
+def test_factory_values_are_restored_one_by_one_or_all_together(bench: Bench) -> None:
+    bench.send(f"SET {SENSITIVITY}=7")
+    bench.send("SET Param.User.String0=x")
+    assert bench.send(f"DFLT {SENSITIVITY}") == "OKAY"
+    assert value(bench, SENSITIVITY) == "4"
+    assert bench.send("DFLT Param.*") == "OKAY"
+    assert value(bench, "Param.User.String0") == ""
+    assert bench.send("DFLT Features.Hardware.Model") == "ERROR39"
+    assert bench.send("DFLT Param.Nothing") == "ERROR34"
+    assert bench.send("DFLT ") == "ERROR07"
+
+
+def test_a_unit_can_start_at_20_hz_and_lists_its_rates(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(saved_illuminator_rate=0)
+    assert value(bench, "Param.Tracking.Illuminator Rate") == "0"
+    assert bench.send("GETINFO Param.Tracking.Illuminator Rate").split(";")[1:6] == [
+        "1", "3", "0", "2", "20Hz,30Hz,60Hz",
+    ]  # fmt: skip
+
+
+def test_bump_detection_can_be_switched_off(bench: Bench) -> None:
+    from ronna_hw.wire.polaris import Alert
+
+    bench.send("SET Param.Bump Detector.Bump Detection=0")
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Param.Bump Detector.Bumped") == "0"
+    bench.send("SET Param.Bump Detector.Bump Detection=1")
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.Bump Detected") == "1"
+    assert value(bench, "Param.Bump Detector.Clear") == "0"
+
+
+def test_a_second_bump_is_a_new_alert(bench: Bench) -> None:
+    from ronna_hw.wire.polaris import Alert
+
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+    bench.unit.alerts.raise_alert(Alert.BUMP)
+    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+
+
+@pytest.mark.parametrize("line", ["SET Param.Watch Dog Timer=2", "HCWDOG 2"])
+def test_the_watchdog_stops_tracking_when_the_host_is_silent(
+    bench: Bench, pointer: TrackerTool, line: str
+) -> None:
+    bench.enable(pointer)
+    assert bench.send(line) == "OKAY"
+    assert value(bench, "Param.Watch Dog Timer") == "2"
+    bench.send("TSTART 80")
+    for _ in range(5):
+        bench.world.clock.sleep(1.5)
+        assert not bench.send("TX 0001").startswith("ERROR")
+    bench.world.clock.sleep(2.5)
+    assert bench.send("TX 0001") == "ERROR0C"
+    assert bench.send("PHSR 04") == "0101031"
+
+
+def test_the_watchdog_can_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
+    bench.send("HCWDOG 2")
+    bench.world.clock.sleep(1.0)
+    assert bench.interpreter.unsolicited() == b""
+    bench.world.clock.sleep(2.0)
+    assert bench.interpreter.unsolicited() == b"RESETBE6F\r"
+    assert bench.send("PHSR 00") == "ERROR10"
+    bench.world.clock.sleep(10.0)
+    assert bench.interpreter.unsolicited() == b""  # it was reset too
+
+
+@pytest.mark.parametrize(
+    ("line", "answer"), [("HCWDOG x", "ERROR23"), ("HCWDOG 3601", "ERROR23"), ("HCWDOG ", "ERROR07")]
+)
+def test_an_invalid_watchdog_timeout_is_refused(bench: Bench, line: str, answer: str) -> None:
+    assert bench.send(line) == answer
+
+
+def test_a_beep_is_refused_while_another_one_sounds(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(beep_s=0.5)
+    assert bench.send("BEEP 2") == "1"
+    assert bench.send("BEEP 1") == "0"
+    bench.world.clock.sleep(1.0)
+    assert bench.send("BEEP 1") == "1"
+
+
+def test_the_near_bench_lies_within_the_vicra_volume(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(named_scene("bench-near"), model=VICRA).ready()
+    for handle, _ in enumerate(bench.world.scene.tracker.places, start=1):
+        bench.track(pointer)
+        tool, strays = bench.send("TX 1001").split("\n")
+        assert tool.startswith(f"01{handle:02X}+")
+        assert strays.startswith("030")
+        bench.send("TSTOP ")
+        bench.send(f"PDIS {handle:02X}")  # its place stays taken
+
+
+def test_a_vicra_reports_its_own_identity_limits_and_volume(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
+    bench = make_bench(model=VICRA).ready()
+    assert bench.send("VER 4").split("\n") == [
+        "Polaris Vicra Control Firmware",
+        "NDI S/N: P6-00042",
+        "Characterization Date: 06/05/24",
+        "Freeze Tag: Polaris Vicra Rev 007.000",
+        "Freeze Date: 01/04/10",
+        "(C) Northern Digital Inc.",
+    ]
+    assert bench.send("VER 5") == "014"
+    assert value(bench, "Features.Firmware.Version") == "007.000.011"
+    assert bench.send("SFLIST 02") == "6"
+    assert value(bench, "Features.Tools.Enabled Tools") == "6"
+    assert bench.send("SFLIST 03").startswith("17-133600")
+    assert bench.send("SFLIST 00") == "00000012"
+    assert bench.send("VSEL 2") == "ERROR24"
+    assert bench.send("IRATE 1") == "ERROR23"
+    assert bench.send("IRATE 0") == "OKAY"
+    assert bench.send("PHRQ *********001**") == "ERROR2F"
+    bench.track(pointer)
+    assert bench.send("TX 0001").startswith("0101MISSING00000071")  # 1.5 m is behind its volume
+    assert bench.send("TX 0801").startswith("0101+")

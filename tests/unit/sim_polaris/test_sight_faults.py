@@ -1,4 +1,4 @@
-"""What the tracker reports while markers or light are disturbed."""
+"""Replies of the tracker while markers or light are disturbed."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
-from sim.polaris.optics.measuring_volume import PYRAMID
-from sim.polaris.scene.extra_strays import REFLECTION_PRESENCE
+from sim.polaris.measurement.optics import REFLECTION_PRESENCE
+from sim.polaris.unit.model import PYRAMID
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import named_scene
 
@@ -24,7 +24,7 @@ BENCH_STRAYS = 3
 
 @dataclass(frozen=True)
 class Told:
-    """An answer to TX 1803 about one tool."""
+    """A reply to TX 1803 about one tool."""
 
     missing: bool
     position_mm: np.ndarray
@@ -228,7 +228,7 @@ def test_the_same_faults_give_the_same_frames(make_bench: Callable[..., Bench], 
 
 
 def phantom_scene() -> Scene:
-    """The bench with two strays in one plane with both sensors, and a unit that tells rays 0.5 mm apart."""
+    """The bench with two strays in one epipolar plane, and a unit that separates rays 0.5 mm apart."""
     scene = named_scene("bench")
     pair = ((60.0, -80.0, -1600.0), (60.0, 40.0, -1600.0), (-90.0, 0.0, -1400.0))
     return scene.model_copy(

@@ -86,7 +86,7 @@ def test_the_mode_is_checked_before_the_arguments_and_those_before_the_handle(be
 
 
 def test_a_line_longer_than_any_command_is_refused(bench: Bench) -> None:
-    from sim.polaris.line.framing import LineBuffer
+    from sim.polaris.unit.framing import LineBuffer
 
     long = b"ECHO " + b"x" * SPECTRA.longest_command + b"\r"
     (line,) = LineBuffer(SPECTRA.longest_command).feed(long, 0.0)

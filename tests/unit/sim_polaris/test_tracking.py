@@ -1,4 +1,4 @@
-"""What the unit reports about the bench and the theatre, frame by frame."""
+"""Frames of the bench and of the theatre, as reported by the unit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.robot_description import description
+from sim.world.nominal_arm import description
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import frame_on_head, named_scene, robot_frame
-from sim.world.true_guide import TrueGuide
+from sim.world.true_arm import JointChain
+from sim.world.truth import TrueGuide
 from sim.world.world import ArmState
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def strays(answer: str) -> np.ndarray:
 
 
 def put_arm(bench: Bench) -> np.ndarray:
-    """Let an arm at home carry the reference frame M; returns its true pose tracker <- M."""
+    """Put an arm at home, which carries the reference frame M; return the true pose tracker <- M."""
     scene = bench.world.scene
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
     flange = JointChain(description(scene.arm.variant)).flange(joints)

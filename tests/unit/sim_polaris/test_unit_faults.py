@@ -1,4 +1,4 @@
-"""What the tracker reports while the unit itself has a fault."""
+"""Replies of the tracker while the unit itself has a fault."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -210,7 +210,7 @@ def test_a_unit_without_power_is_silent_and_sends_reset_when_power_returns(
     tracked.world.clock.sleep(1.0)
     assert tracked.raw("TX 0801") == b""
     assert tracked.raw("INIT ") == b""
-    assert tracked.interpreter.unasked() == b""
+    assert tracked.interpreter.unsolicited() == b""
     tracked.world.clock.sleep(2.0)
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.interpreter.reply_line.baud == 9600
@@ -228,11 +228,11 @@ def test_a_restarted_unit_sends_reset_once_and_requires_init(
     assert tracked.raw("TX 0801") == b""
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.send("PHSR 00") == "ERROR10"
-    assert tracked.interpreter.unasked() == b""  # once
+    assert tracked.interpreter.unsolicited() == b""  # once
 
 
 def later() -> Iterator[float]:
-    """Host moments, each a hundredth of a second after the other."""
+    """Host times, 10 ms apart."""
     moment = 100.0
     while True:
         yield moment
@@ -240,8 +240,8 @@ def later() -> Iterator[float]:
 
 
 def first_words(bench: Bench) -> bytes:
-    """What the unit says of itself."""
+    """First bytes that the unit sends unsolicited."""
     for _ in range(1000):
-        if said := bench.interpreter.unasked():
+        if said := bench.interpreter.unsolicited():
             return said
     return b""

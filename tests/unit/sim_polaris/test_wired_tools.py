@@ -10,8 +10,8 @@ import pytest
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.errors import BadWiredTool
-from sim.polaris.tools.definition import checksum, write_definition
-from sim.polaris.tools.wired_tools import WiredPorts, WiredTool, plugged_in
+from sim.polaris.unit.ports import WiredPorts, WiredTool, plugged_in
+from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ ANY_PASSIVE = "PHRQ *********1****"
 
 
 def wired_definition(tool: TrackerTool) -> bytes:
-    """A wired pointer with a switch, two visible LEDs and the diode that tells it is plugged in."""
+    """Definition of a wired tool with a switch, two visible LEDs and a tool-in-port diode."""
     content = bytearray(write_definition(tool))
     content[rom.LEDS_OFFSET : rom.LEDS_OFFSET + 4] = bytes([rom.LED_NONE, 0, 1, rom.LED_NONE])
     content[rom.TOOL_IN_PORT_OFFSET : rom.TOOL_IN_PORT_OFFSET + 4] = bytes([9, 9, 8, 8])

@@ -11,8 +11,8 @@ from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
-from sim.world.arm.true_arm import TrueArm
-from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.as_built import draw_arm
+from sim.world.true_arm import TrueArm
 from studies import application_error
 from studies.accuracy.identified import BelievedArm, identified, identified_errors
 from studies.accuracy.phantom import Markers, phantom, place

@@ -20,8 +20,7 @@ from ronna_hw.host.control_port import (
     ask_control_port,
 )
 from sim.cli import app as ronna_sim
-from sim.world.control import Room
-from sim.world.control_port import MOST_CONNECTIONS, ControlPort
+from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
 from sim.world.faults import parse_faults
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World

@@ -13,15 +13,15 @@ from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, com
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
 from sim.theatre.tool_records import gauge_read
-from sim.world.arm.true_arm import TrueArm
-from sim.world.hands import Hands
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.staff import Staff
+from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
 TRIALS = 200  # with bounds sharper than the promise, see there
-MOST_APPROACHES = 2 * APPROACHES  # of a guide that differs after the first half
-MOUNTINGS = 2  # the second one only of a guide that was refused
+MOST_APPROACHES = 2 * APPROACHES  # for a guide that differs after the first half
+MOUNTINGS = 2  # the second only for a guide that was refused
 GAUGE_AT = Gauge(joints_deg=(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
 A1, A2, A3, A4, A5, A6 = (radians(angle) for angle in GAUGE_AT.joints_deg)
 JOINTS_RAD = (A1, A2, A3, A4, A5, A6)
@@ -34,15 +34,15 @@ def base() -> Scene:
 
 
 def refused(seed: int, **of_the_guide: object) -> bool:
-    """Whether a guide is refused that is mounted once more if it differs: as the step does.
+    """Whether a guide is refused, after a second mounting if it differs, as in the step.
 
-    Each seed has another record; each mounting another seat, arrivals and readings.
+    Each seed has its own record; each mounting its own seat, arrivals and readings.
     """
     scene = base().model_copy(update={"seed": seed})
     guide = scene.mount.guide.model_copy(update=of_the_guide)
     scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
     world = World.create(scene, paced=False)
-    arm, hands = TrueArm(scene.arm, seed), Hands(world, None)
+    arm, hands = TrueArm(scene.arm, seed), Staff(world, None)
     recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_read(scene), strict=False)
     for mounting in range(MOUNTINGS):
         world.mount_tool(scene.mount.tool_number_guide)
@@ -59,7 +59,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
 
 
 def bent_refused(trials: int) -> list[bool]:
-    """Of tips bent by a tenth of a millimetre in any direction."""
+    """Refusals of tips bent by a tenth of a millimetre in any direction."""
     directions = np.random.default_rng(7).normal(size=(trials, 3))
     bent_mm = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     return [refused(seed, bent_mm=tuple(way)) for seed, way in enumerate(bent_mm.tolist())]

@@ -4,8 +4,7 @@ import pytest
 
 from sim.errors import BadTruth
 from sim.world.scene.named_scenes import named_scene
-from sim.world.true_guide import TrueGuide
-from sim.world.truth import TRUTH_FILE, TipSample, append_sample, read_samples, sample_instrument
+from sim.world.truth import TRUTH_FILE, TipSample, TrueGuide, append_sample, read_samples, sample_instrument
 from sim.world.world import World
 
 STOP_MM = 165.0

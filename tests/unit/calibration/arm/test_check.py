@@ -14,8 +14,8 @@ from procedures.calibration.arm.record import calibrate_arm
 from procedures.calibration.errors import ArmChanged
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content
-from sim.world.arm.true_arm import TrueArm
 from sim.world.process import load_scene
+from sim.world.true_arm import TrueArm
 
 SEEDS = range(20)
 A3, A5 = 2, 4

@@ -14,7 +14,7 @@ from conformance.polaris.link import PolarisLink
 from conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
 from conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
 from ronna_hw.wire.polaris import HandleStatus
-from sim.polaris.tools.definition import parse_definition
+from sim.polaris.unit.tool_definition import parse_definition
 
 SEEN = bytes.fromhex(
     "C4A5 2D00 3043 01 0101 0000803F 00000000 00000000 00000000 00002841 0000A2C1 0080BBC4 0000003E"

@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from kr6_golden_poses import GOLDEN
 
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.orientation import frame_of, pose_of_frame, status_and_turn
-from sim.world.arm.robot_description import Variant, description
-from sim.world.arm.true_arm import TrueArm
-from sim.world.scene.arm_truth import draw_arm
+from sim.world.nominal_arm import Variant, description, frame_of, pose_of_frame, status_and_turn
+from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
+from sim.world.true_arm import JointChain, TrueArm
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
 
 GOALS = [(5.0, -3.0, 4.0, 10.0, -6.0, 8.0), (-2.0, 2.0, 1.0, -4.0, 3.0, 0.0), (1.0, 2.0, 1.0, 0.0, 3.0, 5.0)]

@@ -14,10 +14,8 @@ from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode, ProS
 from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.motion import shares
 from sim.kuka.eki.move_commands import EkiMoves
-from sim.world.arm.joint_chain import JointChain
-from sim.world.arm.orientation import frame_of, status_and_turn
-from sim.world.arm.posture import axes_of_posture
-from sim.world.arm.robot_description import Variant, description
+from sim.world.nominal_arm import Variant, axes_of_posture, description, frame_of, status_and_turn
+from sim.world.true_arm import JointChain
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 GOAL_DEG = (20.0, -80.0, 100.0, 30.0, 60.0, -40.0)

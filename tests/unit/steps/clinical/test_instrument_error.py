@@ -14,9 +14,9 @@ from procedures.planning.prediction.instrument_error import (
 )
 from ronna_hw.tool_record import GuideBore
 from sim.world.rigid import inverse, matrix_from, rotation_from_vector
-from sim.world.scene.guide import Guide
 from sim.world.scene.named_scenes import named_scene
-from sim.world.true_guide import TrueGuide
+from sim.world.scene.parts import Guide
+from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
 
 INSERTIONS = 2000

@@ -1,18 +1,26 @@
-"""Every pose of the built-in scenes is within reach and away from singularities."""
+"""Drawn plans are within reach of the arm, away from singularities, and accepted by the planner."""
+
+from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
+from procedures.planning.path_check.free_angle import choose_free_angles
 from procedures.planning.path_check.paths import check_paths
 from procedures.planning.path_check.visits import ArmSetting
+from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.frames import Frame
+from sim.world.rigid import apply, inverse, matrix_of
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.plan_feasibility import PlanFeasibility
 
 LEAST_BEND_RAD = math.radians(4.0)
 
@@ -37,3 +45,73 @@ def test_every_pose_of_a_built_in_scene_is_within_reach_and_away_from_singularit
     check = check_paths(setting, trajectories, [f.centre_ct_mm for f in scene.head.fiducials])
     assert check.passed, check.unmet
     assert min(setting.kinematics.wrist_bend_rad(one.at_rad) for one in check.reached) > LEAST_BEND_RAD
+
+
+ONCE_OUT_OF_REACH = 104  # seed whose third trajectory was once beyond the range of A5
+
+
+def turned(vector: np.ndarray, about_z_rad: float) -> np.ndarray:
+    cosine, sine = np.cos(about_z_rad), np.sin(about_z_rad)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ vector
+
+
+def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.ndarray]]]:
+    """The feasibility check of a scene, and its trajectories in the robot frame."""
+    place = matrix_of(scene.head.robot_from_ct)
+    spheres = apply(place, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
+    ends = [(apply(place, t.entry_ct_mm), apply(place, t.target_ct_mm)) for t in scene.head.targets]
+    return PlanFeasibility(spheres), ends
+
+
+@pytest.mark.parametrize("markers", [3, 5, 8])
+def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
+    for seed in range(100, 112):
+        reach, ends = reach_of(named_scene("default", seed=seed, markers=markers))
+        assert reach.is_feasible(ends)
+
+
+def test_a_trajectory_from_below_is_out_of_reach() -> None:
+    reach, ends = reach_of(named_scene("default", seed=0))
+    (entry, target), *_ = ends
+    assert reach.is_feasible([(entry, target)])
+    assert not reach.is_feasible([(target, entry)])  # the same line from the other side of the head
+    assert not reach.is_feasible([ends[0], (target, entry)])
+
+
+def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() -> None:
+    """Two spheres in line with a camera: no turn about a vertical trajectory may use that line."""
+    apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
+    crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
+    down = (below + np.array([20.0, 20.0, 80.0]), below + np.array([20.0, 20.0, 20.0]))
+    assert not PlanFeasibility(crowded).is_feasible([down])
+    assert PlanFeasibility(crowded[:2]).is_feasible([down])
+
+
+@pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])
+def test_the_planner_accepts_the_drawn_plans(seed: int) -> None:
+    accept(named_scene("default", seed=seed, markers=5, targets=3))
+
+
+@pytest.mark.slow  # 43 s of CPU
+@pytest.mark.timeout(300)
+def test_the_planner_accepts_eight_markers_and_ten_targets_of_a_hundred_seeds() -> None:
+    for seed in range(100):
+        scene = named_scene("default", seed=seed, markers=8, targets=10)
+        assert (len(scene.head.fiducials), len(scene.head.targets)) == (8, 10)
+        accept(scene)
+
+
+def accept(scene: Scene) -> None:
+    """Plan the drawn trajectories with the planner, which raises if it refuses them."""
+    robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
+    tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
+    arm = kr6_r900(scene.arm.variant)
+    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad, working_limits(arm))
+    trajectories = [
+        Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm)
+        for target in scene.head.targets
+    ]
+    left, right = (inverse(matrix_of(camera.camera_from_tool))[:3, 3] for camera in (scene.left, scene.right))
+    fiducials = [fiducial.centre_ct_mm for fiducial in scene.head.fiducials]
+    turned = choose_free_angles(setting, trajectories, fiducials, StereoSight(left, right))
+    turned.check.require()

@@ -1,0 +1,200 @@
+"""Replies to TX and BX: one frame as text, or as bytes (little endian) with the same content.
+
+Options are those of `ronna_hw.wire.polaris.ReplyOption`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+
+from ronna_hw.wire import polaris as wire
+from ronna_hw.wire.polaris import HandleStatus, PortStatus, ReplyOption, ToolInformation
+from sim.polaris.measurement.frame import Frame, Stray
+from sim.polaris.measurement.tracking_rules import ToolPose, Tracked, as_requested
+from sim.polaris.unit.behaviour import UnitBehaviour
+from sim.polaris.unit.ports import Port
+
+MARKER_DIGITS = 20  # option 0002 always sends this many
+Point = tuple[float, float, float]
+
+HEX_DIGIT_BITS = 4
+LARGEST_POSITION = 999_999
+LARGEST_ERROR = 99_999
+FRAME_NUMBER_MASK = 0xFFFFFFFF
+
+NO_POSITION = bytes(12)
+MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+
+_HANDLE = struct.Struct("<BB")
+_POSE = struct.Struct("<8f")
+_STATUS = struct.Struct("<II")  # port status, frame number
+_POINT = struct.Struct("<3f")
+_U16 = struct.Struct("<H")
+
+
+def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> str:
+    """Compose the reply to TX, without its CRC."""
+    parts = [f"{len(frame.tools):02X}"]
+    for port, tracked in frame.tools:
+        parts.append(f"{port.handle:02X}")
+        if port.enabled and port.occupied:
+            parts.extend(_tool_text(frame, port, tracked, options, behaviour))
+        else:
+            parts.append(wire.REPLY_DISABLED if port.occupied else wire.REPLY_UNOCCUPIED)
+            if behaviour.status_of_unseen_handles:
+                parts.append(_status_text(frame, port, tracked))
+        parts.append(wire.LF)
+    if options & ReplyOption.STRAY_PASSIVE:
+        parts.append(_stray_text(frame.strays, options, behaviour))
+    parts.append(f"{int(frame.system_status):04X}")
+    return "".join(parts)
+
+
+def _tool_text(
+    frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
+) -> list[str]:
+    parts = []
+    tracked = reported_tool(tracked, options, behaviour)
+    if options & ReplyOption.TRANSFORMS:
+        pose = None if tracked is None else tracked.pose
+        parts.append(wire.REPLY_MISSING if pose is None else _pose_text(pose))
+        parts.append(_status_text(frame, port, tracked))
+    if options & ReplyOption.TOOL_INFORMATION:
+        digits = marker_digits(tracked, first_first=behaviour.first_marker_is_first_digit)
+        parts.append(f"{information(tracked):02X}{digits}")
+    if options & ReplyOption.STRAY_ACTIVE:  # no tool of this unit has a stray active marker
+        words = behaviour.text_active_stray == "words"
+        parts.append(wire.REPLY_MISSING if words else f"{HandleStatus.MISSING:02X}")
+    if options & ReplyOption.TOOL_MARKERS:
+        markers = seen_markers(tracked)
+        outside = [not inside for _, inside in markers]
+        bits = _bit_digits(outside, first_is_high=behaviour.first_stray_is_high_bit)
+        parts.append(
+            f"{len(markers):02X}{bits}" + "".join(_position_text(position) for position, _ in markers)
+        )
+    return parts
+
+
+def _status_text(frame: Frame, port: Port, tracked: Tracked | None) -> str:
+    return f"{port_status(port, tracked):08X}{frame.number & FRAME_NUMBER_MASK:08X}"
+
+
+def _pose_text(pose: ToolPose) -> str:
+    quaternion = "".join(f"{round(value * wire.TX_QUATERNION_SCALE):+06d}" for value in pose.quaternion)
+    error = min(round(pose.error_mm * wire.TX_ERROR_SCALE), LARGEST_ERROR)
+    return f"{quaternion}{_position_text(pose.position_mm)}{error:+06d}"
+
+
+def _position_text(position_mm: Point) -> str:
+    scaled = (round(value * wire.TX_POSITION_SCALE) for value in position_mm)
+    return "".join(f"{max(-LARGEST_POSITION, min(LARGEST_POSITION, value)):+07d}" for value in scaled)
+
+
+def _stray_text(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBehaviour) -> str:
+    outside = [not stray.inside for stray in strays]
+    bits = _bit_digits(outside, first_is_high=behaviour.first_stray_is_high_bit)
+    positions = "".join(_position_text(stray.position_mm) for stray in reported_strays(strays, options))
+    return f"{len(strays):02X}{bits}{positions}"
+
+
+def _bit_digits(flags: Sequence[bool], *, first_is_high: bool) -> str:
+    """Flags as hexadecimal digits: one number with flag 0 highest, or four flags per digit in order."""
+    digits = -(-len(flags) // HEX_DIGIT_BITS)
+    if not digits:
+        return ""
+    if first_is_high:
+        number = sum(1 << (len(flags) - 1 - k) for k, flag in enumerate(flags) if flag)
+        return f"{number:0{digits}X}"
+    groups = [flags[k : k + HEX_DIGIT_BITS] for k in range(0, len(flags), HEX_DIGIT_BITS)]
+    return "".join(f"{sum(1 << k for k, flag in enumerate(group) if flag):X}" for group in groups)
+
+
+def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> bytes:
+    """Compose the body of the reply to BX."""
+    parts = [bytes([len(frame.tools)])]
+    for port, tracked in frame.tools:
+        if port.enabled and port.occupied:
+            parts.extend(_tool_bytes(frame, port, tracked, options, behaviour))
+        else:  # no options apply
+            parts.append(_HANDLE.pack(port.handle, HandleStatus.DISABLED))
+    if options & ReplyOption.STRAY_PASSIVE:
+        parts.append(_stray_bytes(frame.strays, options, behaviour))
+    parts.append(_U16.pack(frame.system_status))
+    return b"".join(parts)
+
+
+def _tool_bytes(
+    frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
+) -> list[bytes]:
+    tracked = reported_tool(tracked, options, behaviour)
+    pose = None if tracked is None else tracked.pose
+    parts = [_HANDLE.pack(port.handle, HandleStatus.MISSING if pose is None else HandleStatus.VALID)]
+    if options & ReplyOption.TRANSFORMS:
+        if pose is not None:
+            parts.append(_POSE.pack(*pose.quaternion, *pose.position_mm, pose.error_mm))
+        parts.append(_STATUS.pack(port_status(port, tracked), frame.number & FRAME_NUMBER_MASK))
+    if options & ReplyOption.TOOL_INFORMATION:
+        digits = marker_digits(tracked, first_first=behaviour.first_marker_is_first_nibble)
+        parts.append(bytes([information(tracked)]) + bytes.fromhex(digits))
+    if options & ReplyOption.STRAY_ACTIVE:  # no tool of this unit has a stray active marker
+        always = behaviour.binary_active_stray_always
+        parts.append(bytes([HandleStatus.MISSING]) + NO_POSITION if always else b"\0")
+    if options & ReplyOption.TOOL_MARKERS:
+        markers = seen_markers(tracked)
+        points = b"".join(_POINT.pack(*position) for position, _ in markers)
+        parts.append(
+            bytes([len(markers)]) + _bit_bytes([not inside for _, inside in markers], behaviour) + points
+        )
+    return parts
+
+
+def _stray_bytes(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBehaviour) -> bytes:
+    points = b"".join(_POINT.pack(*stray.position_mm) for stray in reported_strays(strays, options))
+    return bytes([len(strays)]) + _bit_bytes([not stray.inside for stray in strays], behaviour) + points
+
+
+def _bit_bytes(flags: Sequence[bool], behaviour: UnitBehaviour) -> bytes:
+    """Flags as bits, eight to a byte, in the bit order of this unit."""
+    content = sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")
+    return content if behaviour.first_stray_is_low_bit else content.translate(MIRRORED)
+
+
+def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
+    """Omit what neither request nor unit reports of a tool outside the volume."""
+    if tracked is None or not tracked.volume_status:
+        return tracked
+    outside = bool(options & ReplyOption.OUT_OF_VOLUME)
+    return as_requested(tracked, outside=outside, partially_outside=behaviour.poses_partially_out)
+
+
+def port_status(port: Port, tracked: Tracked | None) -> int:
+    """Port status with the bits that the frame adds."""
+    return int(port.status | (tracked.volume_status if tracked is not None else PortStatus(0)))
+
+
+def information(tracked: Tracked | None) -> int:
+    """Tool information byte."""
+    return int(ToolInformation.TOO_FEW_MARKERS) if tracked is None else tracked.information
+
+
+def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
+    """One digit per marker, 20 in all."""
+    digits = "" if tracked is None else "".join(map(str, tracked.marker_digits))
+    digits = digits.ljust(MARKER_DIGITS, "0")
+    return digits if first_first else digits[::-1]
+
+
+def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
+    """Return (position, inside the volume) for each measured marker of a tool."""
+    if tracked is None:
+        return []
+    pairs = zip(tracked.markers_mm, tracked.markers_inside, strict=True)
+    return [(position, inside) for position, inside in pairs if position is not None]
+
+
+def reported_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Stray, ...]:
+    """Strays whose positions are sent: those inside the volume; all with option 0800."""
+    if options & ReplyOption.OUT_OF_VOLUME:
+        return strays
+    return tuple(stray for stray in strays if stray.inside)

@@ -1,0 +1,265 @@
+"""True marker positions in the tracker frame, disturbed by faults."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.x_frame import NAME as X_FRAME_NAME
+from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
+from sim.polaris.measurement.line_of_sight import ArmBody, Body, head_ellipsoid
+from sim.polaris.unit.tool_definition import ToolDefinition
+from sim.world.displacements import (
+    NOTHING_MOVED,
+    RoomShift,
+    ShiftedRoom,
+    rigid_move,
+    spheres_in_theatre,
+    yielding_flange,
+)
+from sim.world.faults import Fault, FaultBoard
+from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.parts import GUIDE_FRAME_MARKERS_MM, GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER
+from sim.world.truth import TrueGuide
+from sim.world.world import ArmState, World
+
+Vector = tuple[float, float, float]
+Vectors = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TrueTool:
+    """A tool in the room: its names, marker positions (n, 3), and covered markers."""
+
+    names: frozenset[str]
+    markers_mm: Vectors
+    covered: tuple[int, ...]  # rows
+
+
+class TrueScene:
+    """The scene without noise. Static parts are computed once, the arm is read for each frame."""
+
+    def __init__(self, world: World) -> None:
+        scene = world.scene
+        self._world = world
+        self._tracker_from_robot = inverse(matrix_of(scene.tracker.robot_from_tracker))
+        self._flange_from_marker = matrix_of(scene.mount.flange_from_tool_true) @ matrix_of(
+            scene.mount.tool_from_marker_true
+        )
+        self._places = tuple(matrix_of(place) for place in scene.tracker.places)
+        self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
+        self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
+        self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
+        fiducials = spheres_in_theatre(scene) if scene.tracker.fiducials_visible else ()
+        self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
+        centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
+        self._centres_mm = apply(matrix_of(scene.head.robot_from_ct), centres)  # robot frame
+        on_head = [one.number for one in scene.head.fiducials]
+        self._frame_rows = (
+            [self.fiducial_numbers.index(one) if one in self.fiducial_numbers else None for one in on_head]
+            if scene.head.x_frame
+            else []
+        )
+        self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
+        self._arm_body = ArmBody(scene)
+        on_guide = scene.mount.guide.tip_from_frame
+        self._tip_from_frame = None if on_guide is None else matrix_of(on_guide)
+        self._guide = TrueGuide(world)
+        self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
+
+    def arm(self) -> ArmState | None:
+        """State of the arm; None if the world has none."""
+        arm = self._world.arm()
+        return arm if arm.robot_from_flange[:3].any() else None
+
+    def mounted_tool(self) -> int:
+        """Number of the mounted tool."""
+        return self._world.mounted_tool()
+
+    def fiducials_at(self, room: RoomShift) -> Vectors:
+        """Fiducials (n, 3), displaced by the room's faults."""
+        return apply(self._tracker_from(room), room.moved_spheres_mm(self._centres_mm, self.fiducial_numbers))
+
+    def bodies(
+        self,
+        arm: ArmState | None,
+        mounted_tool: int,
+        room: RoomShift = NOTHING_MOVED,
+        *,
+        past_mount: bool = False,
+    ) -> tuple[Body, ...]:
+        """Opaque bodies: the head, in its place in the scene, and the arm.
+
+        The frames stand off the mount on posts: with `past_mount` the mount hides nothing.
+        """
+        head = self._head if self.fiducial_numbers else ()
+        if arm is None:
+            return head
+        return (
+            *head,
+            self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room), past_mount=past_mount),
+        )
+
+    def is_mount_frame(self, definition: ToolDefinition) -> bool:
+        """Whether this is the reference frame M, with an arm to carry it."""
+        return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
+
+    def on_mount(self, tool: TrueTool) -> bool:
+        """Whether a tool is on the arm's mount or the guide."""
+        return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
+
+    def tool(
+        self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
+    ) -> TrueTool | None:
+        """The tool in the room for a loaded definition, which may differ from it; None if there is none."""
+        if arm is not None and definition.part_number == self.frame_on_mount.part_number:
+            return self.frame(arm, disturbance)
+        if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
+            return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
+        if self.is_head_frame(definition):
+            return self._frame_on_head(disturbance)
+        if place is None or place >= len(self._places):
+            return None
+        tool = self._tools.get(definition.part_number)
+        markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
+        names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
+        return _disturbed(names, self._places[place], markers, disturbance)
+
+    def is_head_frame(self, definition: ToolDefinition) -> bool:
+        """Whether this is the x-shaped frame, with its spheres on the head."""
+        return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
+
+    def _frame_on_head(self, disturbance: Disturbance) -> TrueTool:
+        """The x-shaped frame with its spheres as refitted; a missing one is never seen."""
+        names = frozenset({X_FRAME_NAME, X_FRAME_PART_NUMBER})
+        places = self.fiducials_at(disturbance.room)
+        there = [row for row in self._frame_rows if row is not None]
+        markers = np.array([places[there[0] if row is None else row] for row in self._frame_rows])
+        covered = {
+            place
+            for place, row in enumerate(self._frame_rows)
+            if row is None or self.fiducial_numbers[row] in disturbance.hidden_fiducials
+        }
+        covered |= {number - 1 for name, number in disturbance.hidden_tool_markers if name in names}
+        hidden = range(len(markers)) if names & disturbance.hidden_tools else sorted(covered)
+        return TrueTool(names, markers, tuple(hidden))
+
+    def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
+        """The reference frame M on the mount, loaded or not."""
+        tool = self.frame_on_mount
+        flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
+        pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
+        names = frozenset({tool.name, tool.part_number})
+        return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+
+    def _frame_on_guide(
+        self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
+    ) -> TrueTool | None:
+        """The frame on the mounted guide: it shares the guide's seating, not its bend."""
+        if arm is None or self.mounted_tool() != self._world.scene.mount.tool_number_guide:
+            return None
+        pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
+        names = frozenset({GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER})
+        return _disturbed(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
+
+    def _tracker_from(self, room: RoomShift) -> Matrix:
+        """TRACKER <- ROBOT (4, 4), with the tracker displaced by the room's faults."""
+        if room is NOTHING_MOVED:
+            return self._tracker_from_robot
+        return self._tracker_from_robot @ inverse(rigid_move(room.tracker_rad, room.tracker_mm))
+
+
+def _disturbed(
+    names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
+) -> TrueTool:
+    """Apply the faults that name a tool."""
+    for name, push_mm in disturbance.bent:
+        if name in names:
+            outwards = markers_mm[-1] - markers_mm.mean(axis=0)
+            push = outwards * (push_mm / np.linalg.norm(outwards))
+            markers_mm = np.vstack([markers_mm[:-1], markers_mm[-1] + push])
+    for name, angle_deg in disturbance.turned:
+        if name in names:
+            pose = pose.copy()
+            pose[:3, :3] = pose[:3, :3] @ rotation_from_vector((radians(angle_deg), 0.0, 0.0))
+    places = markers_mm @ pose[:3, :3].T + pose[:3, 3]
+    for name, way_mm in disturbance.moved:
+        if name in names:
+            places = places + way_mm
+    if names & disturbance.hidden_tools:
+        covered = tuple(range(len(places)))
+    else:
+        covered = tuple(number - 1 for name, number in disturbance.hidden_tool_markers if name in names)
+    return TrueTool(names, places, covered)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Effects of the active faults on markers and light, comparable between frames.
+
+    Tools are given by name or part number.
+    """
+
+    hidden_fiducials: frozenset[int] = frozenset()
+    hidden_tools: frozenset[str] = frozenset()
+    hidden_tool_markers: frozenset[tuple[str, int]] = frozenset()  # marker counted from 1
+    bent: tuple[tuple[str, float], ...] = ()  # sideways displacement of the last marker, mm
+    turned: tuple[tuple[str, float], ...] = ()  # about the x axis of the tool, degrees
+    moved: tuple[tuple[str, Vector], ...] = ()  # in the tracker frame, mm
+    interfered: frozenset[str] = frozenset()
+    strays: int = 0
+    reflections: int = 0
+    line_separation_mm: float = 0.0
+    sunlight: bool = False
+    room: RoomShift = NOTHING_MOVED
+
+
+UNDISTURBED = Disturbance()
+
+
+class Disturbances:
+    """Collects the effects of the active faults of tracker and room."""
+
+    def __init__(self, board: FaultBoard, room: ShiftedRoom) -> None:
+        self._board = board
+        self._room = room
+
+    def now(self) -> Disturbance:
+        """Current effects; `UNDISTURBED` after one look-up if there are no faults."""
+        board, room = self._board, self._room.now()
+        if board.empty and room is NOTHING_MOVED:
+            return UNDISTURBED
+        found = Disturbance(
+            hidden_fiducials=frozenset(int(fault.argument) for fault in board.active("occlude_marker")),
+            hidden_tools=_names(board.active("occlude_tool")),
+            hidden_tool_markers=frozenset(
+                (fault.arguments[0], int(fault.arguments[1])) for fault in board.active("occlude_tool_marker")
+            ),
+            bent=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("bend_tool")
+            ),
+            turned=tuple(
+                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("turn_tool")
+            ),
+            moved=tuple((fault.arguments[0], _vector(fault)) for fault in board.active("move_tool")),
+            interfered=_names(board.active("interference")),
+            strays=sum(int(fault.argument) for fault in board.active("strays")),
+            reflections=sum(int(fault.argument) for fault in board.active("reflections")),
+            line_separation_mm=max((float(f.argument) for f in board.active("phantoms")), default=0.0),
+            sunlight=bool(board.active("sunlight")),
+            room=room,
+        )
+        return UNDISTURBED if found == UNDISTURBED else found
+
+
+def _names(faults: tuple[Fault, ...]) -> frozenset[str]:
+    return frozenset(fault.argument for fault in faults)
+
+
+def _vector(fault: Fault) -> Vector:
+    x, y, z = (float(value) for value in fault.arguments[1:])
+    return x, y, z

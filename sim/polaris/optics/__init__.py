@@ -1,1 +1,0 @@
-"""How the sensors measure a single marker: volume, noise, bias and phantoms."""

@@ -1,1 +1,0 @@
-"""A frame as the text of TX or the bytes of BX."""

@@ -1,1 +1,0 @@
-"""Tools: definitions, port handles, wired tools and the unique-geometry rules."""

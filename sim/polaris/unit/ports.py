@@ -1,0 +1,229 @@
+"""Port handles, which the host requests, loads, initialises and enables; wired tools and their sockets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ronna_hw.bounded_input import read_bounded
+from ronna_hw.wire.polaris import HANDLE_DIGITS, PVWR_SPACE_BYTES, HandleQuery, PortStatus, TrackingPriority
+from ronna_hw.wire.polaris_rom import ROM_BYTES
+from sim.polaris.errors import BadWiredTool
+from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
+from sim.polaris.unit.tool_definition import ToolDefinition
+
+DEVICE_IDENTIFIER_BYTES = 8
+LARGEST_FILE_BYTES = 65_536  # more than any memory holds
+
+FIRST_HANDLE = 0x01
+ALL_FACES = 0xFF
+
+
+@dataclass
+class Port:
+    """One port handle."""
+
+    handle: int
+    dummy: bool = False  # without markers: only makes the illuminators fire
+    memory: bytearray = field(default_factory=lambda: bytearray(PVWR_SPACE_BYTES))
+    written: bool = False
+    definition: ToolDefinition | None = None
+    initialised: bool = False
+    enabled: bool = False
+    place: int | None = None  # in the scene, in order of loading
+    wired_port: int = 0  # socket of a wired tool, 0 for a wireless one
+    active_wireless: bool = False
+    tool: WiredTool | None = None  # plugged into the socket
+    unoccupied: bool = False  # the tool was unplugged
+    faces: int = ALL_FACES  # faces that may be tracked (PFSEL)
+    priority: str = TrackingPriority.DYNAMIC
+    current_test: int = 0  # one bit per marker that passed TCTST
+    firing: int = 0  # markers firing in diagnostic mode (IRED)
+
+    @property
+    def occupied(self) -> bool:
+        """Whether the handle has a tool; passive tools cannot be unplugged."""
+        return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
+
+    @property
+    def reflects(self) -> bool:
+        """Whether the unit's own illuminators light its tool."""
+        return self.wired_port == 0 and not self.active_wireless
+
+    @property
+    def status(self) -> PortStatus:
+        """Port status for PHSR, PHINF, TX and BX."""
+        status = PortStatus.OCCUPIED if self.occupied else PortStatus(0)
+        if self.initialised:
+            status |= PortStatus.INITIALISED
+        if self.enabled:
+            status |= PortStatus.ENABLED
+        return status
+
+
+class PortTable:
+    """All port handles; a new one gets the lowest free number."""
+
+    def __init__(self, size: int) -> None:
+        self._size = size
+        self._ports: dict[int, Port] = {}
+
+    def __iter__(self) -> Iterator[Port]:
+        return iter([self._ports[handle] for handle in sorted(self._ports)])
+
+    def request(
+        self,
+        *,
+        dummy: bool = False,
+        active_wireless: bool = False,
+        wired_port: int = 0,
+        tool: WiredTool | None = None,
+    ) -> Port:
+        """Allocate a handle; raises Refusal if none is left."""
+        for handle in range(FIRST_HANDLE, FIRST_HANDLE + self._size):
+            if handle not in self._ports:
+                port = Port(
+                    handle, dummy=dummy, active_wireless=active_wireless, wired_port=wired_port, tool=tool
+                )
+                self._ports[handle] = port
+                return port
+        raise Refusal(ErrorCode.NO_HANDLES_LEFT)
+
+    def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
+        """Allocate a handle for a socket; raises Refusal if it already has one, or none is left."""
+        if self.of_socket(number) is not None:
+            raise Refusal(ErrorCode.PORT_HAS_HANDLE)
+        port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
+        if port.tool is not None and port.tool.memory is not None:
+            port.memory[:] = port.tool.memory
+            port.written = True
+        return port
+
+    def of_socket(self, number: int) -> Port | None:
+        """The handle of a socket, unless its tool was unplugged since."""
+        return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
+
+    def unplug(self, number: int) -> None:
+        """Mark the tool of a socket as unplugged; the handle stays until freed."""
+        port = self.of_socket(number)
+        if port is not None:
+            port.unoccupied = True
+            port.tool = None
+
+    def port(self, handle: int) -> Port:
+        """The port of a handle; raises Refusal if it is not allocated."""
+        try:
+            return self._ports[handle]
+        except KeyError:
+            raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
+
+    def addressed(self, argument: str) -> Port:
+        """The port whose handle begins a command's argument; raises Refusal for a bad or unknown handle."""
+        return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
+
+    def addressed_occupied(self, argument: str) -> Port:
+        """The addressed port; raises Refusal if its tool was unplugged or never plugged in."""
+        port = self.addressed(argument)
+        if port.unoccupied:
+            raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
+        if not port.occupied:
+            raise Refusal(ErrorCode.NO_TOOL)
+        return port
+
+    def addressed_initialised(self, argument: str) -> Port:
+        """The addressed port; raises Refusal unless it is occupied and initialised."""
+        port = self.addressed_occupied(argument)
+        if not port.initialised:
+            raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
+        return port
+
+    def addressed_wired(self, argument: str) -> Port:
+        """The addressed port; raises Refusal unless it is the occupied port of a wired tool."""
+        port = self.addressed_occupied(argument)
+        if not port.wired_port:
+            raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
+        return port
+
+    def free(self, handle: int) -> None:
+        """Free a handle."""
+        del self._ports[self.port(handle).handle]
+
+    def free_all(self) -> None:
+        """Free all handles."""
+        self._ports.clear()
+
+    def enabled(self) -> tuple[Port, ...]:
+        """Enabled ports in order of their handles."""
+        return tuple(port for port in self if port.enabled)
+
+    def free_place(self) -> int:
+        """Lowest place in the scene without a loaded tool."""
+        taken = {port.place for port in self._ports.values()}
+        return next(place for place in range(self._size + 1) if place not in taken)
+
+    def matching(self, query: HandleQuery) -> tuple[Port, ...]:
+        """Ports that a PHSR option lists."""
+        if query is HandleQuery.ALL:
+            return tuple(self)
+        if query is HandleQuery.TO_BE_FREED:
+            return tuple(port for port in self if port.unoccupied)
+        occupied = tuple(port for port in self if not port.unoccupied)
+        if query is HandleQuery.OCCUPIED:
+            return tuple(port for port in occupied if not port.initialised)
+        if query is HandleQuery.INITIALISED:
+            return tuple(port for port in occupied if port.initialised and not port.enabled)
+        return tuple(port for port in occupied if port.enabled)
+
+
+@dataclass
+class WiredTool:
+    """A tool on a cable; without `memory` it needs TTCFG or PVWR."""
+
+    memory: bytearray | None
+    user_memory: bytearray
+    identifier: str = "0" * 2 * DEVICE_IDENTIFIER_BYTES  # of its memory device
+
+    @classmethod
+    def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
+        """A tool with `content` in its memory; raises PSU-002 for a wrong length."""
+        if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
+            raise BadWiredTool(
+                f"the definition of wired tool {number} has {len(content)} bytes",
+                expected=f"{ROM_BYTES} to {PVWR_SPACE_BYTES} bytes",
+            )
+        memory = bytearray(content.ljust(PVWR_SPACE_BYTES, b"\0"))
+        return cls(memory, bytearray(user_memory_bytes), f"{number:0{2 * DEVICE_IDENTIFIER_BYTES}X}")
+
+
+@dataclass
+class WiredPorts:
+    """The sockets of the tool interface, numbered from 1; `count` is 0 without an interface."""
+
+    count: int
+    tools: dict[int, WiredTool] = field(default_factory=dict)  # all available ones, plugged in or not
+    plugged: set[int] = field(default_factory=set)
+
+    def add(self, tool: WiredTool) -> None:
+        """Plug a tool into the next free socket; raises PSU-002 if there is none."""
+        number = len(self.tools) + 1
+        if number > self.count:
+            raise BadWiredTool(f"no port left for wired tool {number}", limit=f"{self.count} ports")
+        self.tools[number] = tool
+        self.plugged.add(number)
+
+    def tool(self, number: int) -> WiredTool | None:
+        """The tool plugged into a socket, if any."""
+        return self.tools.get(number) if number in self.plugged else None
+
+
+def plugged_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
+    """Plug in one wired tool per definition file; without any, the unit has no sockets. Raises PSU-002."""
+    sockets = WiredPorts(ports if definitions else 0)
+    for number, path in enumerate(definitions, start=1):
+        try:
+            content = read_bounded(path, LARGEST_FILE_BYTES)
+        except OSError as error:
+            raise BadWiredTool(f"cannot read {path.name}: {error.strerror}") from error
+        sockets.add(WiredTool.from_definition(content, number, user_memory_bytes))
+    return sockets

@@ -1,1 +1,0 @@
-"""The arm as it really is: its machine data, nominal and true geometry, inverse kinematics."""

@@ -1,0 +1,147 @@
+"""Where things in the room really are: displaced by faults, and spheres refitted after the CT.
+
+Bases and spheres are removed after the CT and refitted on their screws, each slightly off its position in the
+CT. One may also be on a loosened screw or a bent base, on the base of another, or missing. Cameras and
+tracker see the spheres of the theatre, the scanner those of the CT.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.world.faults import Fault, FaultBoard
+from sim.world.faults.room import CART, DEVICE, GUIDE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
+from sim.world.noise import noise
+from sim.world.rigid import Matrix, apply, matrix_from, matrix_of, rotation_from_vector, vector_from_rotation
+from sim.world.scene.model import Fiducial, Scene
+from sim.world.world import World
+
+Array = NDArray[np.float64]
+Vector = tuple[float, float, float]
+STILL: Vector = (0.0, 0.0, 0.0)
+SECONDS_PER_MINUTE = 60.0
+SEATING = "seating"  # noise key; each screw draws independently of the others
+
+
+@dataclass(frozen=True)
+class RoomShift:
+    """Displacements relative to the robot base: a turn about its origin (rotation vector), then a shift.
+
+    `spheres_mm` are additional displacements of single spheres, by number.
+    """
+
+    head_mm: Vector = STILL
+    tracker_mm: Vector = STILL
+    head_rad: Vector = STILL
+    tracker_rad: Vector = STILL
+    guide_mm: Vector = STILL  # of the mounted tool, by a hand
+    guide_rad: Vector = STILL  # about the tracked frame
+    spheres_mm: tuple[tuple[int, Vector], ...] = ()
+
+    def moved_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
+        """Displace spheres (n, 3), given with their numbers in the scene; robot frame."""
+        alone = dict(self.spheres_mm)
+        loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
+        places: Array = apply(rigid_move(self.head_rad, self.head_mm), places_mm) + loose
+        return places
+
+
+NOTHING_MOVED = RoomShift()
+
+
+class ShiftedRoom:
+    """Displacements by the room's active faults; cheap to query if there are none."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._board = FaultBoard(world, DEVICE)
+        self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
+        head = world.scene.head
+        self._head_centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
+
+    def now(self) -> RoomShift:
+        """Current displacements; `NOTHING_MOVED` itself without faults."""
+        if self._board.empty:
+            return NOTHING_MOVED
+        shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
+        pushes, loose = self._board.active(PUSH.name), self._board.active(LOOSEN.name)
+        cart_mm = _total([_sum(shifts, CART), *rolled_mm(self._board, self._world.clock.now_s())])
+        push_N = _total([[float(each) for each in push.arguments] for push in pushes])
+        # Relative to a turned cart, all else turns back.
+        back = rotation_from_vector(np.radians(_sum(turns, CART))).T
+        head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
+        swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
+        return RoomShift(
+            head_mm=_vector(back @ (np.subtract(_sum(shifts, HEAD), cart_mm) + swing_mm)),
+            tracker_mm=_vector(back @ np.subtract(_sum(shifts, TRACKER), cart_mm)),
+            head_rad=_vector(vector_from_rotation(back @ head_turn)),
+            tracker_rad=_vector(vector_from_rotation(back)),
+            guide_mm=_vector(np.divide(push_N, self._stiffness_N_mm)),
+            guide_rad=_vector(np.radians(_sum(turns, GUIDE))),
+            spheres_mm=tuple(
+                (int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})
+            ),
+        )
+
+
+def rigid_move(turn_rad: Vector, shift_mm: Vector) -> Matrix:
+    """Transform (4, 4) of a turn about the robot's origin, then a shift."""
+    return matrix_from(shift_mm, rotation_from_vector(turn_rad))
+
+
+def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift) -> Matrix:
+    """ROBOT <- FLANGE (4, 4) of an arm that yields to a hand on its tool."""
+    if not any((*room.guide_mm, *room.guide_rad)):
+        return flange
+    about_mm = (flange @ flange_from_marker)[:3, 3]
+    turn = rotation_from_vector(room.guide_rad)
+    held = flange.copy()
+    held[:3, :3] = turn @ flange[:3, :3]
+    held[:3, 3] = turn @ (flange[:3, 3] - about_mm) + about_mm + room.guide_mm
+    return held
+
+
+def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:
+    """Way that the cart has rolled since its brakes were released, per fault."""
+    return tuple(
+        _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
+        for fault, onset_s in board.acting_since()
+        if fault.kind is UNLOCKED
+    )
+
+
+def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
+    """Spheres as refitted in the theatre, in the order of the scene; CT frame, mm."""
+    return tuple(_refit(one, scene) for one in scene.head.fiducials if not one.missing)
+
+
+def _refit(sphere: Fiducial, scene: Scene) -> Fiducial:
+    """Move a sphere to its refitted position, on the base that is now on its screw."""
+    place_mm = np.array(sphere.centre_ct_mm) + sphere.displaced_mm
+    place_mm += noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
+    wanted = sphere.base_in_theatre or sphere.number
+    base = next(one for one in scene.head.fiducials if one.number == wanted)
+    place_mm += (base.base_mm - sphere.base_mm) * np.array(sphere.post_ct)
+    x, y, z = place_mm.tolist()
+    worn = {"radius_mm": base.radius_mm, "worn_percent": base.worn_percent}
+    return sphere.model_copy(update={"centre_ct_mm": (x, y, z), **worn})
+
+
+def _sum(faults: tuple[Fault, ...], what: str) -> Vector:
+    return _total(
+        [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
+    )
+
+
+def _total(ways: Sequence[Sequence[float]]) -> Vector:
+    x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
+    return (x, y, z)
+
+
+def _vector(values: Array) -> Vector:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)

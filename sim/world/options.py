@@ -1,0 +1,20 @@
+"""Choices that commands offer; importable without anything heavy."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class OnStand(StrEnum):
+    """What the calibration stand holds: the ball, or in its place the divot on a slide with three dials."""
+
+    NOTHING = "nothing"
+    BALL = "ball"
+    DIVOT = "divot"
+
+
+class Carrier(StrEnum):
+    """How the spheres of a named scene are fixed: on individual screws, or on the x-shaped frame."""
+
+    FREE = "free"
+    XFRAME = "xframe"

@@ -1,0 +1,150 @@
+"""The saved state of a theatre's world, for another theatre to continue: the arm, its tool, the time.
+
+The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
+faults have moved, bent or rotated; a continued world has no other fault until one is injected.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import math
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.calibration import Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+from sim.errors import BadSavedWorld, TheatreRunning
+from sim.world.displacements import rolled_mm
+from sim.world.faults import parse_faults
+from sim.world.faults.board import FaultBoard, at_moment
+from sim.world.faults.camera import TWIST
+from sim.world.faults.room import CART, PUSH, ROOM_FAULTS
+from sim.world.faults.room import DEVICE as ROOM
+from sim.world.faults.tracker import DISPLACED_TOOLS
+from sim.world.scene.model import Numbers6, Scene
+from sim.world.world import ArmState, World
+
+WORLD_FILE = "world.json"
+
+END_LIMIT_S = 4.0  # host time; a theatre whose parent died ends within two seconds
+RETRY_S = 0.02
+Count = Annotated[int, Field(ge=0)]
+
+
+class SavedArm(Strict):
+    """State of the robot: its encoders, and what they do not show."""
+
+    joints_rad: Numbers6 = Field(description="Encoder angles.")
+    flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
+    motion_number: Count = Field(description="Number of motions so far.")
+    moved_s: Annotated[float, Field(ge=0)] = Field(description="Time in motion so far.")
+
+
+class SavedWorld(Strict):
+    """State of everything that changes in a world."""
+
+    theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
+    mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
+    mountings: Count = Field(default=0, description="How often the guide was mounted: its seat.")
+    arm: SavedArm | None = Field(description="None until the robot has started.")
+    standing_faults: str = Field(
+        default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
+    )
+
+    @classmethod
+    def of(cls, world: World) -> SavedWorld:
+        """Read the present state of a world."""
+        arm = world.arm() if world.has_arm else None
+        return cls(
+            theatre_time_ns=world.clock.now_ns(),
+            mounted_tool=world.mounted_tool(),
+            mountings=world.mountings(),
+            arm=None
+            if arm is None
+            else SavedArm(
+                joints_rad=arm.joints_rad,
+                flanks=arm.flanks,
+                motion_number=arm.motion_number,
+                moved_s=arm.moved_s,
+            ),
+            standing_faults=standing_faults(world),
+        )
+
+    def restore(self, scene: Scene, *, paced: bool) -> World:
+        """Create a world of that scene that starts from this state."""
+        world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
+        world.mount_tool(self.mounted_tool, self.mountings)
+        world.set_fault_script(self.standing_faults)
+        if (arm := self.arm) is not None:
+            # The robot simulator publishes the flange's true pose before anyone can read it.
+            world.publish_arm(
+                ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s)
+            )
+        return world
+
+
+def save_world(world: World, folder: Path) -> None:
+    """Save the state of a world, completely or not at all."""
+    write_whole(folder / WORLD_FILE, SavedWorld.of(world).model_dump_json(indent=1).encode())
+
+
+def read_saved_world(folder: Path) -> SavedWorld | None:
+    """Read the state saved in a folder; None if there is none. Raises SIM-003, SIM-012."""
+    path = folder / WORLD_FILE
+    if not path.exists():
+        return None
+    try:
+        saved = SavedWorld.model_validate_json(read_json_bytes(path), strict=False)
+    except ValidationError as error:
+        raise BadSavedWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
+    parse_faults(saved.standing_faults)
+    return saved
+
+
+STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLACED_TOOLS)
+
+
+def standing_faults(world: World) -> str:
+    """Script that reproduces what faults moved, bent or rotated, each until its own end."""
+    now_s = world.clock.now_s()
+    lines = []
+    for way in rolled_mm(FaultBoard(world, ROOM), now_s):
+        lines.append(
+            f"{at_moment(now_s)}: {ROOM} shift {CART} {' '.join(f'{value:.6f}' for value in way)} mm"
+        )
+    for device in sorted({kind.device for kind in STANDING}):
+        for fault, onset_s in FaultBoard(world, device).acting_since():
+            if fault.kind in STANDING:
+                remaining_s = onset_s + fault.duration_s - now_s
+                end = "" if math.isinf(remaining_s) else f" for {remaining_s:.6f} s"
+                lines.append(f"{at_moment(now_s)}: {fault.phrase}{end}")
+    return "\n".join(lines)
+
+
+@contextmanager
+def lock_folder(folder: Path) -> Iterator[None]:
+    """Hold a folder for one theatre; raises SIM-013 if another one does not end in time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        limit_s = time.monotonic() + END_LIMIT_S
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > limit_s:
+                    raise TheatreRunning(f"another theatre is running in {folder}") from None
+                time.sleep(RETRY_S)  # a file lock cannot be awaited with a time limit
+        yield
+    finally:
+        os.close(file)

@@ -1,0 +1,122 @@
+"""Arm, mount and cameras as built: their designs with errors drawn at random.
+
+The errors of arm and mount are parameter set S, which reproduces magnitudes measured on a real robot. One
+standard deviation each: link translations 0.40 mm and rotations 0.05 deg per axis, joint offsets 0.05 deg,
+harmonics 0.015 and 0.008 deg, backlash 0.02 deg, sag 0.03 deg, repeatability 0.015 mm per axis, and 2 mm tool
+error of the mount.
+
+Design of the stereo head: magnification 0.25 with 50 mm lenses, so 250 mm working distance and a 45 x 24 mm
+field; the optical axes intersect at the tool centre point at 55 degrees.
+"""
+
+from __future__ import annotations
+
+from math import cos, radians, sin
+from typing import Any
+
+import numpy as np
+
+from ronna_hw.calibration import PoseRecord
+from sim.world.rigid import inverse, matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.world.scene.model import ArmTruth, CameraTruth, LinkError, Mount
+
+LINK_TRANSLATION_MM = 0.40
+LINK_ROTATION_RAD = radians(0.05)
+JOINT_OFFSET_RAD = radians(0.05)
+HARMONIC_1_RAD = radians(0.015)
+HARMONIC_2_RAD = radians(0.008)
+BACKLASH_RAD = radians(0.02)
+SAG_RAD = radians(0.03)
+REPEATABILITY_MM = 0.015
+
+# Flange down, stereo head reaching forward: above the head, clear of every singularity.
+HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
+
+TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
+TOOL_ERROR_MM = 2.0  # per axis: deviation of the mount from its drawing
+MARKER_IN_TOOL_MM = (-150.0, 0.0, -140.0)
+HALF_ANGLE_RAD = radians(27.5)
+WORKING_DISTANCE_MM = 250.0
+FOCAL_PX = 62.5 / 0.0055  # image distance over pixel pitch
+SENSOR_CENTRE_PX = (1023.5, 543.5)
+# Design positions of the two cameras in the tool frame.
+CAMERAS_IN_TOOL_MM = tuple(
+    (0.0, side * WORKING_DISTANCE_MM * sin(HALF_ANGLE_RAD), -WORKING_DISTANCE_MM * cos(HALF_ANGLE_RAD))
+    for side in (-1.0, 1.0)
+)
+
+BUILD_TRANSLATION_MM = 0.3
+BUILD_ROTATION_RAD = radians(0.1)
+BUILD_FOCAL = 0.003
+BUILD_PRINCIPAL_PX = 6.0
+DISTORTION_K1 = 0.02
+SERIALS = ("21904411", "21904412")
+
+
+def draw_arm(generator: np.random.Generator) -> ArmTruth:
+    """Draw a true arm of parameter set S."""
+
+    def six(scale: float) -> Any:
+        return tuple(float(value) for value in generator.normal(0.0, scale, 6))
+
+    def three(scale: float) -> Any:
+        return tuple(float(value) for value in generator.normal(0.0, scale, 3))
+
+    def phases() -> Any:
+        return tuple(float(value) for value in generator.uniform(0.0, 2 * np.pi, 6))
+
+    links: Any = tuple(
+        LinkError(translation_mm=three(LINK_TRANSLATION_MM), rotation_rad=three(LINK_ROTATION_RAD))
+        for _ in range(6)
+    )
+    return ArmTruth(
+        home_deg=HOME_DEG,
+        links=links,
+        joint_offset_rad=six(JOINT_OFFSET_RAD),
+        harmonic_1_rad=six(HARMONIC_1_RAD),
+        harmonic_1_phase_rad=phases(),
+        harmonic_2_rad=six(HARMONIC_2_RAD),
+        harmonic_2_phase_rad=phases(),
+        sag_rad=(SAG_RAD, SAG_RAD),
+        backlash_rad=(BACKLASH_RAD,) * 6,
+        repeatability_mm=REPEATABILITY_MM,
+    )
+
+
+def draw_mount(generator: np.random.Generator) -> Mount:
+    """Draw the mount: nominal and true tool pose on the flange, guide tip, reference frame M."""
+    identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
+    error_mm = generator.normal(0.0, TOOL_ERROR_MM, 3)
+    true = matrix_from(np.array(TOOL_IN_FLANGE_MM) + error_mm, np.eye(3))
+    # M faces back along the tool axis, so it faces up when the tool points down.
+    marker = matrix_from(MARKER_IN_TOOL_MM, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
+    return Mount(
+        flange_from_tool_nominal=identity.model_copy(update={"translation_mm": TOOL_IN_FLANGE_MM}),
+        flange_from_tool_true=pose_of(true),
+        tool_from_tip_true=identity,
+        tool_from_marker_true=pose_of(marker),
+    )
+
+
+def draw_cameras(generator: np.random.Generator) -> tuple[CameraTruth, CameraTruth]:
+    """Draw the left and right camera as built."""
+    left = _camera(generator, SERIALS[0], side=-1.0)
+    right = _camera(generator, SERIALS[1], side=1.0)
+    return left, right
+
+
+def _camera(generator: np.random.Generator, serial: str, side: float) -> CameraTruth:
+    position = np.array(CAMERAS_IN_TOOL_MM[0 if side < 0.0 else 1])
+    rotation = rotation_towards(-position, (0.0, 1.0, 0.0))
+    rotation = rotation @ rotation_from_vector(generator.normal(0.0, BUILD_ROTATION_RAD, 3))
+    position = position + generator.normal(0.0, BUILD_TRANSLATION_MM, 3)
+    focal = FOCAL_PX * (1.0 + float(generator.normal(0.0, BUILD_FOCAL)))
+    centre = np.array(SENSOR_CENTRE_PX) + generator.normal(0.0, BUILD_PRINCIPAL_PX, 2)
+    k1 = float(generator.normal(0.0, DISTORTION_K1))
+    return CameraTruth(
+        serial=serial,
+        focal_px=(focal, focal),
+        principal_point_px=(float(centre[0]), float(centre[1])),
+        distortion=(k1, 0.0, 0.0, 0.0, 0.0),
+        camera_from_tool=pose_of(inverse(matrix_from(position, rotation))),
+    )

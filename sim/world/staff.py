@@ -1,0 +1,197 @@
+"""Simulated theatre staff: manual tasks with guide, instrument, stand and gauge, and their readings.
+
+Tasks are named as in the procedure. Work on skin and skull alone has no effect here. The calibration stand on
+the table holds a removable ball or a divot with three dials: staff raise the divot to the tip of a guide and
+read its offset from the position of the ball's centre, along the stand's own axes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
+from math import isfinite, radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.room_tasks import (
+    CART_LOCK,
+    CART_PLACE,
+    CART_PUSH,
+    DEPTH_STOP,
+    DIALS,
+    DRILL,
+    DURA,
+    GAUGE,
+    HEAD_CLAMP,
+    INSERT,
+    OUT,
+    SKIN,
+    TOUCH,
+)
+from sim.errors import StandNotReady
+from sim.world.displacements import ShiftedRoom
+from sim.world.faults import FaultBoard, begin_now
+from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
+from sim.world.noise import noise
+from sim.world.options import OnStand
+from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.truth import TrueGuide, append_sample, calibrated_tip, sample_instrument
+from sim.world.world import World
+
+Readings = tuple[float, ...]
+
+STOP, DIAL = "depth stop", "gauge"  # noise keys
+SCALE_MM = 0.05  # graduation of the depth stop: a vernier
+DIAL_MM = 0.001  # resolution of the digital gauge
+POINTER_MM = 2.0  # one standard deviation per axis of a pointer set on skin by hand
+
+NUMBERS = {  # count and meaning of the numbers that a task needs; other tasks need none
+    DEPTH_STOP: (1, "a length in mm"),
+    GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
+    TOUCH: (3, "a direction from the middle of the head: left, posterior, superior, as shares of its size"),
+}
+
+
+class TaskRefused(Exception):
+    """A task cannot be done as requested; `advice` is the remedy."""
+
+    def __init__(self, reason: str, advice: str) -> None:
+        super().__init__(reason)
+        self.advice = advice
+
+
+class Staff:
+    """Carries out tasks for the life of a theatre; truth at a target is stored in `folder`, if given."""
+
+    def __init__(self, world: World, folder: Path | None) -> None:
+        self._world = world
+        self._folder = folder
+        self._guide = TrueGuide(world)
+        self._board = FaultBoard(world, DEVICE)
+        self._stop_mm: float | None = None
+        self._done: Counter[str] = Counter()  # tasks done so far: repetitions draw other noise
+
+    def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
+        """Carry out one task and return its readings.
+
+        Raises TaskRefused, SIM-015, or ValueError if it cannot be done.
+        """
+        nothing: Callable[[], Readings] = tuple
+        tasks: dict[str, Callable[[], Readings]] = {
+            DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
+            **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
+            CART_PUSH: self._push_cart,
+            INSERT: lambda: self._insert(trajectory),
+            OUT: nothing,
+            DIALS: lambda: tuple(read_dials(self._world)),
+            GAUGE: lambda: self._read_gauge(numbers),
+            TOUCH: lambda: self._touch(numbers),
+        }
+        _check_task(task, trajectory, numbers, tasks)
+        readings = tasks[task]()
+        self._done[f"{task} {trajectory}"] += 1
+        return readings
+
+    def _set_stop(self, trajectory: str, setting_mm: float) -> Readings:
+        scene = self._world.scene
+        again = self._done[f"{DEPTH_STOP} {trajectory}"]
+        drawn = noise(scene.seed, f"{STOP} {trajectory}", again).normal(0.0, scene.mount.guide.depth_stop_mm)
+        off_mm = sum(float(one.argument) for one in self._board.active(WRONG_STOP.name))
+        self._stop_mm = setting_mm + float(drawn) + off_mm
+        return (_on_scale(self._stop_mm, SCALE_MM),)
+
+    def _insert(self, trajectory: str) -> Readings:
+        if self._stop_mm is None:
+            raise ValueError("no depth stop was set")
+        again = self._done[f"{INSERT} {trajectory}"]
+        sample = sample_instrument(self._world, self._guide, trajectory, self._stop_mm, again)
+        if self._folder is not None:
+            append_sample(sample, self._folder)
+        return ()
+
+    def _push_cart(self) -> Readings:
+        """Push the cart: an unlocked one rolls for good, a locked one stays."""
+        for fault in self._board.active(UNLOCKED.name):
+            way = " ".join(fault.arguments)
+            _, text = self._world.fault_script()
+            rolled = begin_now(f"{DEVICE} shift {CART} {way} mm", self._world.clock.now_s())
+            self._world.set_fault_script(f"{text}\n{rolled}")
+        return ()
+
+    def _read_gauge(self, numbers: Sequence[float]) -> Readings:
+        """Read the dials at the mandrel's end along x, y and z, and higher up along x and y, mm.
+
+        `numbers` are the arm's joints in deg at the gauge, and the height between the dials.
+        """
+        *joints_deg, base_mm = numbers
+        seen = inverse(self._place_of_gauge(joints_deg)) @ self._guide.mandrel()
+        higher: NDArray[np.float64] = (seen @ np.array([0.0, 0.0, -base_mm, 1.0]))[:3]
+        there = np.array([*seen[:3, 3], *higher[:2]])
+        scene = self._world.scene
+        read = there + noise(scene.seed, DIAL, self._done[f"{GAUGE} "]).normal(
+            0.0, scene.hands.gauge_mm, len(there)
+        )
+        return tuple(_on_scale(float(value), DIAL_MM) for value in read)
+
+    def _touch(self, direction: Sequence[float]) -> Readings:
+        """Position of a pointer that touches the patient's head on that side, robot frame."""
+        head, seed = self._world.scene.head, self._world.scene.seed
+        skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
+        place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
+        place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)
+        return tuple(_on_scale(float(value), 1.0) for value in place)
+
+    def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
+        """Pose of the calibrated mandrel's end, with the arm there, when the gauge was zeroed."""
+        from sim.world.true_arm import TrueArm
+
+        arm = TrueArm(self._world.scene.arm, self._world.scene.seed)
+        flange = arm.moving([radians(angle) for angle in joints_deg], (1.0,) * len(joints_deg))
+        return flange @ calibrated_tip(self._world)
+
+
+def read_dials(world: World) -> tuple[float, float, float]:
+    """Read the three dials with the divot raised to the guide's tip, mm; raises SIM-015 if impossible."""
+    stand, mount = world.scene.stand, world.scene.mount
+    if (there := world.on_stand()) is not OnStand.DIVOT:
+        holds = "nothing" if there is OnStand.NOTHING else f"the {there}"
+        raise StandNotReady(f"the divot is not on the stand, which holds {holds}")
+    if world.mounted_tool() != mount.tool_number_guide:
+        raise StandNotReady("the guide is not mounted", got=f"tool {world.mounted_tool()}")
+    zero = np.add(stand.ball_mm, stand.divot_from_ball_mm)
+    away = rotation_from_vector(stand.dials_turned_rad).T @ (TrueGuide(world).mandrel()[:3, 3] - zero)
+    if np.abs(away).max() > stand.travel_mm:
+        raise StandNotReady(
+            "the tip is beyond the divot's travel",
+            limit=f"{stand.travel_mm:g} mm along each axis",
+            got=f"{np.abs(away).max():.1f} mm",
+        )
+    generator = noise(world.scene.seed, "dials", world.arm().motion_number)
+    read = away + generator.normal(0.0, stand.reading_mm, 3)
+    x, y, z = (round(value / stand.scale_mm) * stand.scale_mm for value in read.tolist())
+    return (x, y, z)
+
+
+def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Iterable[str]) -> None:
+    if task not in known:
+        near = get_close_matches(task, tuple(known), n=1)
+        raise TaskRefused(
+            f"unknown task {task!r}; expected {', '.join(known)}",
+            f"Did you mean {near[0]}?" if near else "Use the task named in the question.",
+        )
+    count, needed = NUMBERS.get(task, (0, "no numbers"))
+    if len(numbers) != count or not all(map(isfinite, numbers)):
+        given = ", ".join(f"{number:g}" for number in numbers) or "no numbers"
+        raise TaskRefused(f"{task} needs {needed}; got {given}", "Give the numbers as in the question.")
+    if task == INSERT and not trajectory:
+        raise TaskRefused(
+            f"{task} needs the name of a trajectory of the plan; got none",
+            "Add --trajectory with the name in the question, such as --trajectory T1.",
+        )
+
+
+def _on_scale(value: float, step: float) -> float:
+    return round(round(value / step) * step, 6)

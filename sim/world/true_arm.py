@@ -1,0 +1,169 @@
+"""The true arm: the flange pose for given encoder angles.
+
+The controller relies on its encoders and the nominal chain. The true flange differs by link errors, and by
+errors between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. Long motion
+warms the arm, which displaces the flange. At rest there is also a small repeatability error, which depends on
+the number of the motion only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from math import cos, exp, radians, sin
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from sim.world.noise import noise
+from sim.world.nominal_arm import AXES, FLANGE_PITCH_DEG, RobotDescription, description
+from sim.world.rigid import rotation_from_vector
+from sim.world.scene.model import ArmTruth, LinkError
+
+Matrix = NDArray[np.float64]
+
+ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach
+DAMPING = 1e-4  # in the least squares, relative to a Jacobian in hundreds of mm/rad
+POSITION_TOLERANCE_MM = 1e-6
+STEPS_LIMIT = 30
+
+DEVICE = "arm"  # noise key
+DRIFT = "arm warmth"  # noise key of the direction of thermal displacement
+# The backlash of a joint is the full play on a reversal: it rests half of it to either side.
+FLANK_SHARE = 0.5
+
+
+class TrueArm:
+    """True pose of the flange from encoder angles, flanks and motion number."""
+
+    def __init__(self, truth: ArmTruth, seed: int) -> None:
+        arm = description(truth.variant)
+        self._chain = JointChain(arm, truth.links)
+        self._seed = seed
+        self._repeatability_mm = truth.repeatability_mm
+        direction = noise(seed, DRIFT, 0).normal(size=3)
+        self._drift_mm = truth.thermal_drift_mm * direction / np.linalg.norm(direction)
+        self._drifts = truth.thermal_drift_mm > 0.0
+        self._thermal_time_s = truth.thermal_time_s
+        self._sag_rad = truth.sag_rad
+        self._upper_mm = arm.joints[2].origin_mm[0]
+        self._fore_mm = arm.joints[4].origin_mm[0]
+        self._joints = tuple(
+            zip(
+                truth.joint_offset_rad,
+                truth.harmonic_1_rad,
+                truth.harmonic_1_phase_rad,
+                truth.harmonic_2_rad,
+                truth.harmonic_2_phase_rad,
+                (FLANK_SHARE * value for value in truth.backlash_rad),
+                strict=True,
+            )
+        )
+
+    def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
+        """Pose (4, 4) while moving.
+
+        `flanks` is each joint's position in its backlash, -1 to 1; `moved_s` the time in motion so far.
+        """
+        pose = self._chain.flange(self._joint_angles(encoders_rad, flanks))
+        if self._drifts:
+            pose[:3, 3] += (1.0 - exp(-moved_s / self._thermal_time_s)) * self._drift_mm
+        return pose
+
+    def at_rest(
+        self,
+        encoders_rad: Sequence[float],
+        flanks: Sequence[float],
+        motion_number: int,
+        moved_s: float = 0.0,
+    ) -> Matrix:
+        """Pose (4, 4) at rest after the motion with this number."""
+        pose = self.moving(encoders_rad, flanks, moved_s)
+        # a shift of the flange: any mounted tool is displaced alike
+        pose[:3, 3] += noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
+        return pose
+
+    def _joint_angles(self, encoders_rad: Sequence[float], flanks: Sequence[float]) -> list[float]:
+        angles = [
+            angle + offset + first * sin(angle + phase_1) + second * sin(2.0 * angle + phase_2) + half * flank
+            for angle, flank, (offset, first, phase_1, second, phase_2, half) in zip(
+                encoders_rad, flanks, self._joints, strict=True
+            )
+        ]
+        # Positive angles of both axes lower the arm. The moment about an axis grows with the horizontal
+        # distance of its load: full when stretched out, zero upright, reversed behind the axis.
+        fore = cos(encoders_rad[1] + encoders_rad[2])
+        upper = cos(encoders_rad[1])
+        stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)
+        angles[1] += self._sag_rad[0] * stretch
+        angles[2] += self._sag_rad[1] * fore
+        return angles
+
+
+class JointChain:
+    """The arm as a chain of joints in Pinocchio, nominal or with link errors: flange in $ROBROOT, mm and rad.
+
+    `links` are the errors of the links after A1 .. A6, each added at the link's far end. One chain belongs to
+    one thread: Pinocchio computes in the chain's own memory.
+    """
+
+    def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
+        self._model, self._flange = _model_of(arm, None if links is None else tuple(links))
+        self._data = self._model.createData()
+        self._q = np.zeros(AXES)
+
+    def flange(self, joints_rad: Sequence[float] | Matrix) -> Matrix:
+        """Pose (4, 4) of the flange."""
+        self._q[:] = joints_rad
+        pin.framesForwardKinematics(self._model, self._data, self._q)
+        pose: Matrix = self._data.oMf[self._flange].homogeneous
+        return pose
+
+    def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:
+        """Joint angles of a flange pose, starting from nearby ones; None without convergence.
+
+        Damped least squares, which may not converge near a singularity.
+        """
+        angles = np.array(near_rad, dtype=float)
+        for _ in range(STEPS_LIMIT):
+            here = self.flange(angles)
+            error = np.empty(6)
+            error[:3] = flange[:3, 3] - here[:3, 3]
+            error[3:] = ROTATION_WEIGHT_MM * rotation_vector(flange[:3, :3] @ here[:3, :3].T)
+            if float(np.abs(error).max()) < POSITION_TOLERANCE_MM:
+                return [float(angle) for angle in angles]
+            jacobian = pin.computeFrameJacobian(
+                self._model, self._data, angles, self._flange, pin.LOCAL_WORLD_ALIGNED
+            )
+            jacobian[3:] *= ROTATION_WEIGHT_MM
+            normal = jacobian.T @ jacobian
+            normal[np.diag_indices(AXES)] += (DAMPING * ROTATION_WEIGHT_MM) ** 2
+            angles += np.linalg.solve(normal, jacobian.T @ error)
+        return None
+
+
+@lru_cache(maxsize=8)  # shared: chains only read it and compute in their own data
+def _model_of(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
+    """Build the model; return it and the index of the flange's frame."""
+    model, parent = pin.Model(), 0
+    for number, joint in enumerate(arm.joints):
+        place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
+        if links is not None and number > 0:
+            place = place * _error(links[number - 1])
+        axis = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
+        parent = model.addJoint(parent, axis, place, joint.name)
+    end = pin.SE3(rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0)), np.zeros(3))
+    if links is not None:
+        end = end * _error(links[AXES - 1])
+    return model, model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))
+
+
+def _error(link: LinkError) -> pin.SE3:
+    return pin.SE3(rotation_from_vector(link.rotation_rad), np.array(link.translation_mm))
+
+
+def rotation_vector(rotation: Matrix) -> Matrix:
+    """Axis times angle (rad) of a rotation (3, 3)."""
+    vector: Matrix = pin.log3(rotation)
+    return vector

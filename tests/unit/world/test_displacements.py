@@ -1,0 +1,113 @@
+"""Displaced heads, carts and guides, and spheres refitted in the theatre."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, spheres_in_theatre
+from sim.world.rigid import apply, inverse, matrix_of, rotation_from_vector, vector_from_rotation
+from sim.world.scene.model import SEATING_ERROR_MM, Scene
+from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import TrueGuide, sample_instrument
+from sim.world.world import World
+
+
+def room(script: str) -> tuple[World, RoomShift]:
+    world = World.create(named_scene("mini"), paced=False)
+    world.set_fault_script(script)
+    return world, ShiftedRoom(world).now()
+
+
+def test_a_rotation_gives_back_its_vector() -> None:
+    for vector in ([0.0, 0.0, 0.0], [0.01, -0.02, 0.005], [1.0, 2.0, -0.5]):
+        assert vector_from_rotation(rotation_from_vector(vector)) == pytest.approx(
+            np.array(vector), abs=1e-12
+        )
+
+
+def test_a_head_turns_about_its_centre() -> None:
+    world, now = room("at 0 s: room turn head 0 0 1 deg")
+    head = world.scene.head
+    centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
+    aside_mm = np.add(centre_mm, (100.0, 0.0, 0.0))
+    moved = now.moved_spheres_mm(np.array([centre_mm, aside_mm]), (1, 2))
+    assert moved[0] == pytest.approx(centre_mm)
+    turned = 100.0 * np.array([math.cos(math.radians(1.0)), math.sin(math.radians(1.0)), 0.0])
+    assert moved[1] - centre_mm == pytest.approx(turned)
+    assert now.tracker_rad == (0.0, 0.0, 0.0)
+
+
+def test_a_cart_that_turns_leaves_head_and_tracker_to_each_other() -> None:
+    world, now = room("at 0 s: room turn cart 0.3 -0.5 0.8 deg\nat 0 s: room shift cart 1 2 3 mm")
+    robot_from_tracker = matrix_of(world.scene.tracker.robot_from_tracker)
+    spheres_mm = apply(
+        matrix_of(world.scene.head.robot_from_ct), [one.centre_ct_mm for one in world.scene.head.fiducials]
+    )
+    before = apply(inverse(robot_from_tracker), spheres_mm)
+    moved = rigid_move(now.tracker_rad, now.tracker_mm) @ robot_from_tracker
+    after = apply(inverse(moved), now.moved_spheres_mm(spheres_mm, (1, 2, 3)))
+    assert after == pytest.approx(before, abs=1e-9)
+    assert np.linalg.norm(np.subtract(now.moved_spheres_mm(spheres_mm, (1, 2, 3)), spheres_mm)) > 5.0
+
+
+def test_the_truth_follows_a_turned_head() -> None:
+    world, now = room("at 0 s: room turn head 0 1 0 deg\nat 0 s: room shift head 0 0 2 mm")
+    sample = sample_instrument(world, TrueGuide(world), "T1", 165.0, 0)
+    assert sample.head_moved == pytest.approx(rigid_move(now.head_rad, now.head_mm))
+
+
+def test_a_guide_that_turns_moves_no_head() -> None:
+    _, now = room("at 0 s: room turn guide 0 0 1 deg")
+    assert now == RoomShift(guide_rad=(0.0, 0.0, math.radians(1.0)))
+    assert room("")[1] == NOTHING_MOVED
+
+
+SEEDS = 40
+
+
+def beside_mm(scene: Scene) -> np.ndarray:
+    """Displacement (n, 3) of each sphere from its place in the CT."""
+    there = np.array([one.centre_ct_mm for one in spheres_in_theatre(scene)])
+    return np.asarray(there - [one.centre_ct_mm for one in scene.head.fiducials])
+
+
+def with_head(scene: Scene, **changes: object) -> Scene:
+    return scene.model_copy(update={"head": scene.head.model_copy(update=changes)})
+
+
+def test_a_reseated_sphere_is_off_its_place_by_the_seating_error() -> None:
+    scene = named_scene("mini", markers=8)
+    drawn = np.concatenate([beside_mm(scene.model_copy(update={"seed": seed})) for seed in range(SEEDS)])
+    assert drawn.std(axis=0) == pytest.approx(3 * [SEATING_ERROR_MM], rel=0.15)
+    assert np.abs(drawn.mean(axis=0)).max() < 4.0 * SEATING_ERROR_MM / len(drawn) ** 0.5
+
+
+def test_without_seating_error_every_sphere_is_where_the_ct_shows_it() -> None:
+    assert not beside_mm(with_head(named_scene("mini"), seating_error_mm=0.0)).any()
+
+
+def test_the_seating_of_a_sphere_does_not_depend_on_the_others() -> None:
+    scene = named_scene("mini", markers=5)
+    fewer = with_head(scene, fiducials=scene.head.fiducials[2:])
+    assert beside_mm(fewer).tolist() == beside_mm(scene)[2:].tolist()
+
+
+def test_a_sphere_may_be_missing_displaced_or_on_the_base_of_another() -> None:
+    scene = with_head(named_scene("mini", markers=5), seating_error_mm=0.0)
+    first, second, third, *others = scene.head.fiducials
+    changed = (
+        first.model_copy(update={"missing": True}),
+        second.model_copy(update={"base_in_theatre": third.number, "displaced_mm": (0.0, 1.0, 0.0)}),
+        third.model_copy(update={"base_in_theatre": second.number, "base_mm": 20.0, "worn_percent": 30.0}),
+        *others,
+    )
+    two, three, *rest = spheres_in_theatre(with_head(scene, fiducials=changed))
+    longer = 4.0 * np.array(second.post_ct) + (0.0, 1.0, 0.0)
+    assert np.subtract(two.centre_ct_mm, second.centre_ct_mm) == pytest.approx(longer)
+    shorter = -4.0 * np.array(third.post_ct)
+    assert np.subtract(three.centre_ct_mm, third.centre_ct_mm) == pytest.approx(shorter)
+    assert (two.worn_percent, three.worn_percent) == (30.0, 0.0)  # a film goes with its base
+    assert rest == list(others)
