@@ -73,14 +73,14 @@ def kuka(
     the log states why a reply was rejected.
     """
     from ronna_hw.endpoints import parse_endpoint
-    from sim.kuka.arm.manipulator import Manipulator
-    from sim.kuka.controller.autostart import Autostart
-    from sim.kuka.controller.controller import Controller
-    from sim.kuka.controller.cycle_loop import CycleLoop
+    from sim.kuka.autostart import Autostart
+    from sim.kuka.controller import Controller
     from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, changed_parameters
+    from sim.kuka.cycle_loop import CycleLoop
     from sim.kuka.eki.server import EkiServer
-    from sim.kuka.rsi.rsi_socket import resolve
-    from sim.kuka.rsi.telegram_writer import TelegramWriter
+    from sim.kuka.manipulator import Manipulator
+    from sim.kuka.rsi.link import resolve
+    from sim.kuka.rsi.telegrams import TelegramWriter
     from sim.named_parameters import rows
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 

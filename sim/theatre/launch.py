@@ -14,7 +14,7 @@ from uuid import uuid4
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
-from sim.kuka.controller.message_display import LINE_BEGINS
+from sim.kuka.pendant import LINE_BEGINS
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
 from sim.theatre.tool_records import refer_to_tip

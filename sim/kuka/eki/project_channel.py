@@ -23,12 +23,11 @@ from ronna_hw.wire.kuka_eki import (
     StateAttribute,
     StopRequest,
 )
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
-from sim.kuka.eki.acknowledgement import Acknowledgement
-from sim.kuka.eki.attributes import flag, frame, text, whole
-from sim.kuka.eki.move_commands import EkiMoves
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
+from sim.kuka.eki.moves import EkiMoves, flag, frame, text, whole
 from sim.kuka.eki.server import EkiServer
+from sim.kuka.motion import Acknowledgement
 from sim.world.arm.orientation import status_and_turn
 
 MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)

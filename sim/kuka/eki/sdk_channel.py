@@ -8,8 +8,8 @@ from math import inf
 from xml.etree import ElementTree
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import SUBMIT_CYCLE_S
 from sim.kuka.eki.server import EkiServer
 

@@ -15,15 +15,18 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import RsiState
-from sim.kuka.controller.drive_supervision import Supervision
-from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.rsi.axis_correction import ACTIVE_BIT, AxisCorrector
-from sim.kuka.rsi.position_correction import PositionCorrector
-from sim.kuka.rsi.rejected_replies import RejectedReplies
-from sim.kuka.rsi.reply_reader import Reply, ReplyReader
-from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
-from sim.kuka.rsi.telegram_writer import TelegramWriter
+from sim.kuka.drives import Supervision
+from sim.kuka.pendant import Message, rsi_bad, rsi_timeout
+from sim.kuka.rsi.signal_flow import (
+    ACTIVE_BIT,
+    AxisCorrector,
+    EthernetOutputs,
+    PositionCorrector,
+    SignalFlow,
+    inputs_of,
+)
+from sim.kuka.rsi.telegrams import RejectedReplies, Reply, ReplyReader, TelegramWriter
 from sim.world.arm.robot_description import RobotDescription
 
 Matrix = NDArray[np.float64]

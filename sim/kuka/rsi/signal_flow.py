@@ -4,12 +4,190 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import degrees
 from typing import Literal
 
-from ronna_hw.wire.kuka_context import INTERNAL, RsiContext
-from sim.kuka.controller.messages import Message
-from sim.kuka.rsi.axis_correction import AxisCorrector
-from sim.kuka.rsi.position_correction import PositionCorrector
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.kuka_context import (
+    AXISCORR_DEFAULT_LIMIT_DEG,
+    AXISCORRMON_DEFAULT_MAX_DEG,
+    INTERNAL,
+    POSCORRMON_DEFAULT_MAX_ROTATION_DEG,
+    POSCORRMON_DEFAULT_MAX_TRANSLATION_MM,
+    SOFTWARE_END_SWITCHES,
+    AxisCorrection,
+    AxisMonitor,
+    PositionCorrection,
+    PositionMonitor,
+    RsiContext,
+)
+from sim.kuka.pendant import Message, near_singularity, out_of_range
+from sim.world.arm.orientation import pose_of_frame
+from sim.world.arm.robot_description import AXES, RobotDescription
+from sim.world.rigid import rotation_from_vector
+
+ACTIVE_BIT = 1  # bit 0 of Stat; bit n means that axis n is at a limit
+
+
+class AxisCorrector:
+    """The two objects of one run, from RSI_ON on. Degrees, relative to the pose at RSI_ON."""
+
+    def __init__(
+        self,
+        arm: RobotDescription,
+        base_deg: Sequence[float],
+        correction: AxisCorrection | None,
+        monitor: AxisMonitor | None,
+        *,
+        relative: bool,
+    ) -> None:
+        down = [joint.lower_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        up = [joint.upper_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        widest = [max(abs(low), abs(high)) for low, high in zip(down, up, strict=True)]
+        self._lower_deg: Sequence[float] = (-AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        self._upper_deg: Sequence[float] = (AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        if correction is not None:
+            explicit = correction.limits != SOFTWARE_END_SWITCHES
+            self._lower_deg = correction.lower_deg if explicit else down
+            self._upper_deg = correction.upper_deg if explicit else up
+        self._largest_deg: Sequence[float] = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
+        if monitor is not None:
+            self._largest_deg = widest if monitor.limits == SOFTWARE_END_SWITCHES else monitor.max_deg
+        self._limits = (self._lower_deg, self._upper_deg)
+        self._within_deg: float | None = None
+        self._axes = [joint.name for joint in arm.joints]
+        self._relative = relative
+        self.totals_deg: list[float] = [0.0] * AXES
+        self.stat = 0
+
+    def narrow(self, within_deg: float | None) -> bool:
+        """Clamp this close to the present totals; None: only by the context's limits. True if changed."""
+        if within_deg == self._within_deg:
+            return False
+        self._within_deg = within_deg
+        self._lower_deg, self._upper_deg = self._limits
+        if within_deg is not None:
+            self._lower_deg = [
+                max(low, total - within_deg)
+                for low, total in zip(self._lower_deg, self.totals_deg, strict=True)
+            ]
+            self._upper_deg = [
+                min(high, total + within_deg)
+                for high, total in zip(self._upper_deg, self.totals_deg, strict=True)
+            ]
+        return True
+
+    def take(self, inputs_deg: Sequence[float]) -> Message | None:
+        """Add one cycle's inputs; the monitor's message if the total exceeds its limit."""
+        wanted = (
+            [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
+            if self._relative
+            else list(inputs_deg)
+        )
+        self.stat = ACTIVE_BIT
+        beyond = None
+        for axis, (value, lower, upper, largest) in enumerate(
+            zip(wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True)
+        ):
+            taken = value
+            if value < lower or value > upper:
+                taken = wanted[axis] = lower if value < lower else upper
+                self.stat |= ACTIVE_BIT << (axis + 1)
+            if (taken > largest or taken < -largest) and beyond is None:
+                beyond = out_of_range("AXISCORRMON", self._axes[axis], taken, largest)
+        self.totals_deg = wanted
+        return beyond
+
+
+Matrix = NDArray[np.float64]
+ROTATION_BIT = 16
+TOOL_REFERENCE = "Tool"
+
+
+class PositionCorrector:
+    """The two objects of one run, from RSI_ON on.
+
+    `start` is the pose (4, 4) of the tool centre point at RSI_ON and `reference` the rotation (3, 3) of the
+    correction system, both in $ROBROOT. `inverse` finds joints (deg) for a pose, near given joints.
+    """
+
+    def __init__(
+        self,
+        start: Matrix,
+        reference: Matrix,
+        base_deg: Sequence[float],
+        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
+        correction: PositionCorrection | None,
+        monitor: PositionMonitor | None,
+        *,
+        relative: bool,
+    ) -> None:
+        self._limits = correction or PositionCorrection()
+        self._largest_mm = monitor.max_translation_mm if monitor else POSCORRMON_DEFAULT_MAX_TRANSLATION_MM
+        self._largest_deg = monitor.max_rotation_deg if monitor else POSCORRMON_DEFAULT_MAX_ROTATION_DEG
+        self._start = start
+        self._reference = start[:3, :3] if self._limits.reference == TOOL_REFERENCE else reference
+        self._inverse = inverse
+        self._relative = relative
+        self._shift_mm = np.zeros(3)
+        self._turn = np.eye(3)
+        self._base_deg = list(base_deg)
+        self.joints_deg: list[float] = self._base_deg
+        self.stat = 0
+
+    def take(self, inputs: Sequence[float]) -> Message | None:
+        """Apply one cycle's X Y Z (mm) A B C (deg); a message if a monitor trips or no joints are found."""
+        step = pose_of_frame(inputs)
+        shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
+        turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
+        self._shift_mm = np.clip(shift_mm, self._limits.lower_mm, self._limits.upper_mm)
+        self._turn = self._limited(turn)
+        self.stat = ACTIVE_BIT
+        for number in range(3):
+            if self._shift_mm[number] != shift_mm[number]:
+                self.stat |= 2 << number
+        if self._turn is not turn:
+            self.stat |= ROTATION_BIT
+        distance_mm = float(np.linalg.norm(self._shift_mm))
+        if distance_mm > self._largest_mm:
+            return out_of_range("POSCORRMON", "translation", distance_mm, self._largest_mm)
+        angle_deg = degrees(_angle(self._turn))
+        if angle_deg > self._largest_deg:
+            return out_of_range("POSCORRMON", "rotation", angle_deg, self._largest_deg)
+        if distance_mm == 0.0 and angle_deg == 0.0:
+            self.joints_deg = self._base_deg  # exact, unlike the result of an iteration
+            return None
+        goal = self._start.copy()
+        goal[:3, 3] += self._reference @ self._shift_mm
+        goal[:3, :3] = self._reference @ self._turn @ self._reference.T @ goal[:3, :3]
+        joints = self._inverse(goal, self.joints_deg)
+        if joints is None:
+            return near_singularity()
+        self.joints_deg = joints
+        return None
+
+    def _limited(self, turn: Matrix) -> Matrix:
+        angle_deg = degrees(_angle(turn))
+        if angle_deg <= self._limits.max_rotation_deg:
+            return turn
+        vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        unit = vector / np.linalg.norm(vector)
+        return rotation_from_vector(unit * np.radians(self._limits.max_rotation_deg))
+
+
+def _angle(rotation: Matrix) -> float:
+    """Angle of a rotation matrix, rad; exact near zero as well."""
+    vector = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    return float(np.arctan2(np.linalg.norm(vector), np.trace(rotation) - 1.0))
+
 
 AXIS_INPUTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 FRAME_INPUTS = ("X", "Y", "Z", "A", "B", "C")

@@ -32,13 +32,13 @@ from sim.basler.camera.settings import FrameSettings
 from sim.basler.camera.timing import TriggerMoments
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.feature_registers import address_of
-from sim.kuka.arm.manipulator import Manipulator
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, cut_requests
+from sim.kuka.manipulator import Manipulator
 from sim.polaris.line.framing import LineBuffer
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.tools.definition import BadDefinition, parse_definition, write_definition

@@ -15,11 +15,11 @@ from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+from sim.kuka.autostart import Autostart
 from sim.kuka.command import kuka
-from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
-from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.arm.true_arm import TrueArm
 from sim.world.scene.model import ArmTruth
 

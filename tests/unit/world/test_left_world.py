@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from sim.errors import BadLeftWorld, TheatreRunning
-from sim.kuka.arm.manipulator import Manipulator
 from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.manipulator import Manipulator
 from sim.world import left_world
 from sim.world.faults import FaultBoard
 from sim.world.left_world import LEFT_WORLD_FILE, folder_held, read_left_world, write_left_world

@@ -11,11 +11,11 @@ import pytest
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.errors import EndpointTaken
-from sim.kuka.controller.autostart import Autostart
+from sim.kuka.autostart import Autostart
 from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S, ControllerParameters
 from sim.kuka.eki.server import EkiServer, cut_requests
 from sim.kuka.errors import ClientAddressInvalid
-from sim.kuka.rsi.rsi_socket import RsiSocket, resolve
+from sim.kuka.rsi.link import RsiSocket, resolve
 
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

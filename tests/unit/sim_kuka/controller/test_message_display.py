@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from sim.kuka.controller.message_display import MessageDisplay
-from sim.kuka.controller.messages import rsi_timeout, too_fast
+from sim.kuka.pendant import MessageDisplay, rsi_timeout, too_fast
 
 
 def test_messages_texts_and_acknowledgements_are_each_shown_once(

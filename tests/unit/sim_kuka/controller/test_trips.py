@@ -10,8 +10,8 @@ from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_eki import AckCode, RsiState
 from sim.errors import BadFaultScript
-from sim.kuka.controller.messages import TRIPS as MESSAGES
 from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.pendant import TRIPS as MESSAGES
 from sim.world.faults import FaultBoard, check_faults, parse_faults
 from sim.world.faults.robot import TRIPS
 from sim.world.scene.named_scenes import named_scene

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode, ProState
-from sim.kuka.eki.acknowledgement import Acknowledgement
-from sim.kuka.eki.motion import shares
-from sim.kuka.eki.move_commands import EkiMoves
+from sim.kuka.eki.moves import EkiMoves
+from sim.kuka.motion import Acknowledgement, shares
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.orientation import frame_of, status_and_turn
 from sim.world.arm.posture import axes_of_posture

@@ -14,7 +14,7 @@ import pytest
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.kuka_eki import STATE_PERIOD_MS
 from sim.errors import EndpointTaken
-from sim.kuka.controller.autostart import Autostart
+from sim.kuka.autostart import Autostart
 from sim.kuka.eki import server as eki_server
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel

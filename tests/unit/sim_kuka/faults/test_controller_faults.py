@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.kuka_eki import OperationMode
-from sim.kuka.faults.controller_faults import ControllerFaults
-from sim.kuka.faults.fault_log import FaultLog
-from sim.kuka.faults.link_faults import LinkFaults
+from sim.kuka.faults import ControllerFaults, FaultLog
+from sim.kuka.rsi.link import LinkFaults
 from sim.world.faults import FaultBoard
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World

@@ -9,9 +9,9 @@ from xml.etree import ElementTree
 import pytest
 
 from ronna_hw.wire.kuka_context import load_context
-from sim.kuka.faults.fault_log import FaultLog
-from sim.kuka.faults.link_faults import LinkFaults
-from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.kuka.faults import FaultLog
+from sim.kuka.rsi.link import LinkFaults
+from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.faults import parse_faults
 
 REPLY = (

@@ -17,8 +17,7 @@ from ronna_hw.wire.kuka_context import (
     load_context,
 )
 from sim.kuka.errors import EthernetFileInvalid
-from sim.kuka.rsi.reply_reader import ReplyReader
-from sim.kuka.rsi.telegram_writer import TelegramWriter
+from sim.kuka.rsi.telegrams import ReplyReader, TelegramWriter
 
 FRAME = (445.0, 0.0, 810.0, 180.0, 0.0, 180.0)
 AXES = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

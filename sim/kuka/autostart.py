@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from sim.kuka.controller.controller import Controller
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 
 

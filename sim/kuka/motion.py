@@ -8,16 +8,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.controller.messages import Message, end_switch, near_singularity, too_fast
+from ronna_hw.wire.kuka_eki import AckCode
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.eki.acknowledgement import Acknowledgement
+from sim.kuka.pendant import Message, end_switch, near_singularity, too_fast
 from sim.world.arm.joint_chain import rotation_vector
 from sim.world.arm.robot_description import RobotDescription
 from sim.world.rigid import rotation_from_vector
+
+
+class Acknowledgement(NamedTuple):
+    """A code, and the reason."""
+
+    code: AckCode = AckCode.OK
+    text: str = ""
+
+
+DONE = Acknowledgement()
+
 
 Matrix = NDArray[np.float64]
 Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]

@@ -11,10 +11,11 @@ from math import dist
 
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
-from sim.kuka.arm.manipulator import Manipulator
-from sim.kuka.controller.frame_table import FrameTable
-from sim.kuka.controller.interlocks import Interlocks
-from sim.kuka.controller.messages import (
+from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
+from sim.kuka.manipulator import FrameTable, Manipulator
+from sim.kuka.motion import DONE, Acknowledgement, EkiMotion
+from sim.kuka.pendant import (
+    Interlocks,
     Message,
     collision,
     emergency_stop,
@@ -23,12 +24,9 @@ from sim.kuka.controller.messages import (
     too_fast_for_T1,
     tripped,
 )
-from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.kuka.eki.acknowledgement import DONE, Acknowledgement
-from sim.kuka.eki.motion import EkiMotion
 from sim.kuka.rsi.program_run import RsiRun, RunSettings, StartPose
-from sim.kuka.rsi.reply_reader import Reply
 from sim.kuka.rsi.signal_flow import inputs_of
+from sim.kuka.rsi.telegrams import Reply
 
 IDLE_PROGRAM_STATES = (ProState.FREE, ProState.RESET, ProState.END)
 FULL_OVERRIDE = 100

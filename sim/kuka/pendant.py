@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import NamedTuple
 
+from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.controller_parameters import ControllerParameters
 
 RSI_OBJECT_ERROR = 29002
@@ -122,3 +125,75 @@ TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
 def tripped(name: str, parameters: ControllerParameters) -> Message:
     """The message of an injected cause."""
     return TRIPS[name](parameters)
+
+
+MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
+
+
+@dataclass
+class Interlocks:
+    """State of the interlocks. In T1 and T2 an operator is present and holds the enabling switch."""
+
+    mode: OperationMode = OperationMode.EXT
+    emergency_stop: bool = False
+    guard_open: bool = False
+    enabling_switch: bool = True  # only relevant in T1 and T2
+    start_key: bool = False  # the same; a program runs while it is held
+
+    @property
+    def manual(self) -> bool:
+        """True in the test modes."""
+        return self.mode in MANUAL_MODES
+
+    @property
+    def guard_matters(self) -> bool:
+        """Whether an open guard forbids motion; in the test modes people work inside it."""
+        return self.guard_open and not self.manual
+
+    @property
+    def forbids_drives(self) -> bool:
+        """Whether the drives cannot be switched on."""
+        return self.emergency_stop or self.guard_matters or (self.manual and not self.enabling_switch)
+
+    @property
+    def forbids_program(self) -> str:
+        """Why no program may run in this mode now; empty when one may."""
+        if self.mode is OperationMode.AUT:
+            return "mode AUT: the program can only be started at the pendant"
+        if self.manual and not self.start_key:
+            return f"mode {self.mode}: the start key is not held"
+        return ""
+
+
+LINE_BEGINS = "pendant at "  # beginning of each of its lines
+
+
+class MessageDisplay:
+    """Call `look` whenever something may have changed; `now_s` returns theatre time."""
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._message: Message | None = None
+        self._notice = ""
+
+    def look(self, message: Message | None, notice: str) -> None:
+        """Print a new message or text, and the acknowledgement of a message."""
+        if message is not self._message:
+            shown, self._message = self._message, message
+            if message is not None:
+                self._write(f"{_kss_number(message)} {message.text}")
+            elif shown is not None:
+                self._write(f"{_kss_number(shown)} acknowledged")
+        if notice != self._notice:
+            self._notice = notice
+            if notice:
+                self._write(notice)
+
+    def _write(self, what: str) -> None:
+        text = "".join(letter if letter.isprintable() else " " for letter in what)
+        sys.stderr.write(f"{LINE_BEGINS}{self._now_s():.3f} s: {text}\n")
+        sys.stderr.flush()
+
+
+def _kss_number(message: Message) -> str:
+    return f"KSS{message.number:05d}"

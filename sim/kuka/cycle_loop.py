@@ -18,18 +18,16 @@ import time
 from ronna_hw.clock import WAIT_STEP_S
 from ronna_hw.logs import logger
 from ronna_hw.wire.kuka_eki import RsiState
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
-from sim.kuka.controller.message_display import MessageDisplay
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
-from sim.kuka.faults.controller_faults import ControllerFaults
-from sim.kuka.faults.fault_log import FaultLog
-from sim.kuka.faults.link_faults import LinkFaults
+from sim.kuka.faults import ControllerFaults, FaultLog
+from sim.kuka.pendant import MessageDisplay
+from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
-from sim.kuka.rsi.reply_reader import Reply
-from sim.kuka.rsi.rsi_socket import RsiSocket
+from sim.kuka.rsi.telegrams import Reply
 from sim.world.faults import FaultBoard
 from sim.world.world import World
 
