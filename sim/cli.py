@@ -26,8 +26,7 @@ def register(app: typer.Typer) -> None:
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
-    from sim.theatre.command import fault, mount, stand, theatre, verify, work
-    from sim.theatre.scene_command import scene
+    from sim.theatre.command import fault, mount, scene, stand, theatre, verify, work
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, fault, verify):
         app.command()(command)

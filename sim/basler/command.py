@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from typing import Annotated
 
@@ -23,8 +24,7 @@ def basler(
     """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
     from ipaddress import IPv4Address
 
-    from sim.basler.kept_memory import keep_freed_memory
-    from sim.basler.pair import CameraPair
+    from sim.basler.server import CameraPair
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     addresses = address or []
@@ -46,3 +46,22 @@ def basler(
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)
     pair.serve()
+
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # from malloc.h of the GNU C library
+KEPT_BYTES = 256 << 20
+LARGEST_KEPT_BYTES = 32 << 20  # the largest value the library accepts
+
+
+def keep_freed_memory() -> bool:
+    """Set the allocator of this process; False if the C library has no such settings."""
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    settings = (
+        (M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES),
+        (M_TRIM_THRESHOLD, KEPT_BYTES),
+        (M_ARENA_MAX, 1),  # threads share one arena
+    )
+    return all([mallopt(name, value) == 1 for name, value in settings])

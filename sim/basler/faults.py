@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.blur import blurred
+from sim.basler.optics.canvas import blurred
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.camera import BOTH
 from sim.world.noise import noise

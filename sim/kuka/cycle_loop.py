@@ -58,7 +58,7 @@ class CycleLoop:
         self._servers = (project_server, sdk_server)
         log = FaultLog(self._moment)
         self._takes_second = controller.parameters.second_reply == "taken"
-        self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
+        self._link = LinkFaults(world.scene.seed, log.hit, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self._servers, self._link, log)
         self._log = logger(device="kuka")

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
+from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
+from sim.phantom.scan import FREE, XFRAME, Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
-from sim.phantom.scanner.planes import Planes
+from sim.world.rigid import apply
 from sim.world.scene.model import Scene
 from sim.world.scene.plan_feasibility import STANDOFF_MM
 
@@ -133,3 +134,65 @@ def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
             ],
         }
     )
+
+
+@dataclass(frozen=True)
+class PostoperativeCase:
+    """What was written."""
+
+    series: Path
+    truth: Path
+    series_instance_uid: str
+    slices: int
+
+
+def write_postoperative(
+    scan: PostoperativeScan,
+    instruments: tuple[Instrument, ...],
+    folder: Path,
+    progress: Progress = lambda share: None,
+) -> PostoperativeCase:
+    """Scan the head again; the truth is written last, so a folder that has it has a complete series."""
+    grid = scan.grid
+    series = DicomSeries(
+        scan.scene.model_copy(update={"ct": scan.protocol}),
+        grid,
+        folder / SERIES_FOLDER,
+        occasion=f"after the operation, {scan.seed}, {instruments}",
+    )
+    series.prepare()
+
+    def paint(number: int) -> NDArray[np.uint16]:
+        return stored_values(scan.paint(number))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for number, stored in enumerate(pool.map(paint, range(grid.slices))):
+            series.write(number, stored)
+            progress((number + 1) / grid.slices)
+    truth = folder / TRUTH_FILE
+    content = postoperative_truth(scan, instruments, series.series_instance_uid)
+    write_whole(truth, json.dumps(content, indent=1).encode())
+    return PostoperativeCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices)
+
+
+def postoperative_truth(
+    scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
+) -> dict[str, Any]:
+    """Where everything is, in the CT frame of the plan and in that of the new scan."""
+    post_from_pre = scan.pose.scan_from_head
+    return {
+        "scene": scan.scene.name,
+        "seed": scan.seed,
+        "series_instance_uid": series_instance_uid,
+        "post_from_pre": post_from_pre.tolist(),
+        "instruments": [
+            {
+                "id": one.identifier,
+                "kind": one.kind.value,
+                "tip_mm": list(one.tip_mm),
+                "outwards": list(one.outwards),
+                "tip_in_scan_mm": apply(post_from_pre, one.tip_mm).tolist(),
+            }
+            for one in instruments
+        ],
+    }

@@ -196,10 +196,9 @@ def _scan_after(
     run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
     """The postoperative CT of a run's head."""
+    from sim.phantom.case import write_postoperative
     from sim.phantom.families.drawn_scan import protocol_named
-    from sim.phantom.postoperative.case import write_postoperative
-    from sim.phantom.postoperative.instruments import Kind, instruments_of
-    from sim.phantom.postoperative.scan import draw_scan
+    from sim.phantom.postoperative_scan import Kind, draw_scan, instruments_of
 
     scene, left = instruments_of(run, Kind(instrument.value))
     scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))

@@ -6,18 +6,22 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
+from sim.errors import BadCalibrationFile, BadDeviceParameter
+from sim.kuka.controller_parameters import changed_parameters
 from sim.kuka.pendant import LINE_BEGINS
 from sim.polaris.tools.definition import write_definition
+from sim.polaris.unit.behaviour import changed_behaviour
+from sim.theatre.records import refer_to_tip
 from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
-from sim.theatre.tool_records import refer_to_tip
 from sim.world.control import Room
 from sim.world.control_port import ControlPort
 from sim.world.left_world import LeftWorld, write_left_world
@@ -166,3 +170,47 @@ def _show_controller_message(line: str) -> None:
     if line.startswith(LINE_BEGINS):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
+
+
+CALIBRATION_FILE = "calibration.toml"
+
+
+def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
+    """Records by their names in the theatre file; the later of two with the same name wins. Raises SIM-014.
+
+    Their content is checked by readers of the theatre file.
+    """
+    records: dict[str, Any] = {}
+    for path in paths:
+        file = path / CALIBRATION_FILE if path.is_dir() else path
+        try:
+            found = read_toml(file, BadCalibrationFile).get("calibration")
+        except OSError as error:
+            raise BadCalibrationFile(f"cannot read {file}: {error.strerror}") from error
+        if not isinstance(found, dict) or not found:
+            raise BadCalibrationFile(f"{file} has no table [calibration] with records")
+        records |= found
+    return records
+
+
+COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
+
+
+def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """NAME=VALUE settings per device command.
+
+    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for setting in settings:
+        device, dot, assignment = setting.partition(".")
+        if device not in COMMANDS or not dot or "=" not in assignment:
+            raise BadDeviceParameter(
+                f"{setting!r} is not DEVICE.NAME=VALUE",
+                expected=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS),
+            )
+        name = COMMANDS[device]
+        found[name] = (*found.get(name, ()), assignment)
+    changed_parameters(found.get("kuka", ()))
+    changed_behaviour(found.get("polaris", ()))
+    return found

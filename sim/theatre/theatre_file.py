@@ -20,9 +20,8 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_whole
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
-from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
-from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
-from sim.theatre.tool_records import refer_to_tip, tool_records
+from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
+from sim.theatre.records import STATED_ERROR_MM, arm_values, measured_mount, refer_to_tip, tool_records
 from sim.world.noise import noise
 from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene

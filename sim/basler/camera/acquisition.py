@@ -11,25 +11,49 @@ from dataclasses import dataclass
 from sim.basler.camera.photographer import FrameSource
 from sim.basler.camera.settings import (
     AcquisitionMode,
+    EventKind,
     FrameSettings,
     Settings,
-    Trigger,
-    TriggerSettings,
-    TriggerSource,
-)
-from sim.basler.camera.timing import (
     TheatreClock,
     Ticks,
+    Trigger,
     TriggerMoments,
+    TriggerSettings,
+    TriggerSource,
     free_running_period_us,
     readout_us,
     shortest_period_us,
 )
-from sim.basler.camera.trigger_count import TriggerCount
 from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.message.events import EventKind
-from sim.basler.stream.block import Frame
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.stream_channel import Frame, StreamChannel
+
+
+class TriggerCount:
+    """The counter behind an image's noise.
+
+    A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
+    neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
+    its way to the client changes none of those that follow.
+    """
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._sight: object = None
+        self._started = False
+
+    def start(self) -> None:
+        """AcquisitionStart."""
+        self._started = False
+
+    def next(self, sight: object) -> int:
+        """Number of a trigger. `sight` is what the image shows, for comparison; None if unknown."""
+        if self._started:
+            self._number += 1
+        elif sight is None or sight != self._sight:
+            self._number = 1
+        self._started, self._sight = True, sight
+        return self._number
+
 
 IDLE_CHECK_S = 0.5
 FRAMES_UNDER_WAY = 2  # one being drawn or sent, one being exposed

@@ -7,20 +7,16 @@ from collections.abc import Callable
 
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.acquisition import Acquisition
+from sim.basler.camera.feature_table import add_features
 from sim.basler.camera.photographer import FrameSource
-from sim.basler.camera.settings import Settings, UserSet
-from sim.basler.camera.timing import TheatreClock, Ticks, TriggerMoments
-from sim.basler.control.bootstrap import Identity, add_bootstrap
-from sim.basler.control.feature_registers import add_features
-from sim.basler.control.message_registers import add_message_channel
-from sim.basler.control.port import Actions, ControlPort
+from sim.basler.camera.settings import Settings, TheatreClock, Ticks, TriggerMoments, UserSet
+from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
+from sim.basler.control.port import Actions, ControlPort, ReplayCache
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
-from sim.basler.control.replay import ReplayCache
 from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.message.channel import MessageChannel
-from sim.basler.message.reporter import EventReporter
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.message_channel import EventReporter, MessageChannel
+from sim.basler.stream_channel import StreamChannel
 
 
 class Camera:

@@ -5,12 +5,101 @@ Those that select which events are reported are here, the others in modules of t
 
 from __future__ import annotations
 
-from sim.basler.camera.acquisition_features import ACQUISITION_FEATURES
-from sim.basler.camera.exposure_features import EXPOSURE_FEATURES
-from sim.basler.camera.features import Commands, Feature, Kind, setting
-from sim.basler.camera.image_features import IMAGE_FEATURES
-from sim.basler.camera.transport_features import TRANSPORT_FEATURES
-from sim.basler.message.events import EventKind
+import math
+import struct
+from collections.abc import Callable
+
+from ronna_hw.wire.gige_vision import GevStatus
+from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
+from sim.basler.camera.features import Commands, Feature, Kind, Number, always, constant, setting
+from sim.basler.camera.settings import EventKind, UserSet
+from sim.basler.control.registers import Refusal, RegisterMap, Word
+from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
+
+
+def _set_packet_size(commands: Commands, value: int) -> None:
+    commands.channel.packet_size = value
+
+
+TRANSPORT = "TransportLayer"
+ACTION = "ActionControl"
+SETS = "UserSets"
+TRANSPORT_FEATURES: tuple[Feature, ...] = (
+    Feature(
+        "PayloadSize",
+        Kind.INTEGER,
+        TRANSPORT,
+        "Image data of one frame.",
+        read=lambda commands: commands.settings.frame().payload_bytes,
+        unit="B",
+    ),
+    constant("GevVersionMajor", TRANSPORT, "Version of the standard.", 1, visibility="Expert"),
+    constant("GevVersionMinor", TRANSPORT, "Version of the standard.", 2, visibility="Expert"),
+    Feature(
+        "GevSCPSPacketSize",
+        Kind.INTEGER,
+        TRANSPORT,
+        "Size of a stream packet with its IP and UDP headers.",
+        read=lambda commands: commands.channel.packet_size,
+        write=_set_packet_size,
+        minimum=always(SMALLEST_PACKET_SIZE),
+        maximum=always(LARGEST_PACKET_SIZE),
+        step=PACKET_SIZE_STEP,
+        unit="B",
+        locked=True,
+    ),
+    setting(
+        "TLParamsLocked",
+        TRANSPORT,
+        "1 while the client grabs: the format is locked.",
+        "parameters_locked",
+        minimum=always(0),
+        maximum=always(1),
+        visibility="Invisible",
+    ),
+    setting("ActionDeviceKey", ACTION, "Device key of accepted action commands.", "action_device_key"),
+    setting(
+        "ActionSelector",
+        ACTION,
+        "Action to which the following features apply.",
+        "action_selector",
+        minimum=always(1),
+        maximum=always(1),
+        selects=("ActionGroupKey", "ActionGroupMask"),
+    ),
+    setting("ActionGroupKey", ACTION, "Group of the selected action.", "action_group_key"),
+    setting("ActionGroupMask", ACTION, "Mask of the group.", "action_group_mask"),
+    setting(
+        "UserSetSelector",
+        SETS,
+        "User set to load or save.",
+        "user_set_selector",
+        kind=Kind.ENUMERATION,
+        entries={
+            "Default": UserSet.DEFAULT,
+            "UserSet1": UserSet.FIRST,
+            "UserSet2": UserSet.SECOND,
+            "UserSet3": UserSet.THIRD,
+        },
+        selects=("UserSetLoad", "UserSetSave"),
+    ),
+    Feature(
+        "UserSetLoad",
+        Kind.COMMAND,
+        SETS,
+        "Load the selected user set.",
+        write=lambda it, _: it.load_user_set(),
+        locked=True,
+    ),
+    Feature(
+        "UserSetSave",
+        Kind.COMMAND,
+        SETS,
+        "Save the current settings as the selected user set; Default is read-only.",
+        write=lambda it, _: it.save_user_set(),
+    ),
+)
+
 
 EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
@@ -50,3 +139,63 @@ EVENT_FEATURES: tuple[Feature, ...] = (
 FEATURES: tuple[Feature, ...] = (
     IMAGE_FEATURES + ACQUISITION_FEATURES + EXPOSURE_FEATURES + TRANSPORT_FEATURES + EVENT_FEATURES
 )
+
+
+FEATURES_ADDRESS = 0x20000  # the standard's own addresses end below 0xA000
+BYTES_PER_FEATURE = 16
+ADDRESSES = {
+    feature.name: FEATURES_ADDRESS + number * BYTES_PER_FEATURE for number, feature in enumerate(FEATURES)
+}
+MINIMUM_OFFSET, MAXIMUM_OFFSET, STEP_OFFSET = 4, 8, 12
+
+
+def address_of(name: str) -> int:
+    """Address of a feature's value."""
+    return ADDRESSES[name]
+
+
+def add_features(registers: RegisterMap, commands: Commands) -> None:
+    """Add the registers of all features."""
+    for feature in FEATURES:
+        address = address_of(feature.name)
+        registers.add(address, _value(feature, commands))
+        if feature.minimum is None or feature.maximum is None:
+            continue
+        registers.add(address + MINIMUM_OFFSET, _limit(feature, feature.minimum, commands))
+        registers.add(address + MAXIMUM_OFFSET, _limit(feature, feature.maximum, commands))
+        if feature.kind is Kind.INTEGER:
+            registers.add(address + STEP_OFFSET, _limit(feature, always(feature.step), commands))
+
+
+def _value(feature: Feature, commands: Commands) -> Word:
+    def read() -> int:
+        # A command is never pending: it is done once its register has been written.
+        return 0 if feature.read is None else _encode(feature, feature.read(commands))
+
+    def write(word: int) -> None:
+        assert feature.write is not None
+        if feature.locked and commands.acquiring:
+            raise Refusal(GevStatus.BUSY)
+        value = _decode(feature, word)
+        if not feature.accepts(commands, value):
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        feature.write(commands, value)
+
+    return Word(read, None if feature.write is None else write)
+
+
+def _limit(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
+    return Word(lambda: _encode(feature, limit(commands)))
+
+
+def _encode(feature: Feature, value: Number) -> int:
+    if feature.kind is Kind.FLOAT:
+        return int(struct.unpack(">I", struct.pack(">f", value))[0])
+    return int(value)
+
+
+def _decode(feature: Feature, word: int) -> Number:
+    if feature.kind is not Kind.FLOAT:
+        return word
+    value = float(struct.unpack(">f", struct.pack(">I", word))[0])
+    return value if math.isfinite(value) else math.nan

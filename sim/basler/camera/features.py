@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 from sim.basler.camera.acquisition import Acquisition
 from sim.basler.camera.settings import Settings
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.stream_channel import StreamChannel
 
 Number = int | float
 

@@ -13,6 +13,7 @@ from ronna_hw.wire.gige_vision import (
     DEVICE_MODE_BIG_ENDIAN,
     DEVICE_MODE_UTF8,
     GVCP_CONFIGURATION_EXTENDED_STATUS,
+    MCP_PORT_MASK,
     SCP_PORT_MASK,
     SCPS_DO_NOT_FRAGMENT,
     SCPS_FIRE_TEST,
@@ -26,11 +27,12 @@ from ronna_hw.wire.gige_vision import (
     GevStatus,
     GvcpCapability,
 )
-from sim.basler.camera.timing import Ticks
+from sim.basler.camera.settings import Ticks
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Memory, Refusal, RegisterMap, Word
 from sim.basler.control.xml import camera_xml
-from sim.basler.stream.channel import (
+from sim.basler.message_channel import MessageChannel
+from sim.basler.stream_channel import (
     LARGEST_PACKET_SIZE,
     PACKET_SIZE_STEP,
     SMALLEST_PACKET_SIZE,
@@ -254,3 +256,38 @@ class _Stored:
 
     def write(self, value: int) -> None:
         self._value = value & self._allowed
+
+
+LONGEST_TIMEOUT_MS = 60_000
+MOST_RETRIES = 100
+
+
+def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:
+    """Add port, destination, time-out, repetitions and source port of one camera's channel."""
+
+    def set_port(value: int) -> None:
+        channel.port = value & MCP_PORT_MASK
+
+    def destination() -> int:
+        return int.from_bytes(socket.inet_aton(channel.destination), "big")
+
+    def set_destination(value: int) -> None:
+        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
+
+    def set_timeout(value: int) -> None:
+        channel.timeout_ms = _within(value, LONGEST_TIMEOUT_MS)
+
+    def set_retries(value: int) -> None:
+        channel.retries = _within(value, MOST_RETRIES)
+
+    registers.add(Bootstrap.MCP, Word(lambda: channel.port, set_port))
+    registers.add(Bootstrap.MCDA, Word(destination, set_destination))
+    registers.add(Bootstrap.MCTT_MS, Word(lambda: channel.timeout_ms, set_timeout))
+    registers.add(Bootstrap.MCRC, Word(lambda: channel.retries, set_retries))
+    registers.add(Bootstrap.MCSP, Word(lambda: channel.source_port))
+
+
+def _within(value: int, most: int) -> int:
+    if value > most:
+        raise Refusal(GevStatus.INVALID_PARAMETER)
+    return value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from xml.etree import ElementTree
@@ -12,21 +12,84 @@ from xml.etree import ElementTree
 from ronna_hw.wire.gige_vision import (
     ACA2000_50GM_NIR,
     BASLER,
+    EVENT_ITEM_BYTES,
     REGISTER_BYTES,
     TEXT_BYTES,
     TIMESTAMP_LATCH,
     TIMESTAMP_RESET,
     Bootstrap,
 )
-from sim.basler.camera.feature_table import FEATURES
+from sim.basler.camera.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
 from sim.basler.camera.features import Feature, Kind
-from sim.basler.control.event_xml import EVENT_DATA, add_event_data
-from sim.basler.control.feature_registers import (
-    MAXIMUM_OFFSET,
-    MINIMUM_OFFSET,
-    STEP_OFFSET,
-    address_of,
-)
+from sim.basler.camera.settings import EventKind
+
+
+@dataclass(frozen=True)
+class EventData:
+    """One value of one kind of event; `place` is its offset in an item."""
+
+    kind: EventKind
+    what: str
+    place: int
+    length: int
+    about: str
+
+    @property
+    def name(self) -> str:
+        """Spelled as in the family."""
+        return f"{self.kind.feature_name}Event{self.what}"
+
+    @property
+    def category(self) -> str:
+        """Its category for clients."""
+        return f"{self.kind.feature_name}EventData"
+
+    @property
+    def port(self) -> str:
+        """The port of this kind of event."""
+        return f"{self.kind.feature_name}EventPort"
+
+
+def _all_data() -> Iterator[EventData]:
+    for kind in EventKind:
+        yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
+        if kind is EventKind.EXPOSURE_END:
+            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
+        yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
+
+
+EVENT_DATA = tuple(_all_data())
+
+
+def add_event_data(root: ElementTree.Element) -> None:
+    """Add nodes, registers and ports of all kinds of events."""
+    for data in EVENT_DATA:
+        node = _node(root, "Integer", data.name)
+        _child(node, "ToolTip", data.about)
+        _child(node, "pValue", f"{data.name}Register")
+        register = _node(root, "IntReg", f"{data.name}Register")
+        for tag, text in (
+            ("Address", f"0x{data.place:X}"),
+            ("Length", str(data.length)),
+            ("AccessMode", "RO"),
+            ("pPort", data.port),
+            ("Cachable", "NoCache"),
+            ("Sign", "Unsigned"),
+            ("Endianess", "BigEndian"),
+        ):
+            _child(register, tag, text)
+    for kind in EventKind:
+        port = _node(root, "Port", f"{kind.feature_name}EventPort")
+        _child(port, "EventID", f"{kind:x}")
+
+
+def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
+
+
+def _child(node: ElementTree.Element, tag: str, text: str) -> None:
+    ElementTree.SubElement(node, tag).text = text
+
 
 NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
 SCHEMA = f"{NAMESPACE} http://www.genicam.org/GenApi/GenApiSchema_Version_1_1.xsd"
@@ -268,11 +331,3 @@ def _place(
     _child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
         _child(node, "pInvalidator", invalidator)
-
-
-def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
-    return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
-
-
-def _child(node: ElementTree.Element, tag: str, text: str) -> None:
-    ElementTree.SubElement(node, tag).text = text

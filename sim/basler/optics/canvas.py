@@ -8,9 +8,77 @@ from functools import cached_property
 from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sim.basler.optics.lens import Lens
+from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
+from sim.world.scene.model import CameraTruth
+
+Array = NDArray[np.float64]
+
+F_NUMBER = 8.0  # macro work: stopped down for depth of field
+# Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.
+SHARPEST_SIGMA_PX = 0.42 * 0.85 * F_NUMBER * 1.25 / PIXEL_PITCH_UM
+LARGEST_SIGMA_PX = 12.0  # a sphere farther out of focus is drawn with this blur
+DISC_TO_SIGMA = 0.25  # a uniform disc of diameter D has a standard deviation of D / 4 along one axis
+UNDISTORT_STEPS = 8  # each step gains about three digits with the distortion of these lenses
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Pinhole with distortion, focused at `focus_mm`."""
+
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    focus_mm: float
+
+    @classmethod
+    def of(cls, camera: CameraTruth) -> Lens:
+        """The lens of a camera, focused on the tool centre point."""
+        return cls(
+            camera.focal_px,
+            camera.principal_point_px,
+            camera.distortion,
+            camera.camera_from_tool.translation_mm[2],
+        )
+
+    def project(self, points_mm: ArrayLike) -> Array:
+        """Pixel positions (n, 2) of points (n, 3) in front of the camera."""
+        points = np.asarray(points_mm, dtype=float)
+        distorted = self._distort(points[:, :2] / points[:, 2:])
+        return distorted * self.focal_px + self.principal_point_px
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Directions (n, 2): x and y of the ray (x, y, 1) of each pixel position (n, 2)."""
+        seen = (np.asarray(pixels, dtype=float) - self.principal_point_px) / self.focal_px
+        straight = seen
+        for _ in range(UNDISTORT_STEPS):
+            straight = straight + (seen - self._distort(straight))
+        return straight
+
+    def blur_sigma_px(self, depth_mm: float) -> float:
+        """Standard deviation of the blur of a point at this depth (thin lens, uniform disc)."""
+        aperture_px = (self.focal_px[0] / (1.0 + self.magnification)) / F_NUMBER
+        disc_px = aperture_px * self.magnification * abs(depth_mm - self.focus_mm) / depth_mm
+        return min(float(np.hypot(SHARPEST_SIGMA_PX, DISC_TO_SIGMA * disc_px)), LARGEST_SIGMA_PX)
+
+    @property
+    def magnification(self) -> float:
+        """Image size over object size in the plane of focus."""
+        return self.focal_px[0] * PIXEL_PITCH_UM * 1e-3 / self.focus_mm
+
+    def _distort(self, straight: Array) -> Array:
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = straight[:, 0], straight[:, 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.column_stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ]
+        )
+
 
 Image = NDArray[np.float32]
 
@@ -121,3 +189,75 @@ class Rays:
         x += y
         x += np.float32(1.0)
         return x
+
+
+KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and faster
+SPREAD_SIGMAS = 3.5  # what is farther away adds less than 0.05 %
+
+
+def spread_px(sigma_px: float) -> int:
+    """How far the blur spreads light."""
+    return ceil(SPREAD_SIGMAS * sigma_px) + 1
+
+
+def blurred(patch: Image, sigma_px: float) -> Image:
+    """The patch (rows, columns) convolved with a Gaussian; its border is extended outwards."""
+    if sigma_px <= KERNEL_LIMIT_PX:
+        spread = spread_px(sigma_px)
+        steps = np.arange(-spread, spread + 1)
+        kernel = np.exp(-0.5 * (steps / sigma_px) ** 2)
+        kernel = (kernel / kernel.sum()).astype(np.float32)
+        return _smoothed(patch, kernel)
+    # Variance of a box of w pixels is (w^2 - 1) / 12; three of them add up. Only odd widths stay centred.
+    ideal = (4.0 * sigma_px**2 + 1.0) ** 0.5
+    small = int(ideal) - (1 - int(ideal) % 2)
+    # number of boxes of the smaller width for which the total variance is nearest to the target
+    count = round((12 * sigma_px**2 - 3 * (small * small + 4 * small + 3)) / (-4 * small - 4))
+    for index in range(3):
+        width = small if index < count else small + 2
+        patch = _box(_box(patch, width, 0), width, 1)
+    return patch
+
+
+def _smoothed(patch: Image, kernel: Image) -> Image:
+    """Along the columns, then along the rows, a few rows at a time."""
+    spread = len(kernel) // 2
+    padded = _continued(patch, spread, 0)
+    smooth = np.empty_like(patch)
+    for rows in row_bands(*patch.shape):
+        down = _weighed(padded[rows.start : rows.stop + 2 * spread], kernel, 0)
+        smooth[rows] = _weighed(_continued(down, spread, 1), kernel, 1)
+    return smooth
+
+
+def _weighed(padded: Image, kernel: Image, axis: int) -> Image:
+    """Convolution along an axis, which becomes shorter by the kernel's length less one."""
+    spread = len(kernel) // 2
+    length = padded.shape[axis] - 2 * spread
+
+    def shifted(step: int) -> Image:
+        return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
+
+    total: Image = shifted(spread) * kernel[spread]
+    pair = np.empty_like(total)
+    for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
+        np.add(shifted(step), shifted(2 * spread - step), out=pair)
+        pair *= kernel[step]
+        total += pair
+    return total
+
+
+def _box(patch: Image, width: int, axis: int) -> Image:
+    spread = width // 2
+    sums: NDArray[np.float64] = np.cumsum(_continued(patch, spread, axis), axis=axis, dtype=np.float64)
+    first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
+    sums = np.concatenate([first, sums], axis=axis)
+    ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
+    mean: Image = (ends / width).astype(np.float32)
+    return mean
+
+
+def _continued(patch: Image, spread: int, axis: int) -> Image:
+    margin = ((spread, spread), (0, 0)) if axis == 0 else ((0, 0), (spread, spread))
+    padded: Image = np.pad(patch, margin, mode="edge")
+    return padded

@@ -3,22 +3,126 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cache
+from math import cos, pi, sin
+from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.basler.optics import sphere as sphere_image
-from sim.basler.optics import stalk as stalk_image
-from sim.basler.optics.blur import blurred, spread_px
-from sim.basler.optics.canvas import Area, Canvas, Image, bounds_of
-from sim.basler.optics.film import Film, Surface
-from sim.basler.optics.foreground import CLEAR, Disturbance, nearest_to_axis, occlude, shine
-from sim.basler.optics.grain import Grain
-from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
-from sim.basler.optics.light import Lighting
-from sim.basler.optics.sphere import Sphere
-from sim.basler.optics.stalk import StalkImage
+from sim.basler.optics.canvas import (
+    LARGEST_SIGMA_PX,
+    Area,
+    Canvas,
+    Image,
+    Lens,
+    blurred,
+    bounds_of,
+    spread_px,
+)
+from sim.basler.optics.film import Film, Grain, Stain, Surface
+from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
+from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm
+from sim.world.room_shift import NOTHING_MOVED, RoomShift
 from sim.world.scene.model import CameraTruth
+
+Array = NDArray[np.float64]
+
+GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
+GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
+EDGE_SIGMAS = 4.0  # standard deviations beyond which an edge is invisible
+EDGE_STEPS = 400
+
+
+@dataclass(frozen=True)
+class Glare:
+    """A lamp reflected by something wet: a bright disc on the sensor."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """A dark object with a straight edge that hides `rim_share` of a sphere's rim from one camera.
+
+    `direction_rad` is the side it enters the image from. `brightness` is relative to the drapes behind it.
+    """
+
+    rim_share: float
+    direction_rad: float
+    brightness: float = 1.0
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """What disturbs one camera's view at one moment; comparable and hashable. Stains by sphere number."""
+
+    stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
+    occluders: tuple[Occluder, ...] = ()
+    glares: tuple[Glare, ...] = ()
+    twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
+    room: RoomShift = NOTHING_MOVED  # displacement of the spheres
+
+    def stains_of(self, number: int) -> tuple[Stain, ...]:
+        """The stains of a sphere."""
+        return tuple(stain for each, stains in self.stains if each == number for stain in stains)
+
+
+CLEAR = Disturbance()
+
+
+def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
+    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
+    outline = lens.project(sphere.outline_mm())
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    radius = float(np.ptp(outline, axis=0).mean()) / 2
+    towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
+    # A chord at the cosine of half its arc cuts off that arc.
+    edge = radius * cos(pi * occluder.rim_share)
+    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
+    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
+    x -= edge / sigma_px
+    cover = _edge(y.astype(np.float32)[:, None] + x.astype(np.float32)[None, :])
+    dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
+    canvas.light[:] += cover * (dark - canvas.light)
+
+
+def shine(canvas: Canvas, glare: Glare) -> None:
+    """Add the light of a glare."""
+    sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
+    margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
+    x, y = (round(value) for value in glare.centre_px)
+    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
+    if part.empty:
+        return
+    columns = part.x + np.arange(part.width) - glare.centre_px[0]
+    rows = part.y + np.arange(part.height) - glare.centre_px[1]
+    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
+    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _edge(beyond))
+
+
+def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
+    """The sphere that the camera is aimed at; None without any."""
+    return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
+
+
+def _edge(sigmas: Array | Image) -> Image:
+    """Coverage by an object with a blurred edge, by the distance from the edge in its sigmas."""
+    cover: Image = (sigmas > 0.0).astype(np.float32)
+    soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
+    cover[soft] = np.interp(sigmas[soft], *_edge_table())
+    return cover
+
+
+@cache
+def _edge_table() -> tuple[Array, Array]:
+    at = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, EDGE_STEPS + 1)
+    cover = np.array([NormalDist().cdf(each) for each in at])
+    cover[0], cover[-1] = 0.0, 1.0
+    return at, cover
+
 
 MARGIN_PX = spread_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
 NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
@@ -53,7 +157,7 @@ class Optics:
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
         sphere_area = bounds_of(self.lens, sphere.outline_mm()).common(canvas.area)
-        stalk_area = bounds_of(self.lens, stalk_image.outline_mm(sphere)).common(canvas.area)
+        stalk_area = bounds_of(self.lens, stalk_outline_mm(sphere)).common(canvas.area)
         parts = [part for part in (sphere_area, stalk_area) if not part.empty]
         if not parts:
             return
@@ -73,7 +177,7 @@ class Optics:
             _over(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
-        drawn = sphere_image.image_of(sphere, self.lens, sphere_area, film)
+        drawn = draw_sphere(sphere, self.lens, sphere_area, film)
         drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
         _over(canvas.part(sphere_area), drawn.cover, drawn_light)
         both = sphere_area.common(stalk_area)
@@ -85,11 +189,11 @@ class Optics:
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
         _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
-    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> StalkImage | None:
+    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
         """Post and base as they appear in an area, or None if they do not."""
         if area.empty:
             return None
-        image = stalk_image.image_of(sphere, self.lens, area)
+        image = draw_stalk(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
     def _film(self, sphere: Sphere, disturbance: Disturbance) -> Surface:

@@ -7,7 +7,7 @@ its distance inside the outline, so the rim is accurate to about 0.001 px.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Image, Rays, row_bands
+from sim.basler.optics.canvas import Area, Canvas, Image, Lens, Rays, bounds_of, row_bands
 from sim.basler.optics.film import Surface
-from sim.basler.optics.lens import Lens
 
 Vector = NDArray[np.float64]
 Values = NDArray[np.floating[Any]]
@@ -64,11 +63,8 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class SphereImage:
-    """Per pixel of `area`: coverage by the sphere, light, depth.
-
-    The depth is infinite where the centre of a pixel misses the sphere.
-    """
+class BodyImage:
+    """Coverage, light and depth per pixel of `area`; depth is infinite where a pixel's centre misses."""
 
     area: Area
     cover: Image
@@ -76,11 +72,11 @@ class SphereImage:
     depth_mm: Image
 
 
-def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereImage:
+def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> BodyImage:
     """Draw a sphere of unit brightness over `area`."""
     shape = (area.height, area.width)
     whole = Rays(lens, area)
-    image = SphereImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
+    image = BodyImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
     rims = []
     for rows in row_bands(*shape):
         inside_px = _draw_inside(sphere, lens, film, whole.in_rows(rows), image, rows)
@@ -93,7 +89,7 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereIma
 
 
 def _draw_inside(
-    sphere: Sphere, lens: Lens, film: Surface, rays: Rays, image: SphereImage, rows: slice
+    sphere: Sphere, lens: Lens, film: Surface, rays: Rays, image: BodyImage, rows: slice
 ) -> Image:
     """Some rows of an image, one ray per pixel; returns how far inside the outline each pixel is."""
     along = rays.dot(sphere.centre_mm)  # the centre projected on each ray, times the ray's length
@@ -138,7 +134,7 @@ def _sample_rim(
     lens: Lens,
     film: Surface,
     band: tuple[NDArray[np.intp], ...],
-    image: SphereImage,
+    image: BodyImage,
 ) -> None:
     rows, columns = band
     if not len(rows):
@@ -180,3 +176,122 @@ def _surface(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[
         point: Image = (depth * dot).astype(np.float32, copy=False)
         point -= np.float32(axis @ sphere.centre_mm)
         yield point
+
+
+SIDE_DARKENING = 0.6  # a cylinder's edge is this much darker than its middle
+STALK_OUTLINE_POINTS = 16
+SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the axis
+
+
+@dataclass(frozen=True)
+class Section:
+    """A cylinder on the stalk's axis; distances from the sphere's centre towards the skull."""
+
+    begin_mm: float
+    end_mm: float
+    radius_mm: float
+    brightness: float  # relative to the film
+
+
+SECTIONS = (
+    Section(4.6, 6.6, 3.5, 0.12),  # flange that the sphere sits on
+    Section(6.6, 14.0, 2.0, 0.18),  # post
+    Section(14.0, 16.0, 3.5, 0.10),  # head of the bone screw
+)
+
+
+def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
+    """Points (n, 3) that enclose a sphere's stalk, or some of its sections."""
+    across, over, post = sphere.camera_from_sphere.T
+    angle = np.linspace(0.0, 2 * np.pi, STALK_OUTLINE_POINTS, endpoint=False)[:, None]
+    circle = np.cos(angle) * across + np.sin(angle) * over
+    rings = [
+        sphere.centre_mm - along * post + section.radius_mm * circle
+        for section in sections
+        for along in (section.begin_mm, section.end_mm)
+    ]
+    return np.concatenate(rings)
+
+
+def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
+    """Draw the stalk of a sphere of unit brightness over `area`."""
+    shape = (area.height, area.width)
+    image = BodyImage(
+        area, np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
+    )
+    for section in SECTIONS:
+        part = bounds_of(lens, stalk_outline_mm(sphere, (section,))).common(area)
+        if not part.empty:
+            _add(image, part, sphere, section, lens)
+    return image
+
+
+def _add(image: BodyImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
+    whole = Rays(lens, part)
+    kept = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
+    for rows in row_bands(part.height, part.width):
+        _add_rows([each[rows] for each in kept], whole.in_rows(rows), sphere, section, lens)
+
+
+def _add_rows(kept: Sequence[Image], rays: Rays, sphere: Sphere, section: Section, lens: Lens) -> None:
+    """Draw some rows of a section over the cover, light and depth in `kept`."""
+    # From the skull end up to the sphere: seen from above, the axis points to the camera.
+    axis = sphere.camera_from_sphere[:, 2]
+    foot = sphere.centre_mm - section.end_mm * axis
+    length = section.end_mm - section.begin_mm
+    px_per_mm = lens.focal_px[0] / sphere.distance_mm
+    along_axis = rays.dot(axis)
+    cover, light, depth = _side(rays, along_axis, foot, axis, section, px_per_mm)
+    # The end facing the camera covers the side.
+    end_mm = length if foot @ axis + length < 0 else 0.0
+    end_cover, end_light, end_depth = _end(rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm)
+    on_end = end_cover > cover
+    for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
+        np.copyto(whole, end, where=on_end)
+    nearer = (cover > 0.0) & (depth < kept[2])
+    np.copyto(kept[0], np.maximum(cover, kept[0]), where=nearer)
+    np.copyto(kept[1], light, where=nearer)
+    np.copyto(kept[2], depth, where=nearer)
+
+
+def _side(
+    rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Coverage, light and depth of the curved side."""
+    radius, length = section.radius_mm, section.end_mm - section.begin_mm
+    foot_along = float(foot @ axis)
+    across = rays.squared - along_axis * along_axis  # squared component of the ray perpendicular to the axis
+    np.maximum(across, np.float32(SMALLEST_ACROSS), out=across)
+    towards = rays.dot(foot - foot_along * axis)  # the axis, projected on each ray
+    # squared distance between ray and axis, and half the ray's chord in the cylinder
+    distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
+    np.maximum(distance2, np.float32(0.0), out=distance2)
+    chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
+    depth: Image = (towards / across - chord).astype(np.float32, copy=False)
+    height = depth * along_axis - np.float32(foot_along)
+    cover = _ramp(np.float32(radius) - np.sqrt(distance2), px_per_mm)
+    cover *= (height >= 0.0) & (height <= length)
+    light: Image = (np.sqrt(across) * chord).astype(np.float32, copy=False)
+    light *= np.float32(section.brightness * SIDE_DARKENING / radius)
+    light += np.float32(section.brightness * (1 - SIDE_DARKENING))
+    return cover, light, depth
+
+
+def _end(
+    rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Coverage, light and depth of a flat end."""
+    steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
+    depth: Image = (np.float32(centre @ axis) / steep).astype(np.float32, copy=False)
+    off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
+    cover = _ramp(np.float32(section.radius_mm) - np.sqrt(np.maximum(off2, np.float32(0.0))), px_per_mm)
+    cover *= depth > 0.0
+    light: Image = (np.abs(along_axis) / np.sqrt(rays.squared)).astype(np.float32, copy=False)
+    light *= np.float32(section.brightness)
+    return cover, light, depth
+
+
+def _ramp(inside_mm: Image, px_per_mm: float) -> Image:
+    """Coverage of a pixel by how far inside an edge its centre is."""
+    cover: Image = np.clip(np.float32(0.5) + inside_mm * np.float32(px_per_mm), 0.0, 1.0)
+    return cover

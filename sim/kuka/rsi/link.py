@@ -14,7 +14,6 @@ import numpy as np
 
 from ronna_hw.endpoints import Endpoint
 from sim.kuka.errors import ClientAddressInvalid
-from sim.kuka.faults import FaultLog
 from sim.kuka.rsi.telegrams import Reply
 from sim.world.faults import Fault
 from sim.world.noise import noise
@@ -99,12 +98,12 @@ NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
 class LinkFaults:
     """One per controller. `begin_cycle` determines the active faults; then come telegram and reply."""
 
-    def __init__(self, seed: int, log: FaultLog, *, takes_second: bool = False) -> None:
+    def __init__(self, seed: int, hit: Callable[[str], None], *, takes_second: bool = False) -> None:
         """`takes_second`: of two replies to the same telegram the second counts."""
         self._takes_second = takes_second
         self._stamp: bytes | None = None  # stamp repeated in all replies while a fault holds it
         self._seed = seed
-        self._log = log
+        self._hit = hit
         self._cycle = 0
         self._acting: dict[str, list[Fault]] = {}
         self._under_way: list[tuple[int, bytes]] = []  # cycle of arrival, datagram
@@ -166,7 +165,7 @@ class LinkFaults:
             (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0
         )
         if delay_cycles:
-            self._log.hit("delay_replies")
+            self._hit("delay_replies")
             self._under_way += [(self._cycle + delay_cycles, copy) for copy in copies]
             return before
         if self._meets("reorder_replies"):
@@ -185,7 +184,7 @@ class LinkFaults:
             found = STAMP.search(datagram)
             self._stamp = self._stamp or (found[0] if found else b"0")
             datagram = STAMP.sub(self._stamp, datagram)
-            self._log.hit("constant_ipoc")
+            self._hit("constant_ipoc")
         if self._meets("missing_ipoc"):
             datagram = STAMP_ELEMENT.sub(b"", datagram)
         if self._meets("wrong_type"):
@@ -200,7 +199,7 @@ class LinkFaults:
         shares = [float(fault.argument) for fault in self._acting.get(kind, ())]
         if not shares or self._chance(kind).random() * PERCENT >= max(shares):
             return False
-        self._log.hit(kind)
+        self._hit(kind)
         return True
 
     def _broken(self, data: bytes, kind: str) -> bytes:

@@ -10,9 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import SEE_PHANTOM, BadScene
-from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest
-from sim.phantom.families.drawn_bands import draw_bands
-from sim.phantom.families.field_edge import grid_ending_at_spheres
+from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest, draw_bands
 from sim.phantom.head import obstacles
 from sim.phantom.head.anatomy import (
     CABLE_BEHIND_MM,
@@ -28,19 +26,20 @@ from sim.phantom.head.anatomy import (
     trough,
     ventricles,
 )
-from sim.phantom.head.frame_markers import (
+from sim.phantom.head.look_alikes import LookAlike, Seat
+from sim.phantom.head.obstacles import (
     FRAMES,
     SPHERES,
+    Obstacles,
     frame_fiducials,
     frame_markers,
     frame_shapes,
+    skin_point,
 )
-from sim.phantom.head.look_alikes import LookAlike, Seat
-from sim.phantom.head.obstacles import Obstacles, skin_point
 from sim.phantom.head.shapes import ellipsoid_depth
-from sim.phantom.head.streaks import Streak
 from sim.phantom.scan import FREE, Scan
-from sim.phantom.scanner.grid import CtGrid, place_grid
+from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
+from sim.phantom.scanner.painting import Streak
 from sim.world.noise import noise
 from sim.world.rigid import rotation_towards
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene

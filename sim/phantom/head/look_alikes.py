@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.anatomy import METAL_HU
-from sim.phantom.head.layers import AIR_HU
-from sim.phantom.head.round_shapes import Barrel, Capsule, Dome, Egg, Ring
-from sim.phantom.head.shapes import Ball, Point, Rod, Shape
+from sim.phantom.head.anatomy import AIR_HU, METAL_HU
+from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Point, Ring, Rod, Shape
 
 Vector = NDArray[np.float64]
 

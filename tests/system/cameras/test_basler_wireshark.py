@@ -16,11 +16,9 @@ from captured import Datagram, wireshark_reads, write_capture
 
 from drivers.basler_stereo.control import gvcp
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
-from sim.basler.camera.settings import RampImage, Settings
-from sim.basler.message.channel import MessageChannel
-from sim.basler.message.events import Event, EventKind
-from sim.basler.stream.block import Frame
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.camera.settings import Event, EventKind, RampImage, Settings
+from sim.basler.message_channel import MessageChannel
+from sim.basler.stream_channel import Frame, StreamChannel
 
 pytestmark = pytest.mark.skipif(
     shutil.which("tshark") is None,

@@ -12,7 +12,7 @@ from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
-from sim.theatre.arm_record import arm_values
+from sim.theatre.records import arm_values
 from sim.world.arm.true_arm import TrueArm
 from sim.world.scene.arm_truth import draw_arm
 from sim.world.scene.model import ArmResidual

@@ -6,7 +6,7 @@ import socket
 
 import pytest
 
-from sim.basler.addresses import bind_pair
+from sim.basler.server import bind_pair
 from sim.errors import EndpointTaken
 
 

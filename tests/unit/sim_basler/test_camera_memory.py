@@ -6,7 +6,7 @@ import sys
 SCRIPT = """
 import resource, threading
 import numpy as np
-from sim.basler.kept_memory import keep_freed_memory
+from sim.basler.command import keep_freed_memory
 
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt

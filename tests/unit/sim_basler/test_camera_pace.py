@@ -6,10 +6,16 @@ import itertools
 
 import pytest
 
+from sim.basler import stream_channel as stream
 from sim.basler.camera.settings import Settings
-from sim.basler.stream import channel as stream
-from sim.basler.stream.block import Block, Frame
-from sim.basler.stream.channel import BURST_BYTES, LONGEST_CREDIT_S, WIRE_BYTES_PER_S, StreamChannel
+from sim.basler.stream_channel import (
+    BURST_BYTES,
+    LONGEST_CREDIT_S,
+    WIRE_BYTES_PER_S,
+    Block,
+    Frame,
+    StreamChannel,
+)
 
 PACKET_BYTES = 8000
 READOUT_S = 0.02

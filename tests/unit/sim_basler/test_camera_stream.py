@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap, PixelFormat
-from sim.basler.camera.settings import Settings
-from sim.basler.camera.timing import SOFTWARE_TRIGGER_SKEW_NS, readout_us
-from sim.basler.stream.channel import KEPT_BLOCKS
+from sim.basler.camera.settings import SOFTWARE_TRIGGER_SKEW_NS, Settings, readout_us
+from sim.basler.stream_channel import KEPT_BLOCKS
 
 OK = 0
 RESEND, ACTION = 0x40, 0x100

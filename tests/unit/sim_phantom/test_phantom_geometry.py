@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 from sim.errors import BadScene
-from sim.phantom.head.anatomy import draw_anatomy
-from sim.phantom.head.layers import AIR_HU, LAYERS, HeadLayers
+from sim.phantom.head.anatomy import AIR_HU, LAYERS, HeadLayers, draw_anatomy
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
-from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import place_grid
-from sim.phantom.scanner.painting import paint
+from sim.phantom.scanner.painting import blur_weights, paint
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import named_scene
 
@@ -87,14 +85,14 @@ def test_a_body_outside_the_image_paints_nothing() -> None:
 def test_the_blur_of_an_edge_is_the_error_function_averaged_over_the_voxel() -> None:
     voxels, spacing, sigma = np.arange(-5.0, 5.5, 0.5), 0.5, 0.42
     fine = np.arange(-8.0 + 0.005, 8.0, 0.01)
-    got = blur.weights(voxels, spacing, fine, sigma) @ (fine > 0.13).astype(np.float32)
+    got = blur_weights(voxels, spacing, fine, sigma) @ (fine > 0.13).astype(np.float32)
     points = voxels[:, None] + spacing * (np.arange(100)[None, :] + 0.5) / 100 - spacing / 2
     wanted = np.array([[0.5 + 0.5 * erf((p - 0.13) / (sqrt(2) * sigma)) for p in row] for row in points])
     assert got == pytest.approx(wanted.mean(axis=1), abs=2e-3)
 
 
 def test_weights_add_up_to_one() -> None:
-    rows = blur.weights(np.arange(4.0), 1.0, np.arange(-3.0, 7.0, 0.2), 0.42)
+    rows = blur_weights(np.arange(4.0), 1.0, np.arange(-3.0, 7.0, 0.2), 0.42)
     assert rows.sum(axis=1) == pytest.approx(np.ones(4), abs=1e-6)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sim.phantom.head.anatomy import METAL_HU, Anatomy, draw_anatomy
+from sim.phantom.scan import SlicePainter
 from sim.phantom.scanner.grid import CtGrid, place_grid
-from sim.phantom.scanner.slice_painter import SlicePainter
 from sim.world.scene.model import Scene
 
 

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from sim.theatre.device_parameters import parameters_by_device
-from sim.theatre.launch import Theatre
+from sim.theatre.launch import Theatre, parameters_by_device
 from sim.world.scene.named_scenes import named_scene
 
 

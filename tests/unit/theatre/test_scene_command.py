@@ -12,7 +12,7 @@ from ronna_hw.marker_template import read_marker_template
 from sim.errors import BadScene
 from sim.phantom.case import _plan
 from sim.phantom.scan import plain_scan
-from sim.theatre.scene_command import scene
+from sim.theatre.command import scene
 from sim.world.scene.head import JIG_MM
 from sim.world.scene.model import read_scene
 from sim.world.scene.named_scenes import named_scene

@@ -12,7 +12,7 @@ from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, compared
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
-from sim.theatre.tool_records import gauge_read
+from sim.theatre.records import gauge_read
 from sim.world.arm.true_arm import TrueArm
 from sim.world.hands import Hands
 from sim.world.scene.model import Scene

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim.basler.view import View
+from sim.basler.camera.view import View
 from sim.errors import StandNotReady
 from sim.world.control import Room
 from sim.world.on_stand import OnStand

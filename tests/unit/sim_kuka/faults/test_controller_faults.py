@@ -51,7 +51,7 @@ def channel() -> SimpleNamespace:
 def faults(bench: Any, world: World, channel: Any) -> ControllerFaults:
     log = FaultLog(lambda: (0.0, None))
     board = FaultBoard(world, "robot", lambda: 1)
-    return ControllerFaults(board, bench.controller, (channel,), LinkFaults(1, log), log)
+    return ControllerFaults(board, bench.controller, (channel,), LinkFaults(1, log.hit), log)
 
 
 @pytest.mark.parametrize(("fault", "acts"), LASTING, ids=[fault for fault, _ in LASTING])

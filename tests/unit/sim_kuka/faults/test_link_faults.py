@@ -33,7 +33,7 @@ def read() -> Callable[[bytes], Any]:
 @pytest.fixture
 def link() -> Callable[..., LinkFaults]:
     def make(*lines: str, seed: int = 1) -> LinkFaults:
-        faults = LinkFaults(seed, FaultLog(moment))
+        faults = LinkFaults(seed, FaultLog(moment).hit)
         faults.look(parse_faults("\n".join(f"now: robot {line}" for line in lines)))
         return faults
 
@@ -129,7 +129,7 @@ def test_constant_ipoc_repeats_the_first_time_stamp_until_the_fault_ends(link: A
 def test_of_two_replies_to_one_telegram_the_configured_one_counts(
     read: Any, takes_second: bool, value: float
 ) -> None:
-    faults = LinkFaults(1, FaultLog(moment), takes_second=takes_second)
+    faults = LinkFaults(1, FaultLog(moment).hit, takes_second=takes_second)
     faults.look(parse_faults("now: robot delay 2 cycles"))
     faults.begin_cycle(1)
     assert faults.incoming((REPLY % 3).encode(), read) is None

@@ -23,8 +23,8 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
     GvcpFlag,
 )
+from sim.basler.camera.settings import FRAME_NUMBER, Event, EventKind, Settings, Ticks
 from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.message.events import Event
 
 DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
 EVENTS_KEPT = 32  # queued behind a pending message; more are lost
@@ -189,3 +189,29 @@ class MessageChannel:
     def _forget(self) -> None:
         self._waiting.clear()
         self._under_way = None
+
+
+"""What happened, block id (0 without a frame), theatre time in ns."""
+
+
+class EventReporter:
+    """Reports to the message channel of one camera. May be called from any thread."""
+
+    def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
+        self._settings = settings
+        self._channel = channel
+        self._ticks = ticks
+        self._overrun_reported = False
+
+    def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
+        """Called when something happened; reported if its notification is on."""
+        if kind not in self._settings().events_notified or self._channel.receiver is None:
+            return
+        data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
+        ticks = self._ticks.count(moment_ns)
+        if self._channel.tell(Event(kind, block_id, ticks, data)):
+            self._overrun_reported = False
+        elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_reported:
+            # one warning while the queue stays full; the number of lost events is not reported
+            self._overrun_reported = True
+            self._channel.tell(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

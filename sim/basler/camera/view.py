@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi, radians
+
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.basler.optics.film import drawn_stains
+from sim.basler.optics.picture import CLEAR, Disturbance, Glare, Occluder
 from sim.basler.optics.sphere import Sphere
+from sim.world.faults import Fault, FaultBoard
+from sim.world.noise import noise
 from sim.world.on_stand import OnStand
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
-from sim.world.room_shift import NOTHING_MOVED, RoomShift
+from sim.world.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
 from sim.world.scene.seating import spheres_in_theatre
 from sim.world.world import World
@@ -102,3 +110,77 @@ def _upright(post: tuple[float, float, float]) -> Pose:
     """Rotation (3, 3) whose third column is the post; the film's turn about it is arbitrary but fixed."""
     hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
     return rotation_towards(post, hint)
+
+
+PERCENT = 0.01
+SECONDS_PER_MINUTE = 60.0
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """Queries the cameras' fault board on behalf of one camera."""
+
+    world: World
+    board: FaultBoard
+    camera: CameraTruth
+    room: ShiftedRoom
+
+    @classmethod
+    def of(cls, world: World, camera: CameraTruth) -> Disturbances:
+        """The disturbances of one camera."""
+        return cls(world, FaultBoard(world, "camera"), camera, ShiftedRoom(world))
+
+    @property
+    def side(self) -> str:
+        """The camera's name in a fault script."""
+        return "left" if self.camera.serial == self.world.scene.left.serial else "right"
+
+    @cached_property
+    def worn(self) -> Disturbance:
+        """Permanent defects: spots of worn film, dark like a stain."""
+        scene = self.world.scene
+        spots = tuple(
+            (one.number, drawn_stains(scene.seed, one.number, one.worn_percent * PERCENT))
+            for one in spheres_in_theatre(scene)
+            if one.worn_percent
+        )
+        return Disturbance(stains=spots) if spots else CLEAR
+
+    def now(self) -> Disturbance:
+        """The currently active disturbances; costs one query when there are no faults."""
+        room = self.room.now()
+        if self.board.empty:
+            return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
+        seed = self.world.scene.seed
+        return Disturbance(
+            stains=self.worn.stains
+            + tuple(
+                (number, drawn_stains(seed, number, float(share) * PERCENT))
+                for number, share in (
+                    (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
+                )
+            ),
+            occluders=tuple(self._occluder(float(fault.arguments[1])) for fault in self._mine("occluder")),
+            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
+            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist"))
+            + sum(self._crept_rad(fault) for fault in self._mine("creep")),
+            room=room,
+        )
+
+    def _mine(self, kind: str) -> list[Fault]:
+        return [fault for fault in self.board.active(kind) if fault.argument == self.side]
+
+    def _crept_rad(self, fault: Fault) -> float:
+        """How far a drift fault has progressed, since it began or since its step was entered."""
+        begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
+        acting_s = self.world.clock.now_s() - begun_s
+        return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
+
+    def _occluder(self, share_percent: float) -> Occluder:
+        direction = noise(self.world.scene.seed, f"occluder of camera {self.camera.serial}", 0)
+        return Occluder(share_percent * PERCENT, float(direction.uniform(0.0, 2.0 * pi)))
+
+    def _glare(self, radius_px: float) -> Glare:
+        place = noise(self.world.scene.seed, f"glare of camera {self.camera.serial}", 0)
+        columns, rows = self.camera.sensor_px
+        return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)
