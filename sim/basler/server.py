@@ -31,6 +31,114 @@ SCRIPTED_CHECK_S = 0.01  # while there is a fault script: how quickly its events
 # A datagram is answered before the next is read, so one camera's backlog cannot starve the other.
 DATAGRAMS_AT_ONCE = 64
 
+FIRST_ADDRESS = IPv4Address("127.77.0.1")
+PAIRS_TRIED = 2000
+BROADCAST_ADDRESSES = ("255.255.255.255", "127.255.255.255")
+
+SIDES = ("left", "right")
+
+
+class CameraPair:
+    """Two cameras that serve until ended."""
+
+    def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
+        sockets = bind_pair(addresses)
+        moments = TriggerMoments(world.clock)
+        self._cameras = []
+        for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
+            # one board for the server's thread, one for the thread that takes images
+            faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
+            self._cameras.append(
+                Camera(
+                    Identity(control.getsockname()[0], truth.serial, side),
+                    Photographer(world, truth, seen),
+                    world.clock,
+                    moments,
+                    faults=faults,
+                )
+            )
+        self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _tell)
+
+    @property
+    def endpoints(self) -> dict[str, str]:
+        """Addresses of the cameras for clients."""
+        return {
+            side: f"gev://{camera.identity.address}"
+            for side, camera in zip(SIDES, self._cameras, strict=True)
+        }
+
+    def serve(self) -> None:
+        """Serve clients until `end`."""
+        for camera in self._cameras:
+            camera.open()
+        try:
+            self._server.serve()
+        finally:
+            for camera in self._cameras:
+                camera.close()
+
+    def end(self) -> None:
+        """Make `serve` return soon."""
+        self._server.end()
+
+
+def _tell(message: str) -> None:
+    sys.stderr.write(message + "\n")
+
+
+def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
+    """Control sockets on two given addresses, or on a free pair if none are given; raises SIM-004."""
+    if addresses:
+        left, right = addresses
+        return _bind(left, right)
+    for left, right in _candidates():
+        with contextlib.suppress(EndpointTaken):
+            return _bind(left, right)
+    raise EndpointTaken(
+        f"no pair of addresses from {FIRST_ADDRESS} on has UDP port {GVCP_PORT} free",
+        limit=f"{PAIRS_TRIED} pairs tried",
+    )
+
+
+def bind_broadcast() -> list[socket.socket]:
+    """Sockets that receive broadcasts from clients; several programs may listen in parallel."""
+    sockets = []
+    for address in BROADCAST_ADDRESSES:
+        listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((address, GVCP_PORT))
+        except OSError:  # a program that does not share: cameras can then be found by address only
+            listener.close()
+            continue
+        sockets.append(listener)
+    return sockets
+
+
+def _candidates() -> Iterator[tuple[str, str]]:
+    for pair in range(PAIRS_TRIED):
+        yield str(FIRST_ADDRESS + 2 * pair), str(FIRST_ADDRESS + 2 * pair + 1)
+
+
+def _bind(left: str, right: str) -> tuple[socket.socket, socket.socket]:
+    first = _bind_one(left)
+    try:
+        return first, _bind_one(right)
+    except EndpointTaken:
+        first.close()
+        raise
+
+
+def _bind_one(address: str) -> socket.socket:
+    control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        control.bind((address, GVCP_PORT))
+    except OSError as error:
+        control.close()
+        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be bound: {error.strerror}"
+        raise EndpointTaken(f"UDP port {GVCP_PORT} of {address} {reason}") from error
+    return control
+
 
 class ControlServer:
     """`sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts."""
@@ -155,113 +263,3 @@ def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
 def _same_network(own: str, other: str) -> bool:
     """A camera on the loopback network does not answer broadcasts from outside."""
     return IPv4Address(own).is_loopback == IPv4Address(other).is_loopback
-
-
-FIRST_ADDRESS = IPv4Address("127.77.0.1")
-PAIRS_TRIED = 2000
-BROADCAST_ADDRESSES = ("255.255.255.255", "127.255.255.255")
-
-
-def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
-    """Control sockets on two given addresses, or on a free pair if none are given; raises SIM-004."""
-    if addresses:
-        left, right = addresses
-        return _bind(left, right)
-    for left, right in _candidates():
-        with contextlib.suppress(EndpointTaken):
-            return _bind(left, right)
-    raise EndpointTaken(
-        f"no pair of addresses from {FIRST_ADDRESS} on has UDP port {GVCP_PORT} free",
-        limit=f"{PAIRS_TRIED} pairs tried",
-    )
-
-
-def bind_broadcast() -> list[socket.socket]:
-    """Sockets that receive broadcasts from clients; several programs may listen in parallel."""
-    sockets = []
-    for address in BROADCAST_ADDRESSES:
-        listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            listener.bind((address, GVCP_PORT))
-        except OSError:  # a program that does not share: cameras can then be found by address only
-            listener.close()
-            continue
-        sockets.append(listener)
-    return sockets
-
-
-def _candidates() -> Iterator[tuple[str, str]]:
-    for pair in range(PAIRS_TRIED):
-        yield str(FIRST_ADDRESS + 2 * pair), str(FIRST_ADDRESS + 2 * pair + 1)
-
-
-def _bind(left: str, right: str) -> tuple[socket.socket, socket.socket]:
-    first = _bind_one(left)
-    try:
-        return first, _bind_one(right)
-    except EndpointTaken:
-        first.close()
-        raise
-
-
-def _bind_one(address: str) -> socket.socket:
-    control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        control.bind((address, GVCP_PORT))
-    except OSError as error:
-        control.close()
-        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be bound: {error.strerror}"
-        raise EndpointTaken(f"UDP port {GVCP_PORT} of {address} {reason}") from error
-    return control
-
-
-SIDES = ("left", "right")
-
-
-class CameraPair:
-    """Two cameras that serve until ended."""
-
-    def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
-        sockets = bind_pair(addresses)
-        moments = TriggerMoments(world.clock)
-        self._cameras = []
-        for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
-            # one board for the server's thread, one for the thread that takes images
-            faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
-            self._cameras.append(
-                Camera(
-                    Identity(control.getsockname()[0], truth.serial, side),
-                    Photographer(world, truth, seen),
-                    world.clock,
-                    moments,
-                    faults=faults,
-                )
-            )
-        self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _tell)
-
-    @property
-    def endpoints(self) -> dict[str, str]:
-        """Addresses of the cameras for clients."""
-        return {
-            side: f"gev://{camera.identity.address}"
-            for side, camera in zip(SIDES, self._cameras, strict=True)
-        }
-
-    def serve(self) -> None:
-        """Serve clients until `end`."""
-        for camera in self._cameras:
-            camera.open()
-        try:
-            self._server.serve()
-        finally:
-            for camera in self._cameras:
-                camera.close()
-
-    def end(self) -> None:
-        """Make `serve` return soon."""
-        self._server.end()
-
-
-def _tell(message: str) -> None:
-    sys.stderr.write(message + "\n")

@@ -1,4 +1,4 @@
-"""Automatic start of the RSI program, so that a client without EKI finds a streaming controller."""
+"""Automatic start of the RSI program: a client without EKI finds a streaming controller."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 class Autostart:
     """Starts the program, and restarts it some time after a run has ended or was stopped.
 
-    After a client that disconnected, requested the end or commanded something impossible comes the next run,
-    as after a released emergency stop: without EKI no one could acknowledge the message.
+    It also acknowledges the message of a fault or a released emergency stop: without EKI nobody could.
     """
 
     def __init__(self, controller: Controller, *, wanted: bool) -> None:
@@ -18,11 +17,6 @@ class Autostart:
         self._wanted = wanted
         self._armed = wanted
         self._ended_s: float | None = None
-
-    @property
-    def wanted(self) -> bool:
-        """Whether automatic start was requested."""
-        return self._wanted
 
     def begin(self) -> None:
         """Switch on the drives and start the first run."""
@@ -43,18 +37,18 @@ class Autostart:
             controller.switch_drives(True)
             controller.start(counts_from_first_reply=True)
 
-    def give_way(self) -> None:
-        """A client starts the program explicitly: an automatic run ends."""
+    def yield_to_client(self) -> None:
+        """Disarm, and end an automatic run, because a client starts the program explicitly."""
         run = self._controller.run
         if self._armed and run is not None and run.settings.counts_from_first_reply:
             self._controller.cancel()
         self.disarm()
 
     def disarm(self) -> None:
-        """Turn automatic start off."""
+        """Suspend automatic start."""
         self._armed = False
         self._ended_s = None
 
     def arm(self) -> None:
-        """Turn automatic start on again, if it was requested."""
+        """Resume automatic start, if it was requested."""
         self._armed = self._wanted

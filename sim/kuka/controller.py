@@ -1,7 +1,7 @@
-"""The controller: drives, operating mode, messages, and the one program it runs.
+"""The controller: drives, operating mode, message, and the one program it runs.
 
-It owns no socket and no clock. `RsiRun` is the program while it streams, `EkiMotion` one motion requested
-from the EKI program; `Manipulator` is the arm.
+It owns neither socket nor clock. `RsiRun` is the program while it streams, `EkiMotion` one motion of the EKI
+program, `Manipulator` the arm.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 from sim.kuka.manipulator import FrameTable, Manipulator
 from sim.kuka.motion import DONE, Acknowledgement, EkiMotion
 from sim.kuka.pendant import (
+    TRIPS,
     Interlocks,
     Message,
     collision,
@@ -22,10 +23,9 @@ from sim.kuka.pendant import (
     enabling_switch_released,
     guard_opened,
     too_fast_for_T1,
-    tripped,
 )
 from sim.kuka.rsi.program_run import RsiRun, RunSettings, StartPose
-from sim.kuka.rsi.signal_flow import inputs_of
+from sim.kuka.rsi.signal_flow import resolve_inputs
 from sim.kuka.rsi.telegrams import Reply
 
 IDLE_PROGRAM_STATES = (ProState.FREE, ProState.RESET, ProState.END)
@@ -61,7 +61,7 @@ class Controller:
         self.parameters = parameters or ControllerParameters()
         self._overloaded = False
         self._fast_cycles = 0
-        inputs = inputs_of(context)
+        inputs = resolve_inputs(context)
         self._wired = {"AXIS": inputs.axes is not None, "POS": inputs.frame is not None}
         feeds = {wire.indx for wire in context.wiring if wire.object in ("AXISCORR", "POSCORR")}
         self.holds_corrections = all(e.holdon for e in context.receive if e.indx in feeds)
@@ -70,14 +70,14 @@ class Controller:
 
     @property
     def rsi_state(self) -> RsiState:
-        """State of the RSI program."""
+        """State of the RSI program, as the channels report it."""
         if self.run is not None:
             return self.run.state
         return RsiState.FAULT if self.message is not None else RsiState.IDLE
 
     @property
     def moving(self) -> bool:
-        """True until the arm rests."""
+        """True until the arm is at rest."""
         return self.motion is not None or not self.arm.drives.at_rest
 
     @property
@@ -86,7 +86,7 @@ class Controller:
         return self.drives_on and not self.interlocks.forbids_drives and self.message is None
 
     def ready(self) -> Acknowledgement:
-        """Whether a program may move the arm now, and if not, why."""
+        """Return DONE if a program may move the arm now, otherwise the refusal."""
         if self.run is not None:
             return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
@@ -116,7 +116,7 @@ class Controller:
         *,
         counts_from_first_reply: bool = False,
     ) -> Acknowledgement:
-        """RSI_ON with the context's settings, or with others."""
+        """RSI_ON, with the context's settings or others."""
         answer = self.ready()
         if answer is not DONE:
             return answer
@@ -154,14 +154,14 @@ class Controller:
         return DONE
 
     def select(self) -> Acknowledgement:
-        """Select the program without starting it."""
+        """Select the program, without starting it."""
         if self.run is not None or self.motion is not None or self.message is not None:
             return Acknowledgement(AckCode.REFUSED, f"program is {self.program_state}")
         self.program_state = ProState.RESET
         return DONE
 
     def stop(self, *, fast: bool = False) -> Acknowledgement:
-        """Stop the program without cancelling it: the arm brakes, RSI may continue streaming."""
+        """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
         self._interrupt("stopped", fast=fast)
         return DONE
 
@@ -180,7 +180,7 @@ class Controller:
         return DONE
 
     def move(self, motion: EkiMotion) -> None:
-        """Begin a motion of the EKI program; `ready` was checked before."""
+        """Begin a motion of the EKI program; the caller has checked `ready`."""
         self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
         self.motion = motion
         self.program_state = ProState.ACTIVE
@@ -188,7 +188,7 @@ class Controller:
     # -- drives and safety
 
     def switch_drives(self, on: bool) -> Acknowledgement:
-        """Drives on or off; off stops the arm."""
+        """Switch the drives; off stops the arm."""
         if on and self.interlocks.forbids_drives:
             return Acknowledgement(AckCode.NOT_READY, "emergency stop, guard or enabling switch")
         if not on:
@@ -197,26 +197,26 @@ class Controller:
         return DONE
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """The button on the pendant. The message can be acknowledged after its release."""
+        """Press or release the emergency stop; its message can be acknowledged after the release."""
         self.interlocks.emergency_stop = pressed
         if pressed:
             self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
 
     def open_guard(self, is_open: bool) -> None:
-        """The safety gate; in the automatic modes it stops the arm."""
+        """Open or close the safety gate; open, it stops the arm in the automatic modes."""
         self.interlocks.guard_open = is_open
         if self.interlocks.guard_matters:
             self._stop_with(guard_opened(self.parameters.guard_message))
 
     def turn_key(self, mode: OperationMode) -> None:
-        """The key switch; a change stops a running program and switches the drives off."""
+        """Turn the key switch; a change stops a running program and switches the drives off."""
         if mode is not self.interlocks.mode:
             self._interrupt(f"mode {mode}")
             self.drives_on = False
         self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
-        """The switch behind the pendant; releasing it in a test mode stops whatever runs."""
+        """Hold or release the enabling switch; releasing it in a test mode stops whatever runs."""
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
@@ -224,63 +224,63 @@ class Controller:
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
-        """The start key; releasing it in a test mode stops the program."""
+        """Hold or release the start key; releasing it in a test mode stops the program."""
         self.interlocks.start_key = held
         if self.interlocks.manual and not held and (self.run is not None or self.motion is not None):
             self._interrupt("start key released")
 
     def collide(self) -> None:
-        """The torque monitor trips: the arm brakes, holds, and shows a message."""
+        """Trip the torque monitor: the arm brakes, holds, and shows a message."""
         self._stop_with(collision(self.parameters.collision_message))
 
     def overload(self) -> None:
-        """The brakes close without a message: the program continues, the axes no longer follow."""
+        """Close the brakes without a message: the program continues, the axes no longer follow."""
         self._overloaded = True
         self.arm.drives.brake()
 
     @property
     def open_brakes(self) -> int:
-        """One bit for each axis, A1 the lowest."""
+        """$BRAKE_SIG: one bit per axis, A1 the lowest, 1 for an open brake."""
         return ALL_BRAKES if self.drives_on and not self._overloaded else 0
 
     def trip(self, name: str) -> None:
-        """End the run with one of the messages of `tripped`, as its real cause would."""
+        """End a run or motion with the message of one of `TRIPS`."""
         if self.run is not None or self.motion is not None:
-            self._fail(tripped(name, self.parameters))
+            self._fail(TRIPS[name](self.parameters))
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
+        """Clamp the axis corrections this close to their present values; None removes the clamp."""
         if self.run is not None:
             self.run.narrow_corrections(within_deg)
 
     def restart(self) -> None:
-        """The program ends without a message and is restarted once the arm is at rest."""
+        """End the program without a message; the caller restarts it once the arm is at rest."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
-    def lose_eki(self) -> None:
-        """An EKI client disconnected: its interrupt may cancel the RSI program, or nothing happens."""
+    def handle_eki_loss(self) -> None:
+        """React to a lost EKI client: by a parameter, its interrupt cancels the RSI program."""
         if self.parameters.eki_loss_cancels and self.run is not None:
             self.cancel()
 
-    # -- override
+    # -- override and frames
 
     def set_override(self, percent: int) -> Acknowledgement:
-        """Program override, for motions of the EKI program and, at most, the corrections of later runs."""
+        """Set the override of EKI motions and, by a parameter, of the corrections of later runs."""
         if not 1 <= percent <= FULL_OVERRIDE:
             return Acknowledgement(AckCode.BAD_VALUE, "override is 1 to 100")
         self.override_percent = percent
         return DONE
 
     def set_tool(self, number: int, frame: Sequence[float]) -> Acknowledgement:
-        """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and use it."""
+        """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and activate it."""
         if self.run is not None or self.motion is not None:
             return Acknowledgement(AckCode.REFUSED, "a program is running")
         self.frames.set_tool(number, frame)
         return DONE
 
     def set_base(self, number: int, frame: Sequence[float]) -> Acknowledgement:
-        """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and use it."""
+        """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and activate it."""
         if self.run is not None or self.motion is not None:
             return Acknowledgement(AckCode.REFUSED, "a program is running")
         self.frames.set_base(number, frame)
@@ -289,7 +289,7 @@ class Controller:
     # -- the cycle
 
     def finish_cycle(self, reply: Reply | None) -> None:
-        """End a cycle of the running program: apply the reply, move the arm, publish."""
+        """End a cycle of the running program: apply the reply and move the arm."""
         run = self.run
         if run is None:
             return
@@ -314,7 +314,7 @@ class Controller:
             self.arm.follow(run.command_deg, heard=reply is not None)
 
     def settle(self) -> None:
-        """One cycle without RSI: the next point of a motion, or settling."""
+        """Run one cycle without RSI: the next point of a motion, or settling."""
         motion = self.motion
         if motion is None:
             self.arm.settle()
@@ -332,10 +332,10 @@ class Controller:
         if self.arm.drives.at_rest:
             self.motion = None
             self.program_state = ProState.END
-            motion.tell(DONE)
+            motion.report(DONE)
 
     def _watch_T1(self, before: Sequence[float]) -> None:
-        """T1 monitors the tool speed: exceeding it stops the arm, it does not slow the motion."""
+        """Stop the arm when the tool exceeds the speed of T1, which is monitored, not limited."""
         if self.interlocks.mode is not OperationMode.T1:
             return
         speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
@@ -345,18 +345,18 @@ class Controller:
             self._fail(too_fast_for_T1(self.parameters.T1_speed_message, speed_mm_s, limit_mm_s))
 
     def _fail(self, message: Message) -> None:
-        """The program cannot continue: it ends with a message."""
-        self._show(message)
+        """End the program with a message."""
+        self._display(message)
         self.arm.drives.brake()
         self._abort_motion(message.text)
         self._end_run(ProState.STOP)
 
     def _stop_with(self, message: Message) -> None:
-        """An external stop: the program is stopped but may continue streaming."""
-        self._show(message)
+        """Stop the program with a message; it may go on streaming."""
+        self._display(message)
         self._interrupt(message.text)
 
-    def _show(self, message: Message) -> None:
+    def _display(self, message: Message) -> None:
         self.message = self.message or message  # the first one is the cause
         if message.drives_off:
             self.drives_on = False
@@ -377,7 +377,7 @@ class Controller:
     def _abort_motion(self, reason: str) -> None:
         motion, self.motion = self.motion, None
         if motion is not None:
-            motion.tell(Acknowledgement(AckCode.ABORTED, reason))
+            motion.report(Acknowledgement(AckCode.ABORTED, reason))
 
     def _end_run(self, state: ProState) -> None:
         self.run = None

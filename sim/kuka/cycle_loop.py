@@ -1,11 +1,11 @@
 """The controller's loop: cycles in real time or in lock-step, and the EKI channels between them.
 
-A single thread does everything: no locks, and no other thread competes for the interpreter. Waiting is one
+A single thread does everything: no locks, and no other thread competes for the interpreter. It waits in one
 `select` over the RSI socket and the channels.
 
 Real time: telegram k is sent at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram is sent
-once the reply has arrived. There, a correction that has not changed for a while is paced to real time, so
-that an idle world costs nothing, unless someone waits for theatre time.
+once the reply has arrived. An unchanged correction then slows lock-step down to real time, so that an idle
+world costs nothing, unless someone waits for theatre time.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import EkiServer
 from sim.kuka.faults import ControllerFaults, FaultLog
-from sim.kuka.pendant import MessageDisplay
+from sim.kuka.pendant import PendantDisplay
 from sim.kuka.rsi.link import LinkFaults, RsiSocket
 from sim.kuka.rsi.program_run import RsiRun
 from sim.kuka.rsi.telegrams import Reply
@@ -32,8 +32,8 @@ from sim.world.faults import FaultBoard
 from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
-REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
-READER_WAIT_S = 1.0  # ... and for a client that reads the tracker frame by frame; below its own time limit
+REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
+READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that one's limit
 LOOK_S = 0.001  # host time between checks whether someone waits for theatre time
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
 UNCHANGED_CYCLES = 50  # of correction, after which lock-step is paced
@@ -56,13 +56,13 @@ class CycleLoop:
         self._clock = world.clock
         self._client = client
         self._servers = (project_server, sdk_server)
-        log = FaultLog(self._moment)
+        log = FaultLog(self._fault_time)
         self._takes_second = controller.parameters.second_reply == "taken"
         self._link = LinkFaults(world.scene.seed, log.hit, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
         self._faults = ControllerFaults(board, controller, self._servers, self._link, log)
         self._log = logger(device="kuka")
-        self._display = MessageDisplay(world.clock.now_s)
+        self._display = PendantDisplay(world.clock.now_s)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
         self._autostart = autostart
@@ -73,7 +73,7 @@ class CycleLoop:
         self._datagram: bytes | None = None
         self._deadline_s = 0.0
         self._tick_s = self._served_s = 0.0
-        self._noticed: tuple[RsiState, bool] | None = None
+        self._reported: tuple[RsiState, bool] | None = None
         self._silent = False
         self._shared_processor = len(os.sched_getaffinity(0)) == 1  # busy waiting would starve the client
         self._unchanged = 0
@@ -81,20 +81,20 @@ class CycleLoop:
         self.cycles = 0
 
     def end(self) -> None:
-        """Leave `run` soon; may be called from a signal handler or another thread."""
+        """Make `run` return soon; may be called from a signal handler or another thread."""
         self._ending = True
 
     def run(self) -> None:
-        """Serve until `end`."""
+        """Serve until `end` is called."""
         self._autostart.begin()
         try:
             while not self._ending:
                 self._faults.poll()
-                self._show()
+                self._update_display()
                 if self._controller.run is not None:
                     self._cycle(self._controller.run)
                 elif self._rsi is not None or self._controller.moving:
-                    self._leave_run()
+                    self._settle()
                 else:
                     self._autostart.tick(time.monotonic())
                     if self._controller.run is None:
@@ -147,14 +147,14 @@ class CycleLoop:
         controller.finish_cycle(reply)
         if run.held and not controller.moving:
             self._autostart.tick(time.monotonic())
-        self._notice_change()
+        self._report_change()
         if not self._clock.paced:
             self._advance(run.settings.cycle_ms * 1_000_000)
         if lock_step:
             self._pace(run, began_s + cycle_s)
 
     def _pace(self, run: RsiRun, next_s: float) -> None:
-        """In lock-step, an unchanged correction slows the world down to real time."""
+        """Slow lock-step down to real time while the correction is unchanged."""
         if run.command_deg is not self._last_command:
             self._last_command = run.command_deg
             self._unchanged = 0
@@ -169,13 +169,13 @@ class CycleLoop:
         self._serve_timers(now_s)
 
     def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
-        """Send what the link faults leave of a telegram; False if the client cannot answer it."""
+        """Send what link faults leave of a telegram; returns False if the client cannot answer it."""
         assert self._rsi is not None
         link = self._link
-        if link.acts("foreign_sender"):
+        if link.is_active("foreign_sender"):
             self._foreign = self._foreign or RsiSocket(self._client)
             self._foreign.send(run.with_other_stamp(telegram))
-        if link.acts("short_first") and run.begins:
+        if link.is_active("short_first") and run.is_first_telegram:
             telegram = run.short_telegram()
         leaving, answerable = link.outgoing(telegram)
         if leaving is not None:
@@ -183,11 +183,11 @@ class CycleLoop:
         return answerable
 
     def _cycle_number(self) -> int:
-        """Number of the next telegram, or of the last one between runs; counted over all runs."""
+        """Number of the next telegram, or between runs of the last one; counted over all runs."""
         return self.cycles + (self._controller.run is not None)
 
-    def _moment(self) -> tuple[float, int | None]:
-        """Theatre time, and the time stamp of the next telegram."""
+    def _fault_time(self) -> tuple[float, int | None]:
+        """Theatre time, and the IPOC of the next telegram."""
         run = self._controller.run
         return self._clock.now_s(), run.ipoc if run is not None else None
 
@@ -207,8 +207,8 @@ class CycleLoop:
         self._unchanged = 0
         self._last_command = run.command_deg
 
-    def _leave_run(self) -> None:
-        """Without RSI: a motion, or coming to rest, before control of time is released."""
+    def _settle(self) -> None:
+        """Run a cycle of a motion or of coming to rest; then release the control of time."""
         if self._rsi is not None:
             self._close_rsi()
             self._deadline_s = time.monotonic()
@@ -223,14 +223,14 @@ class CycleLoop:
                 self._end_stream_at_rest()  # before the motion is reported as done
                 self._wait_once(0.0, None)  # a motion may be stopped on its way
         self._end_stream_at_rest()
-        self._notice_change()
+        self._report_change()
 
     def _end_stream_at_rest(self) -> None:
         if not self._controller.moving:
             self._clock.end_stream()
 
     def _advance(self, cycle_ns: int) -> None:
-        """Let a cycle's time pass, once a client that reads frame by frame has requested the next one."""
+        """Advance theatre time by a cycle, once a client that reads frame by frame has asked for the next."""
         limit_s = time.monotonic() + READER_WAIT_S
         while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
             if time.monotonic() > limit_s:
@@ -239,26 +239,26 @@ class CycleLoop:
             time.sleep(WAIT_STEP_S)
         self._clock.advance_cycle(cycle_ns)
 
-    def _show(self) -> None:
+    def _update_display(self) -> None:
         run = self._controller.run
-        self._display.look(self._controller.message, run.notice if run is not None else "")
+        self._display.update(self._controller.message, run.notice if run is not None else "")
         if run is not None:
-            run.rejected.tell(time.monotonic(), self._tell_rejected)
+            run.rejected.report(time.monotonic(), self._log_rejected)
 
-    def _tell_rejected(self, reason: str, count: int) -> None:
+    def _log_rejected(self, reason: str, count: int) -> None:
         self._log.info(reason, so_far=count)
 
-    def _notice_change(self) -> None:
-        """Report a changed state to the channels at once rather than at the end of their period."""
+    def _report_change(self) -> None:
+        """Make the channels report a changed state at once, not at the end of their period."""
         state = (self._controller.rsi_state, self._controller.moving)
-        if state != self._noticed:
-            self._noticed = state
+        if state != self._reported:
+            self._reported = state
             self._tick_s = 0.0
 
     # -- waiting
 
     def _reply_until(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """The reply of this cycle, or None if it has not arrived by `limit_s` (host time)."""
+        """Wait for the reply of this cycle; None if it has not arrived by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = found = None
@@ -280,13 +280,13 @@ class CycleLoop:
                 return found
 
     def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """Like `_reply_until`, waiting on the RSI socket only; the channels are served now and then."""
+        """Wait for the reply on the RSI socket only, serving the channels at times; None after `limit_s`."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = None
         awake = self._unchanged < UNCHANGED_CYCLES and not self._shared_processor
         while True:
-            data, awake = self._rsi.await_datagram(awake=awake), False
+            data, awake = self._rsi.wait_for_datagram(awake=awake), False
             now_s = time.monotonic()
             if now_s - self._served_s > SERVE_S:
                 self._wait_once(0.0, None)
@@ -300,7 +300,7 @@ class CycleLoop:
                 return None
 
     def _wait_until(self, run: RsiRun, moment_s: float) -> None:
-        """Wait, serving the channels; ends early if the run does."""
+        """Wait and serve the channels; ends early if the run does."""
         while not self._ending and self._controller.run is run:
             remaining_s = moment_s - time.monotonic()
             if remaining_s <= 0.0:
@@ -315,7 +315,7 @@ class CycleLoop:
             remaining_s = moment_s - time.monotonic()
 
     def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
-        """One `select`; serves channels and timers. True if the RSI socket is readable."""
+        """Wait once, serving channels and timers; returns True if the RSI socket is readable."""
         waiting: list[socket.socket] = [rsi] if rsi is not None else []
         for server in self._servers:
             waiting += server.sockets

@@ -1,4 +1,4 @@
-"""The drives: dead time, lag, exact settling, braking, and the motion counter.
+"""The drives: how six axes follow a command, and the supervision that trips them.
 
 Angles are encoder degrees. A list of angles is never modified in place, so an unchanged command is the same
 object, and an arm at rest costs nothing.
@@ -23,9 +23,13 @@ from sim.world.arm.robot_description import AXES, RobotDescription
 
 STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis this far caught up sticks again; fast ones slide
 
+ROUNDING_DEG = 1e-6  # six decimals on the wire
+SHORTEST_WINDOW_CYCLES = 3
+TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
+
 
 class Drives:
-    """Six axes that follow a command. `step` is called once per cycle."""
+    """Six axes with dead time, lag, exact settling, braking and a motion counter; `step` runs one cycle."""
 
     def __init__(
         self, arm: RobotDescription, start_deg: Sequence[float], parameters: ControllerParameters
@@ -49,14 +53,14 @@ class Drives:
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
 
-    def take_up(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
-        """Continue from an arm's last state: the flanks its gears rest on, and its motion so far."""
+    def restore(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
+        """Continue from an arm's last state: the gear flanks it rests on, and its motion so far."""
         self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
         self.flanks = list(self._directions)
         self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
-        """Prepare for commands every `cycle_s`, from rest, optionally behind a filter of the controller."""
+        """Expect a command every `cycle_s`, starting from rest, optionally behind a controller filter."""
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
         self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
@@ -64,29 +68,29 @@ class Drives:
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
     def step(self, command_deg: list[float], *, heard: bool = True) -> None:
-        """One cycle. `heard` is false if no reply brought the command: then it carries no new information."""
+        """Advance one cycle. `heard` is false when the command is only held, because no reply arrived."""
         if command_deg is self.command_deg:
             if self.at_rest:
                 return
             if heard:
                 self._in_motion = False
         else:
-            self._note_movement(command_deg)
+            self._count_motion(command_deg)
         self._pending.append(command_deg)
         follow_deg = self._pending.popleft()
         wanted_deg = follow_deg if self._filter_share == 1.0 else self._filter(follow_deg)
         share, before = self._share, self.axes_deg
         axes = [y + share * (u - y) for u, y in zip(wanted_deg, before, strict=True)]
         if self._slipping:
-            self._stick(axes, before, wanted_deg)
+            self._hold_sticking(axes, before, wanted_deg)
         self.flanks = [
             flank + share * (direction - flank)
             for direction, flank in zip(self._directions, self.flanks, strict=True)
         ]
         self.command_deg = command_deg
-        if follow_deg is command_deg and self._arrived(axes, command_deg):
+        if follow_deg is command_deg and self._has_arrived(axes, command_deg):
             # The pose at rest is exact: it depends on the command and the flanks, not on the time taken.
-            self.axes_deg = self._resting(axes, command_deg)
+            self.axes_deg = self._rest_position(axes, command_deg)
             self.flanks = list(self._directions)
             self._speed_deg_s = [0.0] * AXES
             self._pending = deque([command_deg] * self._parameters.dead_time_cycles)
@@ -99,19 +103,19 @@ class Drives:
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
     def brake(self, *, fast: bool = False) -> None:
-        """Stop along the axes' braking ramps, whatever was commanded."""
+        """Stop on the axes' braking ramps, ignoring commands."""
         self._braking = not self.at_rest
         parameters = self._parameters
         self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
 
     def stick(self, axes: frozenset[int]) -> None:
-        """Set which axes (0 to 5) have stick-slip from now on."""
+        """Set the axes (0 to 5) that have stick-slip."""
         if axes != self._slipping.keys():
             self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
             self.at_rest = self.at_rest and self.axes_deg == self.command_deg
 
     def settle(self) -> None:
-        """One cycle without a program: finish braking, or reach the last command."""
+        """Advance one cycle without a program: finish braking, or reach the last command."""
         if not self._braking:
             self.step(self.command_deg)
             return
@@ -140,7 +144,7 @@ class Drives:
         ]
         return self._filtered_deg
 
-    def _arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
+    def _has_arrived(self, axes_deg: list[float], command_deg: list[float]) -> bool:
         limit = self._parameters.rest_error_deg
         if self._slipping:
             return all(
@@ -149,8 +153,8 @@ class Drives:
             )
         return all(-limit < u - y < limit for u, y in zip(command_deg, axes_deg, strict=True))
 
-    def _stick(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
-        """Hold the sticking axes until the command is far enough ahead; then they catch up."""
+    def _hold_sticking(self, axes_deg: list[float], before_deg: list[float], follow_deg: list[float]) -> None:
+        """Hold each sticking axis until the command is far enough ahead, then let it catch up."""
         for axis in self._slipping:
             ahead = abs(follow_deg[axis] - before_deg[axis])
             if ahead > self._parameters.stick_breakaway_deg:
@@ -160,14 +164,14 @@ class Drives:
             if not self._slipping[axis]:
                 axes_deg[axis] = before_deg[axis]
 
-    def _resting(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
-        """Where the arm rests: exactly at the command, except for sticking axes."""
+    def _rest_position(self, axes_deg: list[float], command_deg: list[float]) -> list[float]:
+        """Return the rest position: exactly the command, except for sticking axes."""
         held = [axis for axis, slips in self._slipping.items() if not slips]
         if not held:
             return command_deg
         return [axes_deg[axis] if axis in held else angle for axis, angle in enumerate(command_deg)]
 
-    def _note_movement(self, command_deg: list[float]) -> None:
+    def _count_motion(self, command_deg: list[float]) -> None:
         reversal, fastest = self._parameters.reversal_deg, 0.0
         extremes, directions = self._extremes_deg, self._directions
         for axis, (new, old) in enumerate(zip(command_deg, self.command_deg, strict=True)):
@@ -185,13 +189,12 @@ class Drives:
         self._in_motion = moving
 
 
-ROUNDING_DEG = 1e-6  # six decimals on the wire
-SHORTEST_WINDOW_CYCLES = 3
-TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
-
-
 class Supervision:
-    """Checks every new command against the previous ones; one object per run."""
+    """Drive supervision of one run: rejects steps, speeds, accelerations and angles no arm can follow.
+
+    Steps are judged from cycle to cycle, speed and acceleration only if they persist, so that one value held
+    over a lost reply, and the longer step after it, pass at the speeds of a careful client.
+    """
 
     def __init__(
         self,
@@ -201,7 +204,7 @@ class Supervision:
         *,
         cartesian: bool = False,
     ) -> None:
-        """`cartesian`: a pose is corrected, so a wrist axis that cannot follow indicates a singularity."""
+        """`cartesian`: poses are corrected, so a wrist axis that cannot follow indicates a singularity."""
         self._arm = arm
         self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s
@@ -224,7 +227,7 @@ class Supervision:
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
     def within_range(self, command_deg: list[float]) -> list[float]:
-        """The command clipped at the software end switches; the same object if nothing is beyond them."""
+        """Clip the command at the software end switches; the same object if nothing is beyond them."""
         cut = [
             min(max(angle, joint.lower_deg), joint.upper_deg)
             for angle, joint in zip(command_deg, self._arm.joints, strict=True)
@@ -232,10 +235,10 @@ class Supervision:
         return command_deg if cut == command_deg else cut
 
     def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
-        """None when the arm can follow, otherwise the message of the stop.
+        """Return the message of a stop, or None when the arm can follow.
 
-        Acceleration is judged from replies: values held for missing replies (`heard` is false) are not, and
-        after a few of them the next command starts from rest.
+        Values held for missing replies (`heard` is false) do not count as acceleration; after a few of them
+        the next command starts from rest.
         """
         past, window = self._past, self._window
         if command_deg is before_deg:

@@ -1,4 +1,4 @@
-"""Log of injected faults: one line on standard error, with the telegram, when one begins or ends."""
+"""The fault script applied to controller, arm and EKI channels, and the log of injected faults."""
 
 from __future__ import annotations
 
@@ -7,23 +7,32 @@ from collections.abc import Callable, Sequence
 
 from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.controller import Controller
-from sim.kuka.eki.server import EkiServer, after_garbage, half, padded
+from sim.kuka.eki.server import EkiServer, half, padded, with_garbage
 from sim.kuka.rsi.link import LinkFaults
 from sim.kuka.rsi.program_run import RunSettings
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.robot import ROBOT_FAULTS
 
+MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
+EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
+    "eki_cut": EkiServer.drop,
+    "eki_overflow": EkiServer.fill_buffer,
+    "eki_half": lambda server: server.corrupt_next(half),
+    "eki_garbage": lambda server: server.corrupt_next(with_garbage),
+    "eki_padding": lambda server: server.corrupt_next(padded),
+}
+
 
 class FaultLog:
-    """Logs when faults begin and end. `moment` returns theatre time (s) and the telegram's stamp."""
+    """Prints on standard error when faults begin and end. `moment` returns theatre time (s) and the IPOC."""
 
     def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
         self._moment = moment
         self._acting: dict[tuple[int, float | None], Fault] = {}
         self._hits: dict[str, int] = {}
 
-    def look(self, acting: tuple[Fault, ...]) -> None:
-        """Log what has begun and ended since the last call."""
+    def update(self, acting: tuple[Fault, ...]) -> None:
+        """Log the faults that have begun or ended since the last call."""
         now = {(fault.line, fault.at_s): fault for fault in acting}
         for key, fault in now.items():
             if key not in self._acting:
@@ -35,7 +44,7 @@ class FaultLog:
         self._acting = now
 
     def hit(self, kind: str) -> None:
-        """Count one telegram or reply affected by a lasting fault."""
+        """Count a telegram or reply affected by a lasting fault."""
         self._hits[kind] = self._hits.get(kind, 0) + 1
 
     def happened(self, fault: Fault) -> None:
@@ -56,18 +65,8 @@ def _named(fault: Fault) -> str:
     return " ".join([fault.kind.device, *words])
 
 
-MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
-EKI_HAPPENINGS: dict[str, Callable[[EkiServer], None]] = {
-    "eki_cut": EkiServer.drop,
-    "eki_overflow": EkiServer.overflow,
-    "eki_half": lambda server: server.spoil_next(half),
-    "eki_garbage": lambda server: server.spoil_next(after_garbage),
-    "eki_padding": lambda server: server.spoil_next(padded),
-}
-
-
 class ControllerFaults:
-    """Applies the script to the controller, once per cycle."""
+    """Applies the fault script to the controller, once per cycle."""
 
     def __init__(
         self,
@@ -86,12 +85,12 @@ class ControllerFaults:
         self._restart: RunSettings | None = None
 
     def poll(self) -> None:
-        """Apply what has become due; no effect without a robot fault in the script."""
+        """Apply the faults that have become due."""
         if self._board.empty and self._quiet:
             return
         acting = self._board.acting()
-        self._log.look(acting)
-        self._link.look(acting)
+        self._log.update(acting)
+        self._link.set_active(acting)
         arguments = {fault.kind.name: fault.argument for fault in acting}
         controller, interlocks = self._controller, self._controller.interlocks
         mode = OperationMode(arguments.get("mode", OperationMode.EXT))
@@ -112,29 +111,29 @@ class ControllerFaults:
             controller.hold_start_key(key)
             turned = True
         if key and interlocks.manual:
-            self._attend(newly=turned)
+            self._act_as_operator(newly=turned)
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)
         controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
         for server in self._servers:
             server.silent = "eki_silence" in arguments
-            server.taken = "eki_taken" in arguments
+            server.occupied = "eki_taken" in arguments
         for kind in MOMENTARY:
             for fault in self._board.happened(kind):
                 self._log.happened(fault)
-                self._happen(fault)
-        self._start_again()
+                self._inject(fault)
+        self._restart_program()
         self._quiet = not acting and self._restart is None
 
-    def _attend(self, *, newly: bool) -> None:
-        """Holding the start key in a test mode includes holding the enabling switch, and confirming."""
+    def _act_as_operator(self, *, newly: bool) -> None:
+        """Switch on the drives and confirm: whoever holds the start key in a test mode does both."""
         if newly and not self._controller.drives_on:
             self._controller.switch_drives(True)
         run = self._controller.run
         if run is not None and run.awaits_confirmation:
             self._controller.acknowledge()
 
-    def _happen(self, fault: Fault) -> None:
+    def _inject(self, fault: Fault) -> None:
         controller, kind = self._controller, fault.kind.name
         if kind == "trip":
             controller.trip(fault.argument)
@@ -150,10 +149,10 @@ class ControllerFaults:
                 controller.restart()
         else:
             for server in self._servers:
-                EKI_HAPPENINGS[kind](server)
+                EKI_FAULTS[kind](server)
 
-    def _start_again(self) -> None:
-        """A restarted program begins where the arm came to rest."""
+    def _restart_program(self) -> None:
+        """Start the program again where the arm came to rest."""
         settings = self._restart
         if settings is None or self._controller.moving:
             return

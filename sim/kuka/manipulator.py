@@ -1,4 +1,4 @@
-"""The arm in its world: drives, nominal geometry for the controller, true geometry for the observers."""
+"""The arm in its world: drives, nominal geometry for the controller, true geometry for observers."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from sim.world.scene.model import ArmTruth
 from sim.world.world import ArmState
 
 Matrix = NDArray[np.float64]
-NO_FRAME = np.eye(4)
-WAY_POINTS = 40  # checked before a straight path is accepted
+IDENTITY = np.eye(4)
+WAYPOINTS = 40  # checked before a straight path is accepted
 
 
 class Manipulator:
-    """Moves the arm and publishes the flange's true pose."""
+    """Moves the arm and publishes its true flange pose."""
 
     def __init__(
         self,
@@ -34,14 +34,16 @@ class Manipulator:
         seed: int,
         publish: Callable[[ArmState], None],
         parameters: ControllerParameters,
-        left: ArmState | None = None,
+        resume_from: ArmState | None = None,
     ) -> None:
-        """`left` is the arm's last state in a continued world; otherwise it starts at home."""
+        """`resume_from` is the arm's last state in a continued world; without one it starts at home."""
         self.description = description(truth.variant)
-        start_deg = truth.home_deg if left is None else [degrees(angle) for angle in left.joints_rad]
+        start_deg = (
+            truth.home_deg if resume_from is None else [degrees(angle) for angle in resume_from.joints_rad]
+        )
         self.drives = Drives(self.description, start_deg, parameters)
-        if left is not None:
-            self.drives.take_up(left.flanks, left.motion_number, left.moved_s)
+        if resume_from is not None:
+            self.drives.restore(resume_from.flanks, resume_from.motion_number, resume_from.moved_s)
         self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish
@@ -69,12 +71,12 @@ class Manipulator:
 
     @property
     def frame(self) -> list[float]:
-        """X Y Z (mm) A B C (deg) of the tool in BASE, according to the controller."""
+        """X Y Z (mm) A B C (deg) of the tool in BASE, by the nominal geometry."""
         return self._frame_at(self.drives.axes_deg)
 
     @property
     def reported_frame(self) -> list[float]:
-        """The same for the reported axes; the same object while nothing moves."""
+        """X Y Z (mm) A B C (deg) of the tool at the reported axes; the same object while nothing moves."""
         reported_deg = self.reported_deg
         if self._reported_frame is None:
             self._reported_frame = self._frame_at(reported_deg)
@@ -83,7 +85,7 @@ class Manipulator:
     @property
     def base(self) -> Matrix:
         """$BASE in $ROBROOT, (4, 4)."""
-        return NO_FRAME if self._base is None else self._base
+        return IDENTITY if self._base is None else self._base
 
     def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
         """Nominal pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
@@ -95,45 +97,45 @@ class Manipulator:
         pose = self.tool_point(axes_deg)
         return frame_of(pose if self._base is None else inverse(self._base) @ pose)
 
-    def tool_travel_mm(self, goal_deg: Sequence[float]) -> float:
-        """Largest tool speed, in mm per path parameter, of a synchronous motion to a goal."""
+    def peak_tool_speed_mm(self, goal_deg: Sequence[float]) -> float:
+        """Return the peak tool speed, in mm per unit path parameter, of a synchronous motion to a goal."""
         start_deg = self.drives.axes_deg
         places = [
-            self.tool_point([a + n / WAY_POINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
+            self.tool_point([a + n / WAYPOINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
                 :3, 3
             ]
-            for n in range(WAY_POINTS + 1)
+            for n in range(WAYPOINTS + 1)
         ]
-        return WAY_POINTS * max(dist(a, b) for a, b in pairwise(places))
+        return WAYPOINTS * max(dist(a, b) for a, b in pairwise(places))
 
     def _flange_of(self, tool_point: Matrix) -> Matrix:
         return tool_point if self._tool is None else tool_point @ inverse(self._tool)
 
     def set_tool(self, tool: Matrix) -> None:
-        """Use another $TOOL, (4, 4) in the flange frame."""
+        """Set $TOOL, (4, 4) in the flange frame."""
         self._tool, self._reported_frame = tool, None
 
     def set_base(self, base: Matrix) -> None:
-        """Use another $BASE, (4, 4) in $ROBROOT."""
+        """Set $BASE, (4, 4) in $ROBROOT."""
         self._base, self._reported_frame = base, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
-        """Joint angles (deg) that bring the tool to a nominal pose; None if it fails."""
+        """Solve for the joint angles (deg) at a nominal tool pose, near others; None if it fails."""
         flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
 
     def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
-        """Axes (deg) that bring the tool to a pose (4, 4) in BASE with posture S T; None out of reach."""
+        """Solve for the axes (deg) at a tool pose (4, 4) in BASE with posture S T; None out of reach."""
         flange = self._flange_of(self.base @ frame)
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
-    def joints_on_the_way(self, tool_point: Matrix) -> list[float] | None:
-        """Axes (deg) at the end of a straight line to a pose in $ROBROOT; None if there is none."""
+    def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
+        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT; None without one."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
-        for number in range(1, WAY_POINTS + 1):
-            share = number / WAY_POINTS
+        for number in range(1, WAYPOINTS + 1):
+            share = number / WAYPOINTS
             pose = np.eye(4)
             pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
             pose[:3, 3] = start[:3, 3] + share * (tool_point[:3, 3] - start[:3, 3])
@@ -147,17 +149,17 @@ class Manipulator:
         return near_deg
 
     def follow(self, command_deg: list[float], *, heard: bool) -> None:
-        """One cycle towards a command."""
+        """Advance one cycle towards a command."""
         self.drives.step(command_deg, heard=heard)
         self.publish()
 
     def settle(self) -> None:
-        """One cycle of settling without a command."""
+        """Advance one cycle without a command."""
         self.drives.settle()
         self.publish()
 
     def publish(self) -> None:
-        """Publish the flange's pose if it has changed."""
+        """Publish the flange pose if it has changed."""
         drives = self.drives
         if drives.at_rest and self._published == (id(drives.axes_deg), True):
             return
@@ -182,7 +184,7 @@ class Manipulator:
 
 
 class FrameTable:
-    """Tools in the flange frame and bases in $ROBROOT, (4, 4); number 0 is the flange, or $ROBROOT."""
+    """$TOOL_DATA and $BASE_DATA by number, (4, 4) in the flange frame or $ROBROOT; 0 is the identity."""
 
     def __init__(self, arm: Manipulator) -> None:
         self._arm = arm
@@ -192,17 +194,17 @@ class FrameTable:
         self.base_number = 0
 
     def set_tool(self, number: int, frame: Sequence[float]) -> None:
-        """Define a tool and use it; X Y Z (mm) A B C (deg)."""
+        """Define a tool, X Y Z (mm) A B C (deg), and activate it."""
         self._tools[number] = pose_of_frame(frame)
         self.use(number, self.base_number)
 
     def set_base(self, number: int, frame: Sequence[float]) -> None:
-        """Define a base and use it; X Y Z (mm) A B C (deg)."""
+        """Define a base, X Y Z (mm) A B C (deg), and activate it."""
         self._bases[number] = pose_of_frame(frame)
         self.use(self.tool_number, number)
 
     def use(self, tool_number: int, base_number: int) -> None:
-        """Activate a tool and a base; ValueError for a number that was never defined."""
+        """Activate a tool and a base; raises ValueError for an undefined number."""
         if tool_number not in self._tools:
             raise ValueError(f"tool {tool_number} is not defined")
         if base_number not in self._bases:

@@ -1,6 +1,6 @@
-"""One motion of the EKI program: PTP_AXIS, PTP_POS or LIN, as one command per cycle.
+"""The interpolator: one motion of the EKI program as one command per cycle, and its acknowledgement.
 
-The controller's interpolator knows only the nominal arm; the true arm follows its encoders.
+It knows only the nominal arm; the true arm follows its encoders.
 """
 
 from __future__ import annotations
@@ -20,9 +20,12 @@ from sim.world.arm.joint_chain import rotation_vector
 from sim.world.arm.robot_description import RobotDescription
 from sim.world.rigid import rotation_from_vector
 
+Matrix = NDArray[np.float64]
+Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
+
 
 class Acknowledgement(NamedTuple):
-    """A code, and the reason."""
+    """The controller's answer to a request: a code and the reason."""
 
     code: AckCode = AckCode.OK
     text: str = ""
@@ -31,20 +34,16 @@ class Acknowledgement(NamedTuple):
 DONE = Acknowledgement()
 
 
-Matrix = NDArray[np.float64]
-Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
-
-
 @dataclass
 class EkiMotion:
-    """A motion in progress. `tell` is called once with its outcome."""
+    """A motion in progress. `report` is called once, with its outcome."""
 
     points: Iterator[list[float] | Message]
-    tell: Callable[[Acknowledgement], None]
+    report: Callable[[Acknowledgement], None]
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
-        """Axes (deg) for the next cycle; None at the end, with `message` if it was aborted."""
+        """Return the axes (deg) for the next cycle; None at the end, with `message` if it was aborted."""
         point = next(self.points, None)
         if isinstance(point, Message):
             self.message = point
@@ -52,21 +51,21 @@ class EkiMotion:
         return point
 
 
-def shares(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
-    """Path parameter from 0 to 1 with a trapezoidal speed profile, cycle by cycle; the last is 1."""
+def path_parameters(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
+    """Yield the path parameter, 0 to 1, of a trapezoidal speed profile cycle by cycle; the last is 1."""
     speed = min(speed_1_s, acceleration_1_s2**0.5)  # the path may be too short to reach the speed
     ramp_s = speed / acceleration_1_s2
     cruise_s = 1.0 / speed - ramp_s
     total_s = 2.0 * ramp_s + cruise_s
     for number in range(1, max(1, round(total_s / cycle_s))):
         time_s = number * cycle_s
-        left_s = total_s - time_s
+        remaining_s = total_s - time_s
         if time_s < ramp_s:
             yield acceleration_1_s2 * time_s**2 / 2.0
-        elif left_s > ramp_s:
+        elif remaining_s > ramp_s:
             yield speed * (time_s - ramp_s / 2.0)
         else:
-            yield 1.0 - acceleration_1_s2 * max(0.0, left_s) ** 2 / 2.0
+            yield 1.0 - acceleration_1_s2 * max(0.0, remaining_s) ** 2 / 2.0
     yield 1.0
 
 
@@ -79,7 +78,7 @@ def point_to_point(
     cycle_s: float,
     fastest_1_s: float = inf,
 ) -> Iterator[list[float] | Message]:
-    """All axes start and end together; the slowest sets the pace. Fractions are of the axis limits.
+    """Yield a synchronous motion (deg): the slowest axis sets the pace. Shares are of the axis limits.
 
     `fastest_1_s` limits the speed, in whole paths per second.
     """
@@ -91,7 +90,7 @@ def point_to_point(
             accelerations.append(joint.acceleration_deg_s2 * acceleration_share / abs(way))
     if not speeds:
         return
-    for share in shares(min(fastest_1_s, *speeds), min(accelerations), cycle_s):
+    for share in path_parameters(min(fastest_1_s, *speeds), min(accelerations), cycle_s):
         if share == 1.0:
             yield list(goal_deg)
         else:
@@ -108,7 +107,7 @@ def line(
     parameters: ControllerParameters,
     cycle_s: float,
 ) -> Iterator[list[float] | Message]:
-    """The tool centre point on a straight line, (4, 4) in $ROBROOT, turning uniformly about one axis."""
+    """Yield axes (deg) that move the tool on a straight line, (4, 4) in $ROBROOT, turning about one axis."""
     turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
     length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
     angle_rad = float(np.linalg.norm(turn))
@@ -124,7 +123,7 @@ def line(
     if not speeds:
         return
     before = list(start_deg)
-    for share in shares(min(speeds), min(accelerations), cycle_s):
+    for share in path_parameters(min(speeds), min(accelerations), cycle_s):
         pose = np.eye(4)
         pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
         pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
@@ -132,15 +131,15 @@ def line(
         if axes is None:
             yield near_singularity()
             return
-        mistake = _judge(arm, axes, before, parameters, cycle_s)
-        if mistake is not None:
-            yield mistake
+        message = _check_limits(arm, axes, before, parameters, cycle_s)
+        if message is not None:
+            yield message
             return
         before = axes
         yield axes
 
 
-def _judge(
+def _check_limits(
     arm: RobotDescription,
     axes_deg: list[float],
     before_deg: list[float],

@@ -1,4 +1,7 @@
-"""Messages that the controller shows when it stops: KUKA's numbers, our own wording."""
+"""The teach pendant: messages of a stopped controller, its interlocks and keys, and the printed display.
+
+Messages have KUKA's numbers and our own wording.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,13 @@ COMMAND_ACCELERATION = 1074
 COMMAND_VELOCITY = 1102
 OVERSPEED = 421
 
+MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
+
+PENDANT_PREFIX = "pendant at "  # of each line of the display
+
 
 class Message(NamedTuple):
-    """A message to be acknowledged. `drives_off`: the drives stop; otherwise the arm brakes on its path."""
+    """A message to acknowledge. With `drives_off` the drives stop, otherwise the arm brakes on its path."""
 
     number: int
     text: str
@@ -106,7 +113,7 @@ def collision(number: int) -> Message:
     return Message(number, "collision detected: torque beyond the monitored range", True)
 
 
-# Causes that end a run, by their name in a fault script; the axis is the first.
+# Trips by their name in a fault script; always of the first axis.
 TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
     "timeout": lambda _: Message(
         RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False
@@ -122,27 +129,19 @@ TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
 }
 
 
-def tripped(name: str, parameters: ControllerParameters) -> Message:
-    """The message of an injected cause."""
-    return TRIPS[name](parameters)
-
-
-MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
-
-
 @dataclass
 class Interlocks:
-    """State of the interlocks. In T1 and T2 an operator is present and holds the enabling switch."""
+    """State of interlocks and keys. In T1 and T2 an operator is present and holds the enabling switch."""
 
     mode: OperationMode = OperationMode.EXT
     emergency_stop: bool = False
     guard_open: bool = False
-    enabling_switch: bool = True  # only relevant in T1 and T2
-    start_key: bool = False  # the same; a program runs while it is held
+    enabling_switch: bool = True  # matters in T1 and T2 only
+    start_key: bool = False  # in T1 and T2 a program runs while it is held
 
     @property
     def manual(self) -> bool:
-        """True in the test modes."""
+        """True in the test modes T1 and T2."""
         return self.mode in MANUAL_MODES
 
     @property
@@ -157,7 +156,7 @@ class Interlocks:
 
     @property
     def forbids_program(self) -> str:
-        """Why no program may run in this mode now; empty when one may."""
+        """Reason why no program may run in this mode now; empty when one may."""
         if self.mode is OperationMode.AUT:
             return "mode AUT: the program can only be started at the pendant"
         if self.manual and not self.start_key:
@@ -165,19 +164,16 @@ class Interlocks:
         return ""
 
 
-LINE_BEGINS = "pendant at "  # beginning of each of its lines
-
-
-class MessageDisplay:
-    """Call `look` whenever something may have changed; `now_s` returns theatre time."""
+class PendantDisplay:
+    """Prints messages, and EStr texts of the client, on standard error. `now_s` returns theatre time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s
         self._message: Message | None = None
         self._notice = ""
 
-    def look(self, message: Message | None, notice: str) -> None:
-        """Print a new message or text, and the acknowledgement of a message."""
+    def update(self, message: Message | None, notice: str) -> None:
+        """Print what is new: a message, its acknowledgement, or a text."""
         if message is not self._message:
             shown, self._message = self._message, message
             if message is not None:
@@ -191,7 +187,7 @@ class MessageDisplay:
 
     def _write(self, what: str) -> None:
         text = "".join(letter if letter.isprintable() else " " for letter in what)
-        sys.stderr.write(f"{LINE_BEGINS}{self._now_s():.3f} s: {text}\n")
+        sys.stderr.write(f"{PENDANT_PREFIX}{self._now_s():.3f} s: {text}\n")
         sys.stderr.flush()
 
 

@@ -17,7 +17,7 @@ from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.errors import BadCalibrationFile, BadDeviceParameter
 from sim.kuka.controller_parameters import changed_parameters
-from sim.kuka.pendant import LINE_BEGINS
+from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.behaviour import changed_behaviour
 from sim.theatre.records import refer_to_tip
@@ -167,7 +167,7 @@ class Theatre:
 
 def _show_controller_message(line: str) -> None:
     """A message on the robot's pendant is one of the theatre."""
-    if line.startswith(LINE_BEGINS):
+    if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
 

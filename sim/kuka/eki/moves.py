@@ -1,4 +1,4 @@
-"""Attributes of EKI commands: read strictly, written so that every parser accepts them."""
+"""PTP_AXIS, PTP_POS and LIN of the project's channel, and the strict parsing of command attributes."""
 
 from __future__ import annotations
 
@@ -16,11 +16,18 @@ LEAST_PERCENT = 0.001  # of a speed: a motion that never ends has no duration to
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 _ESCAPED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": " ", "\r": " "})
 
+ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
+FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
+SLOWEST_LINE_M_S = 1e-6
+T1_MARGIN = 0.95  # of the tool speed allowed in T1: the path is checked in steps
+SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
+STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 
-def whole(given: Mapping[str, str], name: str, otherwise: int | None = None) -> int:
-    """An integer; ValueError when it is malformed, or missing without a default."""
-    if otherwise is not None and name not in given:
-        return otherwise
+
+def integer(given: Mapping[str, str], name: str, default: int | None = None) -> int:
+    """Parse an integer; ValueError when it is malformed, or missing without a default."""
+    if default is not None and name not in given:
+        return default
     try:
         return int(given[name])
     except (KeyError, ValueError):
@@ -28,16 +35,16 @@ def whole(given: Mapping[str, str], name: str, otherwise: int | None = None) -> 
 
 
 def flag(given: Mapping[str, str], name: str) -> bool:
-    """0 or 1; ValueError for anything else."""
+    """Parse 0 or 1; ValueError for anything else."""
     if given.get(name) not in ("0", "1"):
         raise ValueError(f"{name} is 0 or 1")
     return given[name] == "1"
 
 
-def number(given: Mapping[str, str], name: str, otherwise: float | None = None) -> float:
-    """A number of at most `LARGEST` in magnitude; ValueError for others, and as for `whole`."""
-    if otherwise is not None and name not in given:
-        return otherwise
+def number(given: Mapping[str, str], name: str, default: float | None = None) -> float:
+    """Parse a number up to `LARGEST` in magnitude; ValueError for others, or if missing without a default."""
+    if default is not None and name not in given:
+        return default
     try:
         value = float(given[name])
     except (KeyError, ValueError):
@@ -48,7 +55,7 @@ def number(given: Mapping[str, str], name: str, otherwise: float | None = None) 
 
 
 def share(given: Mapping[str, str], name: str) -> float:
-    """A percentage of at most 100 as a fraction; 1 if missing."""
+    """Parse a percentage of at most 100 as a fraction; 1 if missing."""
     value = number(given, name, 100.0)
     if not LEAST_PERCENT <= value <= 100.0:
         raise ValueError(f"{name} must be a percentage from {LEAST_PERCENT} to 100")
@@ -56,46 +63,38 @@ def share(given: Mapping[str, str], name: str) -> float:
 
 
 def frame(given: Mapping[str, str]) -> list[float]:
-    """X Y Z (mm) A B C (deg)."""
+    """Parse X Y Z (mm) A B C (deg)."""
     return [number(given, name) for name in FRAME]
 
 
 def axes(given: Mapping[str, str]) -> list[float]:
-    """A1 to A6 (deg)."""
+    """Parse A1 to A6 (deg)."""
     return [number(given, name) for name in AXIS_ATTRIBUTES]
 
 
-def text(content: str, longest: int) -> str:
-    """An attribute's value, not longer than a KRL string."""
+def escape(content: str, longest: int) -> str:
+    """Escape an attribute's value, cut to the length of a KRL string."""
     return content[:longest].translate(_ESCAPED)
 
 
-ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
-FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
-SLOWEST_LINE_M_S = 1e-6
-T1_MARGIN = 0.95  # of the tool speed allowed in T1: the path is checked in steps
-SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
-STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
-
-
 class EkiMoves:
-    """Starts motions; `ended` is called with each outcome."""
+    """Starts motions; `report_end` is called with each outcome."""
 
-    def __init__(self, controller: Controller, ended: Callable[[Acknowledgement], None]) -> None:
+    def __init__(self, controller: Controller, report_end: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
-        self._ended = ended
+        self._report_end = report_end
 
     def ptp_axis(self, given: Mapping[str, str]) -> Acknowledgement:
-        """A1..A6 (deg), Vel and Acc (percent)."""
+        """Move to A1..A6 (deg) with Vel and Acc (percent)."""
         return self._point_to_point(axes(given), given)
 
     def ptp_pos(self, given: Mapping[str, str]) -> Acknowledgement:
-        """X..C (mm, deg) in BASE, S, T, Tool, Base, Vel and Acc (percent)."""
+        """Move to X..C (mm, deg) in BASE with posture S T; Tool, Base, Vel and Acc (percent)."""
         pose = pose_of_frame(frame(given))
-        status, turn = whole(given, "S"), whole(given, "T")
+        status, turn = integer(given, "S"), integer(given, "T")
         if not (0 <= status < STATUS_LIMIT and 0 <= turn < TURN_LIMIT):
             raise ValueError("S and T are bits of the posture")
-        refusal = self._prepared(given)
+        refusal = self._prepare(given)
         if refusal is not None:
             return refusal
         controller = self._controller
@@ -105,18 +104,18 @@ class EkiMoves:
         return self._point_to_point(goal, given)
 
     def lin(self, given: Mapping[str, str]) -> Acknowledgement:
-        """X..C (mm, deg) in BASE, Tool, Base, Vel (m/s); S and T have no meaning on a line."""
+        """Move on a line to X..C (mm, deg) in BASE; Tool, Base, Vel (m/s). S and T do not apply."""
         pose = pose_of_frame(frame(given))
         speed_m_s = number(given, "Vel")
         if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:
             raise ValueError(f"Vel must be {SLOWEST_LINE_M_S} to {FASTEST_LINE_M_S} m/s")
-        refusal = self._prepared(given)
+        refusal = self._prepare(given)
         if refusal is not None:
             return refusal
         controller = self._controller
         arm, parameters = controller.arm, controller.parameters
         goal = arm.base @ pose
-        if arm.joints_on_the_way(goal) is None:
+        if arm.joints_at_line_end(goal) is None:
             return Acknowledgement(AckCode.LIMIT, "no straight path to that pose")
         speed_mm_s = speed_m_s * 1000.0 * controller.override_percent / FULL_OVERRIDE
         if controller.interlocks.mode is OperationMode.T1:
@@ -148,22 +147,22 @@ class EkiMoves:
         if controller.interlocks.mode is OperationMode.T1:
             parameters = controller.parameters
             speed *= parameters.T1_axis_speed_share
-            travel_mm = max(arm.tool_travel_mm(goal_deg), SMALLEST_TRAVEL_MM)
+            travel_mm = max(arm.peak_tool_speed_mm(goal_deg), SMALLEST_TRAVEL_MM)
             fastest_1_s = T1_MARGIN * parameters.T1_tool_speed_mm_s / travel_mm
         return self._begin(
             point_to_point(arm.description, arm.axes_deg, goal_deg, speed, acceleration, cycle_s, fastest_1_s)
         )
 
-    def _prepared(self, given: Mapping[str, str]) -> Acknowledgement | None:
-        """Activate the tool and base of a motion if it may start; otherwise the reason why not."""
+    def _prepare(self, given: Mapping[str, str]) -> Acknowledgement | None:
+        """Activate the tool and base of a motion if it may start; otherwise return the refusal."""
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:
             return ready
         frames = controller.frames
-        frames.use(whole(given, "Tool", frames.tool_number), whole(given, "Base", frames.base_number))
+        frames.use(integer(given, "Tool", frames.tool_number), integer(given, "Base", frames.base_number))
         return None
 
     def _begin(self, points: Iterator[list[float] | Message]) -> Acknowledgement:
-        self._controller.move(EkiMotion(points, self._ended))
+        self._controller.move(EkiMotion(points, self._report_end))
         return ACCEPTED

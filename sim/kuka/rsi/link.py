@@ -1,4 +1,4 @@
-"""The UDP socket of one run: the kernel chooses its source port, which stays for the whole run."""
+"""The RSI link: the UDP socket of a run, and the faults of telegrams and replies on their way."""
 
 from __future__ import annotations
 
@@ -20,13 +20,24 @@ from sim.world.noise import noise
 
 DATAGRAM_BYTES = 65535
 LOOPBACK = "127.0.0.1"
-WAIT_S = 0.001  # longest wait of `await_datagram`, host time
+WAIT_S = 0.001  # longest wait of `wait_for_datagram`, host time
 POLL_NS = 60_000  # busy-wait part of this, host time: longer than a client needs that has its reply prepared
 _TIMEVAL = struct.Struct("ll")
 
+PERCENT = 100.0
+STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
+STAMP_ELEMENT = re.compile(rb"<IPOC>[^<]*</IPOC>")
+TYPE = re.compile(rb'(?<=<Sen Type=")[^"]*(?=")')
+NUMBER = re.compile(rb'(?<==")[-+.\deE]+(?=")|(?<=>)[-+.\deE]+(?=</(?!IPOC))')
+STRANGE_TYPE = b"Stranger"
+NO_NUMBERS = (b"nan", b"inf", b"one")
+WRONG_BY = 1  # ms: no cycle ever has this time stamp
+FUTURE_BY = 12  # ms: the stamp of a later cycle, of 4 ms or of 12
+NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
+
 
 def resolve(endpoint: Endpoint) -> tuple[str, int]:
-    """Numeric address of the client; raises KRC-002. An Ethernet file contains numbers, never names."""
+    """Return the client's numeric address; raises KRC-002 for a name, which no Ethernet file has."""
     host = LOOPBACK if endpoint.host == "localhost" else endpoint.host
     try:
         socket.inet_pton(socket.AF_INET, host)
@@ -36,7 +47,10 @@ def resolve(endpoint: Endpoint) -> tuple[str, int]:
 
 
 class RsiSocket:
-    """Sends to the client and accepts datagrams from its host only."""
+    """The UDP socket of one run: sends to the client and accepts datagrams from its host only.
+
+    The kernel chooses the source port, which stays for the whole run.
+    """
 
     def __init__(self, client: tuple[str, int]) -> None:
         self._client = client
@@ -47,20 +61,20 @@ class RsiSocket:
         self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(WAIT_S * 1e6)))
 
     def send(self, telegram: bytes) -> None:
-        """Send one telegram; if the network refuses it, it is lost as on any wire."""
+        """Send one telegram; one that the network refuses is lost, as on any wire."""
         with contextlib.suppress(OSError):
             self.socket.sendto(telegram, socket.MSG_DONTWAIT, self._client)
 
     def receive(self) -> bytes | None:
-        """One waiting datagram from the client's host; None if there is none; empty if foreign."""
+        """Return one waiting datagram; None without one, empty if it is from another host."""
         try:
             data, source = self.socket.recvfrom(DATAGRAM_BYTES, socket.MSG_DONTWAIT)
         except OSError:
             return None
         return data if source[0] == self._host else b""
 
-    def await_datagram(self, *, awake: bool = False) -> bytes | None:
-        """The same, but wait briefly: the cheapest wait for a single socket.
+    def wait_for_datagram(self, *, awake: bool = False) -> bytes | None:
+        """Return the next datagram as `receive` does, after waiting up to `WAIT_S`.
 
         `awake`: poll at first. Two processes that alternate within tens of microseconds spend more on
         sleeping and waking each other than on everything else.
@@ -83,42 +97,37 @@ class RsiSocket:
         self.socket.close()
 
 
-PERCENT = 100.0
-STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")
-STAMP_ELEMENT = re.compile(rb"<IPOC>[^<]*</IPOC>")
-TYPE = re.compile(rb'(?<=<Sen Type=")[^"]*(?=")')
-NUMBER = re.compile(rb'(?<==")[-+.\deE]+(?=")|(?<=>)[-+.\deE]+(?=</(?!IPOC))')
-STRANGE_TYPE = b"Stranger"
-NO_NUMBERS = (b"nan", b"inf", b"one")
-WRONG_BY = 1  # ms: no cycle ever has this time stamp
-FUTURE_BY = 12  # ms: the stamp of a later cycle, of 4 ms or of 12
-NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
-
-
 class LinkFaults:
-    """One per controller. `begin_cycle` determines the active faults; then come telegram and reply."""
+    """What the fault script does to outgoing telegrams and incoming replies; one object per controller.
+
+    Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time.
+    Random draws depend on the cycle number only: the same cycles are hit whatever was hit before.
+    """
 
     def __init__(self, seed: int, hit: Callable[[str], None], *, takes_second: bool = False) -> None:
-        """`takes_second`: of two replies to the same telegram the second counts."""
+        """`hit` is called with the kind of each fault that strikes.
+
+        `takes_second`: of two replies to the same telegram the second counts.
+        """
         self._takes_second = takes_second
         self._stamp: bytes | None = None  # stamp repeated in all replies while a fault holds it
         self._seed = seed
         self._hit = hit
         self._cycle = 0
-        self._acting: dict[str, list[Fault]] = {}
-        self._under_way: list[tuple[int, bytes]] = []  # cycle of arrival, datagram
+        self._active: dict[str, list[Fault]] = {}
+        self._in_transit: list[tuple[int, bytes]] = []  # cycle of arrival, datagram
 
     @property
     def idle(self) -> bool:
         """True while no fault is active and nothing is delayed."""
-        return not self._acting and not self._under_way
+        return not self._active and not self._in_transit
 
-    def look(self, acting: tuple[Fault, ...]) -> None:
-        """Update the active faults."""
-        self._acting = {}
+    def set_active(self, acting: tuple[Fault, ...]) -> None:
+        """Set the active faults."""
+        self._active = {}
         for fault in acting:
-            self._acting.setdefault(fault.kind.name, []).append(fault)
-        if not self.acts("constant_ipoc"):
+            self._active.setdefault(fault.kind.name, []).append(fault)
+        if not self.is_active("constant_ipoc"):
             self._stamp = None
 
     def begin_cycle(self, cycle: int) -> None:
@@ -126,84 +135,84 @@ class LinkFaults:
         self._cycle = cycle
 
     def begin_run(self) -> None:
-        """Drop what was still delayed in the previous run."""
-        self._under_way.clear()
+        """Drop the replies still delayed in the previous run."""
+        self._in_transit.clear()
 
-    def acts(self, kind: str) -> bool:
+    def is_active(self, kind: str) -> bool:
         """Whether a lasting fault of this kind is active."""
-        return kind in self._acting
+        return kind in self._active
 
     def outgoing(self, telegram: bytes) -> tuple[bytes | None, bool]:
-        """The telegram to send, None if lost; and whether the client can answer it."""
-        if self.acts("network_cut") or self._meets("lose_telegrams"):
+        """Return the telegram to send, None if lost, and whether the client can answer it."""
+        if self.is_active("network_cut") or self._strikes("lose_telegrams"):
             return None, False
-        if self._meets("corrupt_telegrams"):
-            return self._broken(telegram, "corrupt_telegrams"), False
+        if self._strikes("corrupt_telegrams"):
+            return self._corrupted(telegram, "corrupt_telegrams"), False
         return telegram, True
 
     def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
-        """The reply for this cycle, given the client's `datagram`."""
-        now = [data for arrival, data in self._under_way if arrival <= self._cycle]
-        self._under_way = [item for item in self._under_way if item[0] > self._cycle]
+        """Return the reply that arrives in this cycle, given the client's `datagram`."""
+        now = [data for arrival, data in self._in_transit if arrival <= self._cycle]
+        self._in_transit = [item for item in self._in_transit if item[0] > self._cycle]
         if datagram is not None:
-            now = self._on_the_way(datagram, now)
-        if self.acts("network_cut"):
+            now = self._arriving(datagram, now)
+        if self.is_active("network_cut"):
             return None
         replies = [reply for reply in map(read, now) if reply is not None]
         if not replies:
             return None
         return replies[-1] if self._takes_second else replies[0]
 
-    def _on_the_way(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
-        if self._meets("drop"):
+    def _arriving(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
+        if self._strikes("drop"):
             return before
-        if self._meets("corrupt_replies"):
-            datagram = self._broken(datagram, "corrupt_replies")
+        if self._strikes("corrupt_replies"):
+            datagram = self._corrupted(datagram, "corrupt_replies")
         datagram = self._altered(datagram)
-        copies = [datagram, datagram] if self._meets("duplicate_replies") else [datagram]
+        copies = [datagram, datagram] if self._strikes("duplicate_replies") else [datagram]
         delay_cycles = max(
-            (int(fault.argument) for fault in self._acting.get("delay_replies", ())), default=0
+            (int(fault.argument) for fault in self._active.get("delay_replies", ())), default=0
         )
         if delay_cycles:
             self._hit("delay_replies")
-            self._under_way += [(self._cycle + delay_cycles, copy) for copy in copies]
+            self._in_transit += [(self._cycle + delay_cycles, copy) for copy in copies]
             return before
-        if self._meets("reorder_replies"):
-            self._under_way += [(self._cycle + 1, copy) for copy in copies]
+        if self._strikes("reorder_replies"):
+            self._in_transit += [(self._cycle + 1, copy) for copy in copies]
             return before
         # overtaken datagrams come after those that overtook them
         return [*copies, *before]
 
     def _altered(self, datagram: bytes) -> bytes:
-        """A reply that is still XML but not a valid reply."""
-        if self._meets("wrong_ipoc"):
+        """Return a reply that may still be XML but is no valid answer."""
+        if self._strikes("wrong_ipoc"):
             datagram = _restamped(datagram, WRONG_BY)
-        if self._meets("future_ipoc"):
+        if self._strikes("future_ipoc"):
             datagram = _restamped(datagram, FUTURE_BY)
-        if self.acts("constant_ipoc"):
+        if self.is_active("constant_ipoc"):
             found = STAMP.search(datagram)
             self._stamp = self._stamp or (found[0] if found else b"0")
             datagram = STAMP.sub(self._stamp, datagram)
             self._hit("constant_ipoc")
-        if self._meets("missing_ipoc"):
+        if self._strikes("missing_ipoc"):
             datagram = STAMP_ELEMENT.sub(b"", datagram)
-        if self._meets("wrong_type"):
+        if self._strikes("wrong_type"):
             datagram = TYPE.sub(STRANGE_TYPE, datagram)
-        if self._meets("bad_number"):
+        if self._strikes("bad_number"):
             chance = self._chance("bad_number")
             chance.random()  # skip the draw that selected it
             datagram = NUMBER.sub(NO_NUMBERS[int(chance.integers(0, len(NO_NUMBERS)))], datagram, count=1)
         return datagram
 
-    def _meets(self, kind: str) -> bool:
-        shares = [float(fault.argument) for fault in self._acting.get(kind, ())]
+    def _strikes(self, kind: str) -> bool:
+        shares = [float(fault.argument) for fault in self._active.get(kind, ())]
         if not shares or self._chance(kind).random() * PERCENT >= max(shares):
             return False
         self._hit(kind)
         return True
 
-    def _broken(self, data: bytes, kind: str) -> bytes:
-        """Truncated, or with one invalid byte."""
+    def _corrupted(self, data: bytes, kind: str) -> bytes:
+        """Truncate the data, or invalidate one byte."""
         chance = self._chance(kind)
         chance.random()  # skip the draw that selected it
         place = int(chance.integers(0, len(data)))

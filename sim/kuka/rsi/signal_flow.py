@@ -1,4 +1,4 @@
-"""The RSI signal flow: from the ETHERNET object's inputs, through the wiring, to a joint command."""
+"""The RSI signal flow: from the ETHERNET object through wiring and corrections to a joint command."""
 
 from __future__ import annotations
 
@@ -28,11 +28,20 @@ from sim.world.arm.orientation import pose_of_frame
 from sim.world.arm.robot_description import AXES, RobotDescription
 from sim.world.rigid import rotation_from_vector
 
-ACTIVE_BIT = 1  # bit 0 of Stat; bit n means that axis n is at a limit
+Matrix = NDArray[np.float64]
+
+# Stat of AXISCORR: bit n for axis n at a limit; of POSCORR: bits 1 to 3 for X, Y, Z, bit 4 for the rotation.
+ACTIVE_BIT = 1
+ROTATION_BIT = 16
+TOOL_REFERENCE = "Tool"
+
+AXIS_INPUTS = ("A1", "A2", "A3", "A4", "A5", "A6")
+FRAME_INPUTS = ("X", "Y", "Z", "A", "B", "C")
+TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 
 
 class AxisCorrector:
-    """The two objects of one run, from RSI_ON on. Degrees, relative to the pose at RSI_ON."""
+    """AXISCORR and AXISCORRMON of one run: axis corrections, degrees from RSI_ON, clamped and monitored."""
 
     def __init__(
         self,
@@ -63,7 +72,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp this close to the present totals; None: only by the context's limits. True if changed."""
+        """Clamp this close to the present totals, None: by the context only; returns True if changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -79,8 +88,8 @@ class AxisCorrector:
             ]
         return True
 
-    def take(self, inputs_deg: Sequence[float]) -> Message | None:
-        """Add one cycle's inputs; the monitor's message if the total exceeds its limit."""
+    def apply(self, inputs_deg: Sequence[float]) -> Message | None:
+        """Add one cycle's inputs; returns the monitor's message if a total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
             if self._relative
@@ -91,23 +100,18 @@ class AxisCorrector:
         for axis, (value, lower, upper, largest) in enumerate(
             zip(wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True)
         ):
-            taken = value
+            clamped = value
             if value < lower or value > upper:
-                taken = wanted[axis] = lower if value < lower else upper
+                clamped = wanted[axis] = lower if value < lower else upper
                 self.stat |= ACTIVE_BIT << (axis + 1)
-            if (taken > largest or taken < -largest) and beyond is None:
-                beyond = out_of_range("AXISCORRMON", self._axes[axis], taken, largest)
+            if (clamped > largest or clamped < -largest) and beyond is None:
+                beyond = out_of_range("AXISCORRMON", self._axes[axis], clamped, largest)
         self.totals_deg = wanted
         return beyond
 
 
-Matrix = NDArray[np.float64]
-ROTATION_BIT = 16
-TOOL_REFERENCE = "Tool"
-
-
 class PositionCorrector:
-    """The two objects of one run, from RSI_ON on.
+    """POSCORR and POSCORRMON of one run: corrections of the tool's pose, clamped and monitored.
 
     `start` is the pose (4, 4) of the tool centre point at RSI_ON and `reference` the rotation (3, 3) of the
     correction system, both in $ROBROOT. `inverse` finds joints (deg) for a pose, near given joints.
@@ -137,8 +141,8 @@ class PositionCorrector:
         self.joints_deg: list[float] = self._base_deg
         self.stat = 0
 
-    def take(self, inputs: Sequence[float]) -> Message | None:
-        """Apply one cycle's X Y Z (mm) A B C (deg); a message if a monitor trips or no joints are found."""
+    def apply(self, inputs: Sequence[float]) -> Message | None:
+        """Apply one cycle's X Y Z (mm) A B C (deg); returns the message of a stop, or None."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
@@ -178,7 +182,7 @@ class PositionCorrector:
 
 
 def _angle(rotation: Matrix) -> float:
-    """Angle of a rotation matrix, rad; exact near zero as well."""
+    """Return the angle of a rotation matrix in rad, exact near zero as well."""
     vector = np.array(
         [
             rotation[2, 1] - rotation[1, 2],
@@ -189,45 +193,44 @@ def _angle(rotation: Matrix) -> float:
     return float(np.arctan2(np.linalg.norm(vector), np.trace(rotation) - 1.0))
 
 
-AXIS_INPUTS = ("A1", "A2", "A3", "A4", "A5", "A6")
-FRAME_INPUTS = ("X", "Y", "Z", "A", "B", "C")
-TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
-
-
 class EthernetOutputs:
-    """Outputs of the ETHERNET object: the last values, kept or reset to zero according to HOLDON."""
+    """Outputs of the ETHERNET object: the last values, held or reset to zero by HOLDON."""
 
-    def __init__(self, context: RsiContext, lacking: Literal["holdon", "kept", "zero"] = "holdon") -> None:
-        """`lacking` determines what happens to an element missing from a reply."""
+    def __init__(
+        self, context: RsiContext, missing_element: Literal["holdon", "kept", "zero"] = "holdon"
+    ) -> None:
+        """`missing_element` is the treatment of an element that a reply lacks."""
         self._hold = [bool(element.holdon) for element in context.receive]
-        self._keep = self._hold if lacking == "holdon" else [lacking == "kept"] * len(self._hold)
+        self._keep = (
+            self._hold if missing_element == "holdon" else [missing_element == "kept"] * len(self._hold)
+        )
         self.values: list[float] = [0.0] * len(self._hold)
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
-    def take(self, values: Sequence[float | None] | None) -> list[float]:
+    def update(self, values: Sequence[float | None] | None) -> list[float]:
         """Apply a reply's values, or None for a cycle without a reply."""
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
-        taken, holds = (self._all_missing, self._hold) if values is None else (values, self._keep)
+        received, holds = (self._all_missing, self._hold) if values is None else (values, self._keep)
         self.values = [
             new if new is not None else (old if hold else 0.0)
-            for new, old, hold in zip(taken, self.values, holds, strict=True)
+            for new, old, hold in zip(received, self.values, holds, strict=True)
         ]
         return self.values
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Positions in the list of received elements that feed an object; None if nothing does."""
+    """Positions, among the received elements, of the inputs of each object; None for an unwired one."""
 
     axes: tuple[int | None, ...] | None
     frame: tuple[int | None, ...] | None
     stop: int | None
 
 
-def inputs_of(context: RsiContext) -> Inputs:
-    """Resolve a context's wiring to positions."""
+def resolve_inputs(context: RsiContext) -> Inputs:
+    """Resolve a context's wiring to positions among the received elements."""
     position = {element.indx: n for n, element in enumerate(context.receive) if element.indx != INTERNAL}
     fed: dict[tuple[str, str], int] = {
         (wire.object, wire.input): position[wire.indx] for wire in context.wiring
@@ -241,7 +244,7 @@ def inputs_of(context: RsiContext) -> Inputs:
 
 
 class SignalFlow:
-    """One run's flow from outputs to the commanded joint angles (deg)."""
+    """Signal flow of one run, from the outputs of ETHERNET to the commanded joint angles (deg)."""
 
     def __init__(
         self,
@@ -253,7 +256,7 @@ class SignalFlow:
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """`share` is the part of a correction that takes effect: less than all if the override scales it."""
+        """`share` of a correction takes effect; below 1 if the override scales it."""
         self._inputs = inputs
         self._relative = relative
         self._share = share
@@ -265,7 +268,7 @@ class SignalFlow:
         self._base_deg = self.command_deg
 
     def stop_rises(self, values: list[float]) -> bool:
-        """True in the cycle in which STOP's input becomes true."""
+        """Return True in the cycle in which STOP's input becomes true."""
         place = self._inputs.stop
         if place is None:
             return False
@@ -275,7 +278,7 @@ class SignalFlow:
         return rises
 
     def correct(self, values: list[float]) -> Message | None:
-        """One cycle in RSI_MOVECORR; `command_deg` stays the same object if nothing changes."""
+        """Correct for one cycle; `command_deg` stays the same object if nothing changes."""
         if values == self._last and not self._relative:
             return None
         self._last = values
@@ -284,7 +287,7 @@ class SignalFlow:
             given = self._pick(values, self._inputs.frame)
             if any(given) or not self._relative:
                 changed = True
-                message = self._position.take(given)
+                message = self._position.apply(given)
                 if message is not None:
                     return message
             joints_deg = self._position.joints_deg
@@ -292,7 +295,7 @@ class SignalFlow:
             given = self._pick(values, self._inputs.axes)
             if any(given) or not self._relative:
                 changed = True
-                message = self._axis.take(given)
+                message = self._axis.apply(given)
                 if message is not None:
                     return message
             joints_deg = [a + b for a, b in zip(joints_deg, self._axis.totals_deg, strict=True)]
@@ -301,13 +304,13 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """As for `AxisCorrector`, if there is one; the present values are judged again."""
+        """Clamp the axis corrections this close to their present values; None removes the clamp."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 
     @property
     def stats(self) -> tuple[int, int]:
-        """Stat of AXISCORR and of POSCORR."""
+        """Stat outputs of AXISCORR and POSCORR."""
         return (
             self._axis.stat if self._axis is not None else 0,
             self._position.stat if self._position is not None else 0,

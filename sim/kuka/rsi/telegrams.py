@@ -1,8 +1,4 @@
-"""Writes the controller's telegram, `<Rob Type="KUKA">...`, byte for byte as a KR C4 does.
-
-Elements in the order of the configuration, no white space between them, IPOC last. The layout is compiled
-once per run; while the arm is at rest its numbers are not even reformatted.
-"""
+"""RSI telegrams: the controller's `<Rob Type="KUKA">...` out, the client's `<Sen Type="...">...` in."""
 
 from __future__ import annotations
 
@@ -37,14 +33,31 @@ KEYWORDS = {
     "MECur": (EXTERNAL, NOTHING),
 }
 DELAY = "Delay"
-LATE_PLACE = 0  # among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
-STAT_PLACES = {"AXISCORR": 1, "POSCORR": 2}
-ONLY_DELAY = [LATE_PLACE]
+LATE = 0  # position among the integers: late packets, Stat of AXISCORR, Stat of POSCORR
+STATS = {"AXISCORR": 1, "POSCORR": 2}
+ONLY_DELAY = [LATE]
 ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
+
+LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels is far below
+
+_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
+_PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
+_STAMP = re.compile(r"\d{1,20}")
+_DIGIT_ATTRIBUTE = re.compile(rb"(\s)(\d[\w.-]*\s*=)")
+
+AGAIN_S = 1.0  # shortest time between two reports
+
+_TYPE = re.compile(rb"<Sen\b[^>]*\bType\s*=\s*[\"']([^\"'<>]{0,40})")
+_IPOC = re.compile(rb"<IPOC>\s*(\d{1,20})\s*</IPOC>")
 
 
 class TelegramWriter:
-    """The telegram of one run: `set_axes_deg` and `set_frame` are the programmed pose, constant."""
+    """Writes the telegrams of one run, byte for byte as a KR C4 does.
+
+    Elements are in the order of the configuration, without white space, IPOC last. The layout is compiled
+    once per run; while the arm is at rest its numbers are not even reformatted. `set_axes_deg` and
+    `set_frame` are the programmed pose.
+    """
 
     def __init__(
         self,
@@ -57,7 +70,7 @@ class TelegramWriter:
         self._number = f"%.{precision}f"
         self._order: list[str] = []
         self._counts: list[int] = []  # meaning of each integer in the telegram
-        self._stats = {wire.indx: STAT_PLACES[wire.object] for wire in feedback}
+        self._stats = {wire.indx: STATS[wire.object] for wire in feedback}
         constants = {SET_AXES: set_axes_deg, SET_FRAME: set_frame, NOTHING: (0.0,) * 6}
         groups: list[tuple[str, str]] = []  # name, attributes or text as a template
         for element in elements:
@@ -79,9 +92,9 @@ class TelegramWriter:
         ipoc: int,
         stats: tuple[int, int] = (0, 0),
     ) -> bytes:
-        """One telegram: actual frame (mm, deg), actual axes (deg), late packets so far, time stamp.
+        """Return one telegram: actual frame (mm, deg), actual axes (deg), late packets so far, IPOC.
 
-        `stats` are Stat of AXISCORR and of POSCORR.
+        `stats` are the Stat outputs of AXISCORR and POSCORR.
         """
         if self._last[0] is not axes_deg or self._last[1] is not frame:
             values: list[float] = []
@@ -92,7 +105,7 @@ class TelegramWriter:
         if self._counts == ONLY_DELAY:
             return (self._filled % (late, ipoc)).encode("ascii")
         counts = (late, *stats)
-        return (self._filled % (*(counts[place] for place in self._counts), ipoc)).encode("ascii")
+        return (self._filled % (*(counts[position] for position in self._counts), ipoc)).encode("ascii")
 
     def _add(
         self,
@@ -112,17 +125,17 @@ class TelegramWriter:
             if not attribute:
                 groups.append((name, zero))
                 return
-            self._attribute(groups, name, f' {attribute}="{zero}"')
+            self._append(groups, name, f' {attribute}="{zero}"')
             return
         name, _, part = tag.removeprefix(KEYWORD_PREFIX).partition(".")
         if name == DELAY:
-            self._counts.append(LATE_PLACE)
+            self._counts.append(LATE)
             groups.append((name, ' D="%%d"'))
         elif name == "Tech" and part[:1] == "C" and part[1:] in map(str, range(1, TECH_GENERATORS + 1)):
             text = "".join(
                 f' {part}{parameter}="{self._number % 0.0}"' for parameter in range(1, TECH_PARAMETERS + 1)
             )
-            self._attribute(groups, name, text)
+            self._append(groups, name, text)
         elif name in KEYWORDS and not part:
             attributes, source = KEYWORDS[name]
             if source in constants:
@@ -137,23 +150,15 @@ class TelegramWriter:
             raise EthernetFileInvalid(f"SEND: {tag} is not an RSI keyword")
 
     @staticmethod
-    def _attribute(groups: list[tuple[str, str]], name: str, text: str) -> None:
+    def _append(groups: list[tuple[str, str]], name: str, text: str) -> None:
         if groups and groups[-1][0] == name and groups[-1][1].startswith(" "):
             groups[-1] = (name, groups[-1][1] + text)
         else:
             groups.append((name, text))
 
 
-LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels is far below
-
-_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
-_PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
-_STAMP = re.compile(r"\d{1,20}")
-_DIGIT_ATTRIBUTE = re.compile(rb"(\s)(\d[\w.-]*\s*=)")
-
-
 class Reply(NamedTuple):
-    """A reply: its time stamp, and per receive element a number, or None if absent."""
+    """A reply: its IPOC, and per receive element a number, or None if absent."""
 
     ipoc: int
     values: Sequence[float | None]
@@ -161,14 +166,18 @@ class Reply(NamedTuple):
 
 
 class ReplyReader:
-    """Reads replies of one configuration. Text channels (STRING) have no meaning here and count as 0."""
+    """Reads the replies of one configuration, leniently in form and strictly in content.
+
+    Any order, unknown or missing elements, blanks and line ends are accepted. A wrong root or Type, no IPOC,
+    an invalid number, malformed XML or a document type make it no reply at all. STRING channels count as 0.
+    """
 
     def __init__(
         self, elements: Sequence[ReceiveElement], sentype: str, parameters: ControllerParameters | None = None
     ) -> None:
         parameters = parameters or ControllerParameters()
         self._number = _NUMBER if parameters.reads_exponents else _PLAIN_NUMBER
-        self._spoils = parameters.bad_number == "no_reply"
+        self._rejects_bad_numbers = parameters.bad_number == "no_reply"
         self._sentype = sentype
         self._count = len(elements)
         self._places: dict[tuple[str, str], int] = {}
@@ -180,11 +189,11 @@ class ReplyReader:
             self._places[name, attribute] = number
             self._digits_in_names |= attribute[:1].isdigit()
         self._match = re.compile(self._pattern(elements).encode()).fullmatch
-        # The expression's groups follow the elements; others (messages, generators) have none.
+        # The groups of the expression are then the elements; messages and generators have no group.
         self._dense = list(self._places.values()) == list(range(self._count))
 
     def read(self, data: bytes) -> Reply | None:
-        """The reply, or None when it is not one."""
+        """Parse a datagram; None if it is not a reply."""
         found = self._match(data)
         if found is None:
             return self._read_strictly(data)
@@ -253,7 +262,7 @@ class ReplyReader:
             if text is None:
                 continue
             number = self._number_in(text.strip())
-            if number is None and self._spoils:
+            if number is None and self._rejects_bad_numbers:
                 return None
             values[place] = number
         return Reply(int(stamp), values, found.get(("EStr", ""), ""))
@@ -265,14 +274,11 @@ class ReplyReader:
         return number if isfinite(number) else None
 
 
-AGAIN_S = 1.0  # between two lines, at any rate of rejections
-
-_TYPE = re.compile(rb"<Sen\b[^>]*\bType\s*=\s*[\"']([^\"'<>]{0,40})")
-_IPOC = re.compile(rb"<IPOC>\s*(\d{1,20})\s*</IPOC>")
-
-
 class RejectedReplies:
-    """Counts rejected replies; `tell` passes on the last reason, at most once per `AGAIN_S`."""
+    """Counts rejected replies and reports the last reason, at most once per `AGAIN_S`.
+
+    A real controller reports nothing.
+    """
 
     def __init__(self, sentype: str) -> None:
         self.count = 0
@@ -281,13 +287,13 @@ class RejectedReplies:
         self._reported_s = float("-inf")
         self._last: tuple[bytes, int] = (b"", 0)
 
-    def note(self, data: bytes, ipoc: int) -> None:
-        """Count one more, in the cycle with this time stamp; costs next to nothing."""
+    def record(self, data: bytes, ipoc: int) -> None:
+        """Count a reply rejected in the cycle with this IPOC; costs next to nothing."""
         self.count += 1
         self._last = (data, ipoc)
 
-    def tell(self, now_s: float, say: Callable[[str, int], None]) -> None:
-        """Report why the last one was rejected, and how many were, if new and due."""
+    def report(self, now_s: float, say: Callable[[str, int], None]) -> None:
+        """Call `say` with the reason of the last rejection and the count, if they are new and due."""
         if self.count == self._reported or now_s < self._reported_s + AGAIN_S:
             return
         self._reported, self._reported_s = self.count, now_s

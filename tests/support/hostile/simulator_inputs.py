@@ -36,7 +36,7 @@ from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
-from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, cut_requests
+from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, split_requests
 from sim.kuka.manipulator import Manipulator
 from sim.polaris.line.framing import LineBuffer
 from sim.polaris.line.interpreter import CommandInterpreter
@@ -122,7 +122,7 @@ def _channel(kind: type[ProjectChannel] | type[SdkChannel]) -> Take:
     server = _Told()
 
     def take(data: bytes) -> None:
-        requests, rest = cut_requests(data)
+        requests, rest = split_requests(data)
         assert sum(map(len, requests)) + len(rest) <= len(data)
         arm = Manipulator(scene.arm, scene.seed, lambda _state: None, parameters)
         controller = Controller(context, arm, lambda: 1, parameters)

@@ -273,7 +273,7 @@ def test_the_override_may_scale_corrections(
 def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], cancels: bool) -> None:
     bench = bench_with(eki_loss_cancels=cancels)
     bench.enter_movecorr()
-    bench.controller.lose_eki()
+    bench.controller.handle_eki_loss()
     assert (bench.controller.run is None) is cancels
 
 

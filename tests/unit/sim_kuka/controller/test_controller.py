@@ -13,7 +13,7 @@ from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.errors import EndpointTaken
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S, ControllerParameters
-from sim.kuka.eki.server import EkiServer, cut_requests
+from sim.kuka.eki.server import EkiServer, split_requests
 from sim.kuka.errors import ClientAddressInvalid
 from sim.kuka.rsi.link import RsiSocket, resolve
 
@@ -168,10 +168,10 @@ def test_requests_are_extracted_from_padding_fragments_and_merged_reads() -> Non
     two = b'<Cmd Id="1" Name="STATUS"/>'
     nested = b'<Cmd Id=">"><A b="/Cmd>"/><A>x</A></Cmd>'
     stream = b"\0\0garbage > " + one + b"\n" + b"\0" * 430 + two + nested + b"\0"
-    assert cut_requests(stream) == ([one, two, nested], b"")
+    assert split_requests(stream) == ([one, two, nested], b"")
     for cut in range(len(stream)):
-        first, rest = cut_requests(stream[:cut])
-        second, left = cut_requests(rest + stream[cut:])
+        first, rest = split_requests(stream[:cut])
+        second, left = split_requests(rest + stream[cut:])
         assert first + second == [one, two, nested]
         assert left == b""
 
@@ -197,7 +197,7 @@ def test_a_reply_from_another_host_than_the_client_is_none() -> None:
     try:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
             stranger.bind(("127.0.0.2", 0))
-            for receive in (rsi.receive, rsi.await_datagram):
+            for receive in (rsi.receive, rsi.wait_for_datagram):
                 stranger.sendto(b"<Sen/>", rsi.socket.getsockname())
                 assert receive() == b""
     finally:

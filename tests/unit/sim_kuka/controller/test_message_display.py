@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from sim.kuka.pendant import MessageDisplay, rsi_timeout, too_fast
+from sim.kuka.pendant import PendantDisplay, rsi_timeout, too_fast
 
 
 def test_messages_texts_and_acknowledgements_are_each_shown_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    display = MessageDisplay(lambda: 12.5)
+    display = PendantDisplay(lambda: 12.5)
     silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
     for message, notice in (
         (None, ""),
@@ -20,7 +20,7 @@ def test_messages_texts_and_acknowledgements_are_each_shown_once(
         (None, ""),
         (speed, ""),
     ):
-        display.look(message, notice)
+        display.update(message, notice)
     assert capsys.readouterr().err.splitlines() == [
         "pendant at 12.500 s: KSS29002 signal flow: object ETHERNET1 returns error RSITimeout (100 packets)",
         "pendant at 12.500 s: mind the head",

@@ -12,7 +12,7 @@ import pytest
 
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode, ProState
 from sim.kuka.eki.moves import EkiMoves
-from sim.kuka.motion import Acknowledgement, shares
+from sim.kuka.motion import Acknowledgement, path_parameters
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.orientation import frame_of, status_and_turn
 from sim.world.arm.posture import axes_of_posture
@@ -96,7 +96,7 @@ def test_a_pose_out_of_reach_or_beyond_an_end_switch_has_no_posture() -> None:
 
 def test_a_profile_begins_and_ends_at_rest_within_its_limits() -> None:
     for speed, acceleration in ((0.5, 1.0), (3.0, 1.0)):  # with and without a part at constant speed
-        way = np.array([0.0, 0.0, *shares(speed, acceleration, 0.004), 1.0])
+        way = np.array([0.0, 0.0, *path_parameters(speed, acceleration, 0.004), 1.0])
         assert way[-1] == 1.0
         assert np.diff(way).min() >= 0.0
         assert np.diff(way).max() <= min(speed, acceleration**0.5) * 0.004 * 1.01

@@ -24,10 +24,10 @@ from sim.kuka.eki.server import (
     READ_BYTES,
     UNREAD_LIMIT,
     EkiServer,
-    after_garbage,
-    cut_requests,
     half,
     padded,
+    split_requests,
+    with_garbage,
 )
 
 LOOP_S = 0.012
@@ -150,7 +150,7 @@ def test_requests_to_a_silent_program_are_kept_until_it_reads_again(line: Line) 
 
 
 def test_the_half_telegram_fault_spoils_only_one_telegram(line: Line) -> None:
-    line.server.spoil_next(half)
+    line.server.corrupt_next(half)
     for _ in range(2):
         line.server.send("<Robot></Robot>")
         line.loop()
@@ -160,7 +160,7 @@ def test_the_half_telegram_fault_spoils_only_one_telegram(line: Line) -> None:
 @pytest.mark.parametrize(
     ("how", "written"),
     [
-        (after_garbage, GARBAGE + b"<Robot></Robot>"),
+        (with_garbage, GARBAGE + b"<Robot></Robot>"),
         (padded, PADDING + b"<Robot></Robot>" + PADDING),
     ],
 )
@@ -168,7 +168,7 @@ def test_the_garbage_and_padding_faults_spoil_only_one_telegram(
     line: Line, how: Callable[[bytes], bytes], written: bytes
 ) -> None:
     assert b"<" not in GARBAGE
-    line.server.spoil_next(how)
+    line.server.corrupt_next(how)
     for _ in range(2):
         line.server.send("<Robot></Robot>")
         line.loop()
@@ -176,7 +176,7 @@ def test_the_garbage_and_padding_faults_spoil_only_one_telegram(
 
 
 def test_an_occupied_channel_refuses_another_client_and_keeps_its_own(line: Line) -> None:
-    line.server.taken = True
+    line.server.occupied = True
     host, port = line.server.endpoint.removeprefix("tcp://").split(":")
     with socket.create_connection((host, int(port)), timeout=10.0) as other:
         line.serve()
@@ -186,7 +186,7 @@ def test_an_occupied_channel_refuses_another_client_and_keeps_its_own(line: Line
 
 
 def test_a_request_to_a_full_buffer_closes_the_connection(line: Line) -> None:
-    line.server.overflow()
+    line.server.fill_buffer()
     assert line.server.connected
     line.say(1)
     assert not line.server.connected
@@ -226,7 +226,7 @@ def test_the_driver_receives_a_state_change_before_the_next_periodic_state_is_du
 @pytest.mark.parametrize("tail", [b"9", b"a ", b"'", b'"', b"/", b"<a ", b"<a>", b'<a "'])
 def test_an_unterminated_request_is_scanned_in_bounded_time(tail: bytes) -> None:
     began_s = process_time()
-    found, _ = cut_requests(b'<Cmd Id="1"></Cmd><Cmd' + tail * (READ_BYTES // len(tail)))
+    found, _ = split_requests(b'<Cmd Id="1"></Cmd><Cmd' + tail * (READ_BYTES // len(tail)))
     assert found == [b'<Cmd Id="1"></Cmd>']
     assert process_time() - began_s < 1.0
 

@@ -25,7 +25,7 @@ LASTING: list[tuple[str, Callable[[Any, Any], bool]]] = [
     ("stick axis 2", lambda c, _: set(c.arm.drives._slipping) == {1}),
     ("clamp 0.5 deg", lambda c, _: c.run._flow._axis._within_deg == 0.5),
     ("eki silence", lambda _, channel: channel.silent),
-    ("eki taken", lambda _, channel: channel.taken),
+    ("eki taken", lambda _, channel: channel.occupied),
 ]
 HAPPENINGS: list[tuple[str, Callable[[Any], bool]]] = [
     ("drives off", lambda c: not c.drives_on),
@@ -44,7 +44,7 @@ def world() -> Iterator[World]:
 
 @pytest.fixture
 def channel() -> SimpleNamespace:
-    return SimpleNamespace(silent=False, taken=False)
+    return SimpleNamespace(silent=False, occupied=False)
 
 
 @pytest.fixture

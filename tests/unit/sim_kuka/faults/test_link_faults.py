@@ -34,7 +34,7 @@ def read() -> Callable[[bytes], Any]:
 def link() -> Callable[..., LinkFaults]:
     def make(*lines: str, seed: int = 1) -> LinkFaults:
         faults = LinkFaults(seed, FaultLog(moment).hit)
-        faults.look(parse_faults("\n".join(f"now: robot {line}" for line in lines)))
+        faults.set_active(parse_faults("\n".join(f"now: robot {line}" for line in lines)))
         return faults
 
     return make
@@ -57,7 +57,7 @@ def test_a_delay_is_counted_in_cycles(link: Any, read: Any) -> None:
 def test_an_overtaken_reply_arrives_after_the_one_that_overtook_it(link: Any, read: Any) -> None:
     faults = link("reorder 100 %")
     assert arrivals(faults, read, 4) == [None, 0, 1, 2]
-    faults.look(())
+    faults.set_active(())
     faults.begin_cycle(4)
     assert faults.incoming((REPLY % 4).encode(), read).ipoc == 4  # and cycle 3's reply behind it
     assert faults.idle
@@ -117,10 +117,10 @@ def test_a_bad_number_is_nan_inf_or_a_word_and_each_of_them_occurs(link: Any) ->
 def test_constant_ipoc_repeats_the_first_time_stamp_until_the_fault_ends(link: Any, read: Any) -> None:
     faults = link("constant ipoc")
     assert arrivals(faults, read, 5) == [0, 0, 0, 0, 0]
-    faults.look(())
+    faults.set_active(())
     faults.begin_cycle(7)
     assert faults.incoming((REPLY % 7).encode(), read).ipoc == 7
-    faults.look(parse_faults("now: robot constant ipoc"))
+    faults.set_active(parse_faults("now: robot constant ipoc"))
     faults.begin_cycle(9)
     assert faults.incoming((REPLY % 9).encode(), read).ipoc == 9
 
@@ -130,10 +130,10 @@ def test_of_two_replies_to_one_telegram_the_configured_one_counts(
     read: Any, takes_second: bool, value: float
 ) -> None:
     faults = LinkFaults(1, FaultLog(moment).hit, takes_second=takes_second)
-    faults.look(parse_faults("now: robot delay 2 cycles"))
+    faults.set_active(parse_faults("now: robot delay 2 cycles"))
     faults.begin_cycle(1)
     assert faults.incoming((REPLY % 3).encode(), read) is None
-    faults.look(())
+    faults.set_active(())
     faults.begin_cycle(3)
     again = (REPLY % 3).replace("1.500000", "2.500000").encode()
     reply = faults.incoming(again, read)
@@ -160,11 +160,11 @@ def test_the_log_shows_begin_end_and_each_occurrence_with_its_ipoc(
     log = FaultLog(moment)
     lasting = parse_faults("now: robot delay 2 cycles")
     (once,) = parse_faults("now: robot eki half telegram")
-    log.look(lasting)
-    log.look(lasting)
+    log.update(lasting)
+    log.update(lasting)
     log.hit("delay_replies")
     log.happened(once)
-    log.look(())
+    log.update(())
     assert capsys.readouterr().err.splitlines() == [
         "fault at 12.500 s, IPOC 4208: robot delay 2 cycles begins",
         "fault at 12.500 s, IPOC 4208: robot eki half telegram",

@@ -108,8 +108,8 @@ def test_rejected_replies_are_reported_once_a_second_with_reason_and_count(
     data = reply % run.ipoc if b"%d" in reply else reply
     for now_s in (10.0, 10.5, 11.5):
         assert run.read(data) is None
-        run.rejected.tell(now_s, lambda why, count: said.append((why, count)))
-    run.rejected.tell(20.0, lambda why, count: said.append((why, count)))
+        run.rejected.report(now_s, lambda why, count: said.append((why, count)))
+    run.rejected.report(20.0, lambda why, count: said.append((why, count)))
     assert [count for _, count in said] == [1, 3]
     assert all(why.startswith(f"reply rejected: {reason}") for why, _ in said)
 
