@@ -9,7 +9,11 @@ from typing import Annotated
 import typer
 
 CAMERAS = 2
-FAULTS_OF = ("camera", "room")  # the ones this simulator can have on its own
+FAULTS_OF = ("camera", "room")  # devices whose faults this simulator can have alone
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # from malloc.h of the GNU C library
+KEPT_BYTES = 256 << 20
+LARGEST_KEPT_BYTES = 32 << 20  # the largest value the library accepts
 
 
 def basler(
@@ -48,13 +52,13 @@ def basler(
     pair.serve()
 
 
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # from malloc.h of the GNU C library
-KEPT_BYTES = 256 << 20
-LARGEST_KEPT_BYTES = 32 << 20  # the largest value the library accepts
-
-
 def keep_freed_memory() -> bool:
-    """Set the allocator of this process; False if the C library has no such settings."""
+    """Keep freed memory in this process for the next image; False if the C library has no such settings.
+
+    An image needs several arrays of a few megabytes. The C library returns such memory to the kernel when
+    freed, and the kernel clears it page by page on the next request. Most images are drawn in `row_bands`;
+    this is for the rest: strong defocus, faults on the lens, the images themselves.
+    """
     try:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, AttributeError):

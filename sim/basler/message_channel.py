@@ -1,4 +1,4 @@
-"""Sends events one message at a time, repeating each until it is acknowledged or retries run out."""
+"""The message channel of a camera: events, and their reporting until acknowledged."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ronna_hw.wire.gige_vision import (
+    EVENT_ITEM,
     EVENT_ITEM_BYTES,
     GVCP_ACK_HEADER,
     GVCP_COMMAND_HEADER,
@@ -23,18 +24,35 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
     GvcpFlag,
 )
-from sim.basler.camera.settings import FRAME_NUMBER, Event, EventKind, Settings, Ticks
+from sim.basler.camera.settings import EventKind, Settings, Ticks
 from sim.basler.faults import NO_FAULTS, CameraFaults
 
+STREAM_CHANNEL = 0
+FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
 DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
 EVENTS_KEPT = 32  # queued behind a pending message; more are lost
 EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
 DATAGRAM_BYTES = 2048
 
 
+@dataclass(frozen=True)
+class Event:
+    """An event; block id 0 without a frame. `data` is sent as EVENTDATA."""
+
+    kind: EventKind
+    block_id: int
+    stamp_ticks: int
+    data: bytes = b""
+
+    def encoded(self) -> bytes:
+        """Encode the event as an item of a message."""
+        head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
+        return head + self.data
+
+
 @dataclass
-class _UnderWay:
-    """A message that was sent but not yet acknowledged."""
+class _Pending:
+    """A message sent but not yet acknowledged."""
 
     request_id: int
     datagram: bytes
@@ -43,7 +61,10 @@ class _UnderWay:
 
 
 class MessageChannel:
-    """Messages to one receiver. `owner_address` is the controlling application's, `now_s` monotonic time."""
+    """Sends one message at a time to one receiver, repeated until acknowledged or out of retries.
+
+    `owner_address` is that of the application in control, `now_s` the host's monotonic clock.
+    """
 
     def __init__(
         self,
@@ -60,7 +81,7 @@ class MessageChannel:
         self._faults = faults
         self._lock = threading.Lock()
         self._waiting: deque[Event] = deque()
-        self._under_way: _UnderWay | None = None
+        self._pending: _Pending | None = None
         self._request_id = 0
         self._port = 0
         self.destination = "0.0.0.0"
@@ -78,7 +99,7 @@ class MessageChannel:
     @port.setter
     def port(self, value: int) -> None:
         with self._lock:
-            self._forget()
+            self._clear()
             self._port = value
 
     @property
@@ -94,23 +115,23 @@ class MessageChannel:
             return None
         return (owner if self.destination == "0.0.0.0" else self.destination), self._port
 
-    def tell(self, event: Event, *, beyond_limit: bool = False) -> bool:
-        """Report an event; False if it is lost because the queue is full. Having no listener is no loss."""
+    def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
+        """Queue an event; False if it is lost because the queue is full. A closed channel loses nothing."""
         with self._lock:
             if self.receiver is None:
                 return True
             if len(self._waiting) >= EVENTS_KEPT and not beyond_limit:
                 return False
             self._waiting.append(event)
-            if self._under_way is None:
+            if self._pending is None:
                 self._send_next()
         self.changed()
         return True
 
     def due_s(self) -> float | None:
-        """When the pending message must be repeated; None without one."""
-        under_way = self._under_way
-        return None if under_way is None else under_way.due_s
+        """Return when the pending message must be repeated; None without one."""
+        pending = self._pending
+        return None if pending is None else pending.due_s
 
     def receive(self) -> None:
         """Process the acknowledges received."""
@@ -124,17 +145,17 @@ class MessageChannel:
     def repeat_overdue(self) -> None:
         """Repeat the pending message when its acknowledge is late; give up after the last retry."""
         with self._lock:
-            waits = self._under_way
-            if waits is None or self._now_s() < waits.due_s:
+            pending = self._pending
+            if pending is None or self._now_s() < pending.due_s:
                 return
-            if not waits.repetitions_left:
+            if not pending.repetitions_left:
                 self.unacknowledged += 1
-                self._under_way = None
+                self._pending = None
                 self._send_next()
                 return
-            waits.repetitions_left -= 1
-            waits.due_s = self._now_s() + self.timeout_ms / 1e3
-            self._put(waits.datagram)
+            pending.repetitions_left -= 1
+            pending.due_s = self._now_s() + self.timeout_ms / 1e3
+            self._transmit(pending.datagram)
 
     def shut(self) -> None:
         """Close the channel; queued events are dropped."""
@@ -149,15 +170,15 @@ class MessageChannel:
             return
         _, code, _, request_id = struct.unpack_from(GVCP_ACK_HEADER, datagram)
         with self._lock:
-            waits = self._under_way
+            pending = self._pending
             wanted = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
-            if waits is not None and code in wanted and request_id == waits.request_id:
-                self._under_way = None
+            if pending is not None and code in wanted and request_id == pending.request_id:
+                self._pending = None
                 self._send_next()
 
     def _send_next(self) -> None:
-        """Send one message from the queue: an event with data alone, others combined."""
-        while self._waiting and self._under_way is None:
+        """Send the next message: an event with data alone, others combined."""
+        while self._waiting and self._pending is None:
             together = [self._waiting.popleft()]
             while (
                 not together[0].data
@@ -176,26 +197,23 @@ class MessageChannel:
         head = struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, flags, command, len(payload), self._request_id)
         if self.timeout_ms:
             due_s = self._now_s() + self.timeout_ms / 1e3
-            self._under_way = _UnderWay(self._request_id, head + payload, self.retries, due_s)
-        self._put(head + payload)
+            self._pending = _Pending(self._request_id, head + payload, self.retries, due_s)
+        self._transmit(head + payload)
 
-    def _put(self, datagram: bytes) -> None:
+    def _transmit(self, datagram: bytes) -> None:
         receiver = self.receiver
         lost = self._faults.message_lost() or not self._faults.passes(len(datagram) + IP_UDP_HEADER_BYTES)
         if receiver is not None and not lost:
             with contextlib.suppress(OSError):  # a receiver that is gone
                 self.socket.sendto(datagram, receiver)
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._waiting.clear()
-        self._under_way = None
-
-
-"""What happened, block id (0 without a frame), theatre time in ns."""
+        self._pending = None
 
 
 class EventReporter:
-    """Reports to the message channel of one camera. May be called from any thread."""
+    """Reports the events of one camera that have notification on. May be called from any thread."""
 
     def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
         self._settings = settings
@@ -204,14 +222,14 @@ class EventReporter:
         self._overrun_reported = False
 
     def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
-        """Called when something happened; reported if its notification is on."""
+        """Report an event at a theatre time in ns, if its notification is on."""
         if kind not in self._settings().events_notified or self._channel.receiver is None:
             return
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
         ticks = self._ticks.count(moment_ns)
-        if self._channel.tell(Event(kind, block_id, ticks, data)):
+        if self._channel.report(Event(kind, block_id, ticks, data)):
             self._overrun_reported = False
         elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_reported:
             # one warning while the queue stays full; the number of lost events is not reported
             self._overrun_reported = True
-            self._channel.tell(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)
+            self._channel.report(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

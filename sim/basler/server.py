@@ -1,4 +1,4 @@
-"""Serves the control ports of several cameras on one thread: sockets, broadcasts, heartbeats."""
+"""The stereo head's two cameras in one process: their addresses, and one thread that serves them."""
 
 from __future__ import annotations
 
@@ -31,6 +31,7 @@ SCRIPTED_CHECK_S = 0.01  # while there is a fault script: how quickly its events
 # A datagram is answered before the next is read, so one camera's backlog cannot starve the other.
 DATAGRAMS_AT_ONCE = 64
 
+# UDP port 3956 is fixed by the standard, so each camera needs an address of its own.
 FIRST_ADDRESS = IPv4Address("127.77.0.1")
 PAIRS_TRIED = 2000
 BROADCAST_ADDRESSES = ("255.255.255.255", "127.255.255.255")
@@ -39,7 +40,7 @@ SIDES = ("left", "right")
 
 
 class CameraPair:
-    """Two cameras that serve until ended."""
+    """Two cameras over one world, served until ended."""
 
     def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
         sockets = bind_pair(addresses)
@@ -57,11 +58,11 @@ class CameraPair:
                     faults=faults,
                 )
             )
-        self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _tell)
+        self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _report)
 
     @property
     def endpoints(self) -> dict[str, str]:
-        """Addresses of the cameras for clients."""
+        """Endpoints of the cameras."""
         return {
             side: f"gev://{camera.identity.address}"
             for side, camera in zip(SIDES, self._cameras, strict=True)
@@ -82,18 +83,18 @@ class CameraPair:
         self._server.end()
 
 
-def _tell(message: str) -> None:
+def _report(message: str) -> None:
     sys.stderr.write(message + "\n")
 
 
 def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
-    """Control sockets on two given addresses, or on a free pair if none are given; raises SIM-004."""
+    """Bind control sockets to two given addresses, or to a free pair; raises SIM-004."""
     if addresses:
         left, right = addresses
         return _bind(left, right)
-    for left, right in _candidates():
+    for pair in range(PAIRS_TRIED):
         with contextlib.suppress(EndpointTaken):
-            return _bind(left, right)
+            return _bind(str(FIRST_ADDRESS + 2 * pair), str(FIRST_ADDRESS + 2 * pair + 1))
     raise EndpointTaken(
         f"no pair of addresses from {FIRST_ADDRESS} on has UDP port {GVCP_PORT} free",
         limit=f"{PAIRS_TRIED} pairs tried",
@@ -101,7 +102,7 @@ def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
 
 
 def bind_broadcast() -> list[socket.socket]:
-    """Sockets that receive broadcasts from clients; several programs may listen in parallel."""
+    """Bind sockets that receive broadcasts; several programs may listen in parallel."""
     sockets = []
     for address in BROADCAST_ADDRESSES:
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -113,11 +114,6 @@ def bind_broadcast() -> list[socket.socket]:
             continue
         sockets.append(listener)
     return sockets
-
-
-def _candidates() -> Iterator[tuple[str, str]]:
-    for pair in range(PAIRS_TRIED):
-        yield str(FIRST_ADDRESS + 2 * pair), str(FIRST_ADDRESS + 2 * pair + 1)
 
 
 def _bind(left: str, right: str) -> tuple[socket.socket, socket.socket]:
@@ -141,17 +137,20 @@ def _bind_one(address: str) -> socket.socket:
 
 
 class ControlServer:
-    """`sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts."""
+    """Serves the control ports of several cameras on one thread: sockets, broadcasts, heartbeats.
+
+    `sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts.
+    """
 
     def __init__(
         self,
         cameras: Sequence[Camera],
         sockets: Sequence[socket.socket],
         shared: Sequence[socket.socket],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self._cameras = list(zip(cameras, sockets, strict=True))
-        self._tell = tell
+        self._report = report
         self._selector = selectors.DefaultSelector()
         self._waker, self._sleeper = socket.socketpair()
         self._ended = False
@@ -170,10 +169,10 @@ class ControlServer:
     def serve(self) -> None:
         """Serve until `end`."""
         while not self._ended:
-            self._receive_all(self._patience_s())
+            self._receive_all(self._wait_s())
             self._send_late()
             for camera, _ in self._cameras:
-                camera.befall()
+                camera.apply_faults()
                 camera.messages.repeat_overdue()
                 left_s = camera.privilege.seconds_left()
                 if left_s is not None and left_s <= 0.0:
@@ -187,12 +186,12 @@ class ControlServer:
         self._wake()
 
     def _wake(self) -> None:
-        """Make the server re-check what is due. May be called from another thread."""
+        """Make the server check what is due. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
-    def _patience_s(self) -> float:
-        """Time until the next owner may lose control."""
+    def _wait_s(self) -> float:
+        """Return the time until something is due: a heartbeat, a message, a delayed answer, the script."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
@@ -200,8 +199,8 @@ class ControlServer:
         due_s += [each - time.monotonic() for each in messages if each is not None]
         return max(0.0, min([check_s, *due_s, *(each for each in left if each is not None)]))
 
-    def _receive_all(self, patience_s: float) -> None:
-        for key, _ in self._selector.select(patience_s):
+    def _receive_all(self, wait_s: float) -> None:
+        for key, _ in self._selector.select(wait_s):
             if key.data is None:
                 with contextlib.suppress(OSError):
                     self._sleeper.recv(DATAGRAM_BYTES)
@@ -232,7 +231,7 @@ class ControlServer:
         try:
             answer = camera.port.answer(datagram, peer)
         except Exception as problem:  # an error here must cost one answer, not both cameras
-            self._tell(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
+            self._report(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
             return
         if answer is None:
             return
@@ -242,7 +241,7 @@ class ControlServer:
 
 
 def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """What becomes of an answer under active faults: delay in host time, and datagram."""
+    """Yield what the active faults make of an answer: delay in host time, and datagram."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer
@@ -261,5 +260,5 @@ def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
 
 
 def _same_network(own: str, other: str) -> bool:
-    """A camera on the loopback network does not answer broadcasts from outside."""
+    """Return False for a broadcast from outside to a camera on the loopback network, or the reverse."""
     return IPv4Address(own).is_loopback == IPv4Address(other).is_loopback

@@ -1,4 +1,4 @@
-"""The stream channel of a camera: destination, packet size and pacing, and blocks kept for resending."""
+"""The stream channel of a camera: frames as blocks of packets, their pacing and resending."""
 
 from __future__ import annotations
 
@@ -29,6 +29,20 @@ from sim.basler.camera.settings import FrameSettings
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
 
+KEPT_BLOCKS = 16
+DEFAULT_PACKET_SIZE = 1500
+SMALLEST_PACKET_SIZE = 220
+LARGEST_PACKET_SIZE = 16404
+PACKET_SIZE_STEP = 4
+WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
+BURST_BYTES = 32 * 1024  # sent at once; a default kernel buffers about six of these for a receiver
+SHORTEST_SLEEP_S = 2e-4  # shorter sleeps take longer than requested
+LONGEST_CREDIT_S = 1.5e-3  # of link time that a late sender may catch up at once: the buffer above
+IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
+PMTU_DO, PMTU_DONT = 2, 0
+
+WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fault
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -40,7 +54,7 @@ class Frame:
 
 
 class Block:
-    """The packets of one frame for one packet size, created on demand."""
+    """Leader, payload and trailer packets of one frame, created on demand."""
 
     def __init__(self, block_id: int, frame: Frame, packet_size: int) -> None:
         self.block_id = block_id
@@ -57,17 +71,14 @@ class Block:
     def packet(
         self, packet_id: int, status: GevStatus = GevStatus.SUCCESS
     ) -> tuple[bytes, bytes | memoryview]:
-        """Header and content of a packet, 0 to `trailer_id`."""
+        """Return header and content of a packet, 0 to `trailer_id`."""
         if packet_id == LEADER_PACKET_ID:
-            return self._header(status, GvspFormat.LEADER, packet_id), self._leader()
+            return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._leader()
         if packet_id == self.trailer_id:
-            return self._header(status, GvspFormat.TRAILER, packet_id), self._trailer()
+            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), self._trailer()
         start = (packet_id - 1) * self._share
         content = self._image[start : start + self._share]
-        return self._header(status, GvspFormat.PAYLOAD, packet_id), content
-
-    def _header(self, status: GevStatus, kind: GvspFormat, packet_id: int) -> bytes:
-        return header(status, self.block_id, kind, packet_id)
+        return header(status, self.block_id, GvspFormat.PAYLOAD, packet_id), content
 
     def _leader(self) -> bytes:
         settings = self._frame.settings
@@ -82,27 +93,12 @@ class Block:
 
 
 def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -> bytes:
-    """Header of a stream packet."""
+    """Encode the header of a stream packet."""
     return struct.pack(GVSP_HEADER, status, block_id, kind << GVSP_FORMAT_SHIFT | packet_id)
 
 
-KEPT_BLOCKS = 16
-DEFAULT_PACKET_SIZE = 1500
-SMALLEST_PACKET_SIZE = 220
-LARGEST_PACKET_SIZE = 16404
-PACKET_SIZE_STEP = 4
-WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
-BURST_BYTES = 32 * 1024  # sent at once; a default kernel buffers about six of these for a receiver
-SHORTEST_SLEEP_S = 2e-4  # shorter sleeps take longer than requested
-LONGEST_CREDIT_S = 1.5e-3  # of link time that a late sender may catch up at once: the buffer above
-IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
-PMTU_DO, PMTU_DONT = 2, 0
-
-WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fault
-
-
 class StreamChannel:
-    """Sends blocks to one receiver. `owner_address` is that of the controlling application."""
+    """Sends blocks to one receiver. `owner_address` is that of the application in control."""
 
     def __init__(
         self, address: str, owner_address: Callable[[], str | None], faults: CameraFaults = NO_FAULTS
@@ -136,10 +132,7 @@ class StreamChannel:
 
     @property
     def receiver(self) -> tuple[str, int] | None:
-        """Destination of packets; None while the channel is closed.
-
-        0.0.0.0 stands for the application in control.
-        """
+        """Destination of packets; None while closed. 0.0.0.0 stands for the application in control."""
         owner = self._owner_address()
         if not self.port or owner is None:
             return None
@@ -151,59 +144,56 @@ class StreamChannel:
         self._kept.clear()
 
     def block_of(self, frame: Frame) -> Block | None:
-        """The next block to send; None while the channel is closed."""
+        """Make the next block to send; None while the channel is closed."""
         if self.receiver is None:
             return None
-        block = Block(self._next_block_id, self._as_sent(frame), self.packet_size)
+        block = Block(self._next_block_id, self._apply_faults(frame), self.packet_size)
         self._next_block_id = BLOCK_ID_FIRST if block.block_id == BLOCK_ID_LAST else block.block_id + 1
         self._kept.append(block)
         return block
 
     def send(self, block: Block, duration_s: float = 0.0) -> None:
-        """Send a block; no effect while closed.
-
-        It takes `duration_s`, like rows leaving the sensor one by one, but is never faster than the link.
-        """
+        """Send a block over `duration_s`, like rows leaving the sensor, but never faster than the link."""
         receiver = self.receiver
         if receiver is None:
             return
         packets = block.trailer_id + 1
-        lost = self._faults.lost(block.block_id, packets)
+        lost = self._faults.lost_packets(block.block_id, packets)
         pause_s = self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
         pause_s = max(pause_s, duration_s / packets)
-        together = max(1, BURST_BYTES // self.packet_size)
+        burst = max(1, BURST_BYTES // self.packet_size)
         due_s = time.monotonic()
-        for place, packet_id in enumerate(self._faults.order(block.block_id, packets)):
-            if place % together == 0:
+        for position, packet_id in enumerate(self._faults.packet_order(block.block_id, packets)):
+            if position % burst == 0:
                 now_s = time.monotonic()
                 if due_s - now_s > SHORTEST_SLEEP_S:
                     time.sleep(due_s - now_s)
                 # after a stall, the backlog is not sent faster than the link would carry it
-                due_s = max(due_s, now_s - LONGEST_CREDIT_S) + together * pause_s
+                due_s = max(due_s, now_s - LONGEST_CREDIT_S) + burst * pause_s
             if packet_id not in lost:
-                self._put(block, packet_id, GevStatus.SUCCESS, receiver)
+                self._send_packet(block, packet_id, GevStatus.SUCCESS, receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
-        """Resend packets; one that is no longer available is answered by a packet that says so."""
+        """Resend packets, or report the first as unavailable."""
         receiver = self.receiver
         if receiver is None:
             return
         block = next((kept for kept in tuple(self._kept) if kept.block_id == block_id), None)
         if block is None or first_packet > block.trailer_id or self._faults.active("forget"):
             content = header(GevStatus.PACKET_UNAVAILABLE, block_id, GvspFormat.PAYLOAD, first_packet)
-            self._put_bytes([content], receiver)
+            self._transmit([content], receiver)
             return
         for packet_id in range(first_packet, min(last_packet, block.trailer_id) + 1):
-            self._put(block, packet_id, GevStatus.PACKET_RESEND, receiver)
+            self._send_packet(block, packet_id, GevStatus.PACKET_RESEND, receiver)
 
     def fire_test_packet(self, size: int) -> None:
         """Send one datagram of `size` bytes including IP and UDP headers, if the path carries it."""
         receiver = self.receiver
         if receiver is not None:
-            self._put_bytes([bytes(size - IP_UDP_HEADER_BYTES)], receiver)
+            self._transmit([bytes(size - IP_UDP_HEADER_BYTES)], receiver)
 
     def shut(self) -> None:
-        """Close the channel; nothing more is sent."""
+        """Close the channel and forget its blocks."""
         self.port = 0
         self._kept.clear()
 
@@ -211,7 +201,7 @@ class StreamChannel:
         """Close the socket."""
         self._socket.close()
 
-    def _as_sent(self, frame: Frame) -> Frame:
+    def _apply_faults(self, frame: Frame) -> Frame:
         if self._faults.active("truncate"):
             frame = replace(frame, image=frame.image[: len(frame.image) // 2])
         if self._faults.active("shift_area"):
@@ -220,10 +210,12 @@ class StreamChannel:
             frame = replace(frame, settings=replace(frame.settings, area=beside))
         return frame
 
-    def _put(self, block: Block, packet_id: int, status: GevStatus, receiver: tuple[str, int]) -> None:
-        self._put_bytes(block.packet(packet_id, status), receiver)
+    def _send_packet(
+        self, block: Block, packet_id: int, status: GevStatus, receiver: tuple[str, int]
+    ) -> None:
+        self._transmit(block.packet(packet_id, status), receiver)
 
-    def _put_bytes(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
+    def _transmit(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
         if not self._faults.passes(sum(len(part) for part in parts) + IP_UDP_HEADER_BYTES):
             return
         # If the receiver is gone or the packet too large for the path, it is lost as on a real network.

@@ -1,4 +1,4 @@
-"""Features of the image: sensor, area of interest, pixel format, test images."""
+"""Features that govern how frames are taken: image format, acquisition, triggers, exposure, gain."""
 
 from __future__ import annotations
 

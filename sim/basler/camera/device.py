@@ -1,4 +1,4 @@
-"""One assembled camera: settings, acquisition, stream, registers, control port."""
+"""One camera, assembled from settings, acquisition, channels, registers and control port."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class Camera:
         self.identity = identity
         self.settings = Settings()
         self._user_sets: dict[int, Settings] = {UserSet.DEFAULT: Settings()}
-        self.privilege = Privilege(now_s, self._abandoned)
+        self.privilege = Privilege(now_s, self._release_control)
         self.faults = faults
         self.channel = StreamChannel(identity.address, self._owner_address, faults)
         self.messages = MessageChannel(identity.address, self._owner_address, now_s, faults)
@@ -64,18 +64,18 @@ class Camera:
             self.registers,
             self.privilege,
             ReplayCache(now_s),
-            Actions(self.channel.repeat, self._act),
+            Actions(self.channel.repeat, self._accept_action),
             mac=identity.mac,
             address=identity.address_bytes,
             counts_as_life=lambda: not faults.active("deaf"),
         )
 
     def open(self) -> None:
-        """Start serving."""
+        """Start acquiring on command."""
         self.acquisition.open()
 
     def close(self) -> None:
-        """Stop at once and release everything."""
+        """Stop acquiring and close the channels at once."""
         self.acquisition.close()
         self.channel.shut()
         self.messages.shut()
@@ -99,8 +99,8 @@ class Camera:
             raise Refusal(GevStatus.WRITE_PROTECT)
         self._user_sets[selected] = self.settings.copy()
 
-    def befall(self) -> None:
-        """Apply what has happened according to the fault script since the last call."""
+    def apply_faults(self) -> None:
+        """Apply the momentary faults since the last call, and a seized control privilege."""
         if self.faults.happened("restart"):
             self.restart()
         if self.faults.happened("pulse"):
@@ -108,7 +108,7 @@ class Camera:
         self.privilege.seize(self.faults.active("taken"))
 
     def restart(self) -> None:
-        """Power cycle: no application in control, everything as after power-on; saved user sets are kept."""
+        """Power-cycle: no application in control, power-on settings; saved user sets are kept."""
         self.privilege.drop()
         self.acquisition.stop()
         self.channel.shut()
@@ -120,20 +120,20 @@ class Camera:
         owner = self.privilege.owner
         return None if owner is None else owner[0]
 
-    def _abandoned(self) -> None:
-        """Control has ended: nothing may continue without an owner."""
+    def _release_control(self) -> None:
+        """Stop everything: nothing may continue without an application in control."""
         self.acquisition.stop()
         self.channel.shut()
         self.messages.shut()
         self.settings.parameters_locked = 0
 
-    def _act(self, device_key: int, group_key: int, group_mask: int) -> bool:
+    def _accept_action(self, device_key: int, group_key: int, group_mask: int) -> bool:
         settings = self.settings
-        meant = (
+        addressed = (
             device_key == settings.action_device_key
             and group_key == settings.action_group_key
             and bool(group_mask & settings.action_group_mask)
         )
-        if meant:
+        if addressed:
             self.acquisition.action()
-        return meant
+        return addressed

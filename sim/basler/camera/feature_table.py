@@ -1,6 +1,7 @@
-"""All features, in the order of their registers. Names as in the camera family (SFNC 1.x).
+"""All features in the order of their registers, and the registers of each: value, minimum, maximum, step.
 
-Those that select which events are reported are here, the others in modules of their own.
+Names are those of the camera family (SFNC 1.x). Features of transport, actions, user sets and events are
+defined here, those of frames in `capture_features`.
 """
 
 from __future__ import annotations
@@ -105,11 +106,11 @@ EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
 
 
-def _notified(commands: Commands) -> int:
+def _is_notified(commands: Commands) -> int:
     return int(commands.settings.event_selector in commands.settings.events_notified)
 
 
-def _notify(commands: Commands, value: int) -> None:
+def _set_notified(commands: Commands, value: int) -> None:
     settings = commands.settings
     others = settings.events_notified - {settings.event_selector}
     settings.events_notified = others | {settings.event_selector} if value == ON else others
@@ -130,8 +131,8 @@ EVENT_FEATURES: tuple[Feature, ...] = (
         Kind.ENUMERATION,
         EVENTS,
         "Report the selected event on the message channel.",
-        read=_notified,
-        write=_notify,
+        read=_is_notified,
+        write=_set_notified,
         entries={"Off": OFF, "On": ON},
     ),
 )
@@ -150,7 +151,7 @@ MINIMUM_OFFSET, MAXIMUM_OFFSET, STEP_OFFSET = 4, 8, 12
 
 
 def address_of(name: str) -> int:
-    """Address of a feature's value."""
+    """Return the address of a feature's value."""
     return ADDRESSES[name]
 
 
@@ -158,16 +159,16 @@ def add_features(registers: RegisterMap, commands: Commands) -> None:
     """Add the registers of all features."""
     for feature in FEATURES:
         address = address_of(feature.name)
-        registers.add(address, _value(feature, commands))
+        registers.add(address, _value_register(feature, commands))
         if feature.minimum is None or feature.maximum is None:
             continue
-        registers.add(address + MINIMUM_OFFSET, _limit(feature, feature.minimum, commands))
-        registers.add(address + MAXIMUM_OFFSET, _limit(feature, feature.maximum, commands))
+        registers.add(address + MINIMUM_OFFSET, _limit_register(feature, feature.minimum, commands))
+        registers.add(address + MAXIMUM_OFFSET, _limit_register(feature, feature.maximum, commands))
         if feature.kind is Kind.INTEGER:
-            registers.add(address + STEP_OFFSET, _limit(feature, always(feature.step), commands))
+            registers.add(address + STEP_OFFSET, _limit_register(feature, always(feature.step), commands))
 
 
-def _value(feature: Feature, commands: Commands) -> Word:
+def _value_register(feature: Feature, commands: Commands) -> Word:
     def read() -> int:
         # A command is never pending: it is done once its register has been written.
         return 0 if feature.read is None else _encode(feature, feature.read(commands))
@@ -184,7 +185,7 @@ def _value(feature: Feature, commands: Commands) -> Word:
     return Word(read, None if feature.write is None else write)
 
 
-def _limit(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
+def _limit_register(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
     return Word(lambda: _encode(feature, limit(commands)))
 
 

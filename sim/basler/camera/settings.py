@@ -1,9 +1,8 @@
-"""Settings of a camera: the values behind its features, and those used by one frame."""
+"""Settings of a camera, those of one frame, and the timing that follows from them."""
 
 from __future__ import annotations
 
 import copy
-import struct
 import threading
 import time
 from dataclasses import dataclass, field
@@ -11,7 +10,6 @@ from enum import IntEnum
 from typing import Protocol
 
 from ronna_hw.wire.gige_vision import (
-    EVENT_ITEM,
     GAIN_RAW_MINIMUM,
     PIXEL_FORMAT_BITS_MASK,
     PIXEL_FORMAT_BITS_SHIFT,
@@ -23,8 +21,18 @@ from ronna_hw.wire.gige_vision import (
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
 
-STREAM_CHANNEL = 0
-FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
+DEFAULT_EXPOSURE_US = 4000
+DEFAULT_BLACK_LEVEL_RAW = 32
+DEFAULT_FRAME_RATE_HZ = 50.0
+
+FULL_FRAME_RATE_HZ = 50.0
+ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
+LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
+NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
+# In lock-step two triggers within this host time belong together, and the theatre time between them is at
+# most that between two software triggers on a real network.
+SAME_PAIR_HOST_NS = 500_000_000
+SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
 
 
 class EventKind(IntEnum):
@@ -43,32 +51,12 @@ class EventKind(IntEnum):
 
     @property
     def feature_name(self) -> str:
-        """The entry as spelled in the family."""
+        """Entry as spelled in the family."""
         return "".join(word.capitalize() for word in self.name.split("_"))
 
 
-@dataclass(frozen=True)
-class Event:
-    """An event: block id 0 if no frame belongs to it; `data` is sent as EVENTDATA."""
-
-    kind: EventKind
-    block_id: int
-    stamp_ticks: int
-    data: bytes = b""
-
-    def encoded(self) -> bytes:
-        """Its bytes in a message."""
-        head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
-        return head + self.data
-
-
-DEFAULT_EXPOSURE_US = 4000
-DEFAULT_BLACK_LEVEL_RAW = 32
-DEFAULT_FRAME_RATE_HZ = 50.0
-
-
 class AcquisitionMode(IntEnum):
-    """How many frames an AcquisitionStart yields."""
+    """Entries of AcquisitionMode."""
 
     SINGLE_FRAME = 0
     CONTINUOUS = 1
@@ -135,7 +123,7 @@ class FrameSettings:
 
 @dataclass
 class Settings:
-    """Power-on values of everything in a user set, and the selectors."""
+    """Everything in a user set, and the selectors; the defaults are the power-on values."""
 
     width: int = SENSOR_WIDTH_PX
     height: int = SENSOR_HEIGHT_PX
@@ -166,11 +154,11 @@ class Settings:
 
     @property
     def selected_trigger(self) -> TriggerSettings:
-        """The trigger selected by TriggerSelector."""
+        """Settings of the trigger selected by TriggerSelector."""
         return self.triggers[self.trigger_selector]
 
     def frame(self) -> FrameSettings:
-        """The settings of a frame that starts now."""
+        """Return the settings of a frame that starts now."""
         return FrameSettings(
             Area(self.offset_x, self.offset_y, self.width, self.height),
             PixelFormat(self.pixel_format),
@@ -181,27 +169,17 @@ class Settings:
         )
 
     def copy(self) -> Settings:
-        """An independent copy."""
+        """Return an independent copy."""
         return copy.deepcopy(self)
 
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
-    """Bits per pixel on the wire."""
+    """Return the bits of a pixel on the wire."""
     return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
 
 
-FULL_FRAME_RATE_HZ = 50.0
-ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
-LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
-NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
-# In lock-step two triggers within this host time belong together, and the theatre time between them is at
-# most that between two software triggers on a real network.
-SAME_PAIR_HOST_NS = 500_000_000
-SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
-
-
 class TheatreClock(Protocol):
-    """What the cameras need from the theatre clock."""
+    """The theatre's clock as the cameras use it."""
 
     @property
     def paced(self) -> bool: ...
@@ -212,51 +190,53 @@ class TheatreClock(Protocol):
 
 
 def readout_us(frame: FrameSettings) -> float:
-    """Time from the end of exposure until the image has left the sensor."""
+    """Return the time from the end of exposure until the image has left the sensor."""
     return frame.area.height * ROW_US
 
 
 def shortest_period_us(frame: FrameSettings) -> float:
-    """Shortest time between two frames: exposure, read-out and transfer overlap, the slowest decides."""
+    """Return the shortest frame period: exposure, read-out and transfer overlap, the slowest decides."""
     return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
 
 
 def free_running_period_us(settings: Settings) -> float:
-    """Time between two frames without a frame trigger."""
+    """Return the frame period without a frame trigger."""
     shortest = max(shortest_period_us(settings.frame()), 1e6 / FULL_FRAME_RATE_HZ)
     return max(shortest, 1e6 / settings.frame_rate_hz) if settings.frame_rate_enabled else shortest
 
 
 class TriggerMoments:
-    """Theatre time of a trigger, for both cameras of the pair.
+    """Theatre time of the triggers of both cameras.
 
-    In real time a trigger acts when it arrives. In lock-step the first camera's frame may already have
-    advanced the theatre when the second trigger comes: the second is then backdated to the first, so that a
-    pair triggered sequentially stays a pair and does not take twice the time.
+    In real time a trigger acts when it arrives. In lock-step the first camera's frame may have advanced the
+    theatre before the second trigger arrives: that one is then backdated to the first, so that a pair
+    triggered sequentially stays a pair and does not take twice the time.
     """
 
     def __init__(self, clock: TheatreClock) -> None:
         self._clock = clock
         self._lock = threading.Lock()
-        self._alone: tuple[str, int, int] | None = None  # camera, host time, theatre time of a first half
+        self._first: tuple[str, int, int] | None = (
+            None  # camera, host time, theatre time of the first trigger of a pair
+        )
 
     def of(self, camera: str) -> int:
-        """Theatre time in ns of a trigger that this camera is receiving now."""
+        """Return the theatre time in ns of a trigger that this camera is receiving now."""
         now = self._clock.now_ns()
         if self._clock.paced:
             return now
         host = time.monotonic_ns()
         with self._lock:
-            first = self._alone
+            first = self._first
             if first is None or first[0] == camera or host - first[1] > SAME_PAIR_HOST_NS:
-                self._alone = (camera, host, now)
+                self._first = (camera, host, now)
                 return now
-            self._alone = None
+            self._first = None
             return min(now, first[2] + SOFTWARE_TRIGGER_SKEW_NS)
 
 
 class Ticks:
-    """The camera's time stamp counter, driven by the theatre clock."""
+    """Time stamp counter of a camera, driven by the theatre's clock."""
 
     def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
@@ -268,12 +248,12 @@ class Ticks:
         self.latched = 0
 
     def stamp(self, moment_ns: int) -> int:
-        """Ticks at a theatre time; never repeats, even for frames at the same theatre time."""
+        """Return the ticks of a frame; they never repeat, even for frames at the same theatre time."""
         self._last_stamp = max(self._at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
     def count(self, moment_ns: int) -> int:
-        """Ticks at a theatre time, for anything but frames."""
+        """Return the ticks at a theatre time, for anything but frames."""
         return self._at(moment_ns)
 
     def latch(self) -> None:
@@ -281,7 +261,7 @@ class Ticks:
         self.latched = self._at(self._clock.now_ns())
 
     def reset(self) -> None:
-        """Restart from zero."""
+        """Restart the counter from zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 

@@ -1,4 +1,4 @@
-"""Spheres in front of a camera and their positions; the only module that knows the theatre's geometry."""
+"""What one camera sees: the spheres in front of it and the disturbances; only here is theatre geometry."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.film import drawn_stains
+from sim.basler.optics.film import draw_stains
 from sim.basler.optics.picture import CLEAR, Disturbance, Glare, Occluder
 from sim.basler.optics.sphere import Sphere
 from sim.world.faults import Fault, FaultBoard
@@ -25,9 +25,12 @@ FURTHEST_MM = 1000.0  # beyond this, a sphere is a faint spot far out of focus
 
 Pose = NDArray[np.float64]
 
+PERCENT = 0.01
+SECONDS_PER_MINUTE = 60.0
+
 
 class View:
-    """What one camera sees of the theatre.
+    """The spheres in front of one camera.
 
     In the scene `bench`, until an arm moves the head, the first fiducial is at the tool centre point with its
     post along the tool's z axis, so that any client sees a sphere in both images.
@@ -37,21 +40,21 @@ class View:
         self._world = world
         self._camera_from_tool = matrix_of(camera.camera_from_tool)
         head = world.scene.head
-        self._balls = (*spheres_in_theatre(world.scene), *_target_balls(head))
-        self._numbers = [each.number for each in self._balls]
+        self._fiducials = (*spheres_in_theatre(world.scene), *_target_balls(head))
+        self._numbers = [each.number for each in self._fiducials]
         self._robot_from_ct = matrix_of(head.robot_from_ct)
-        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._balls])
+        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._fiducials])
         self._stand_mm = np.array(world.scene.stand.ball_mm)
-        self._stand_number = 1 + max((each.number for each in self._balls), default=0)
+        self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
 
     def pose(self) -> Pose | None:
-        """True pose (4, 4) of the head in the robot frame; None until an arm has published it."""
+        """Return the true pose (4, 4) of the head in the robot frame; None until an arm has published it."""
         pose = self._world.robot_from_tool()
         return pose if np.any(pose[:3, :3]) else None
 
     @property
     def head_mounted(self) -> bool:
-        """Whether the stereo head, not the guide, is mounted."""
+        """Whether the stereo head is mounted."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
     @property
@@ -62,13 +65,13 @@ class View:
     def spheres(
         self, robot_from_tool: Pose | None, twist_rad: float = 0.0, room: RoomShift = NOTHING_MOVED
     ) -> tuple[Sphere, ...]:
-        """Spheres in front of the camera for a pose that `pose` returned, camera frame.
+        """Return the spheres in front of the camera, camera frame, for a pose that `pose` returned.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
         plane of both cameras: the tool's x axis. `room` is the displacement of the spheres.
         """
         if not self.head_mounted:
-            return ()  # the head is on its stand and sees nothing
+            return ()  # on its stand the head sees nothing
         if robot_from_tool is None:
             return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
@@ -76,7 +79,7 @@ class View:
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         seen = [
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
-            for each, centre in zip(self._balls, centres, strict=True)
+            for each, centre in zip(self._fiducials, centres, strict=True)
         ]
         if self.stand_has_ball:
             centre = apply(camera_from_robot, self._stand_mm)
@@ -90,35 +93,14 @@ class View:
         return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
 
     def _bench(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
-        first = self._balls[0]
+        first = self._fiducials[0]
         rotation = camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
         return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
 
 
-def _target_balls(head: Head) -> tuple[Fiducial, ...]:
-    """The balls at the targets, on posts along the trajectories."""
-    if not head.target_balls:
-        return ()
-    first = 1 + max(each.number for each in head.fiducials)
-    return tuple(
-        Fiducial(number=number, centre_ct_mm=each.target_ct_mm, post_ct=each.outwards_ct)
-        for number, each in enumerate(head.targets, first)
-    )
-
-
-def _upright(post: tuple[float, float, float]) -> Pose:
-    """Rotation (3, 3) whose third column is the post; the film's turn about it is arbitrary but fixed."""
-    hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
-    return rotation_towards(post, hint)
-
-
-PERCENT = 0.01
-SECONDS_PER_MINUTE = 60.0
-
-
 @dataclass(frozen=True)
 class Disturbances:
-    """Queries the cameras' fault board on behalf of one camera."""
+    """The optical disturbances of one camera, from the fault script and the scene."""
 
     world: World
     board: FaultBoard
@@ -127,27 +109,27 @@ class Disturbances:
 
     @classmethod
     def of(cls, world: World, camera: CameraTruth) -> Disturbances:
-        """The disturbances of one camera."""
+        """Build the disturbances of one camera."""
         return cls(world, FaultBoard(world, "camera"), camera, ShiftedRoom(world))
 
     @property
     def side(self) -> str:
-        """The camera's name in a fault script."""
+        """Name of the camera in a fault script."""
         return "left" if self.camera.serial == self.world.scene.left.serial else "right"
 
     @cached_property
     def worn(self) -> Disturbance:
-        """Permanent defects: spots of worn film, dark like a stain."""
+        """Permanent defects: spots of worn film, as dark as a stain."""
         scene = self.world.scene
         spots = tuple(
-            (one.number, drawn_stains(scene.seed, one.number, one.worn_percent * PERCENT))
+            (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))
             for one in spheres_in_theatre(scene)
             if one.worn_percent
         )
         return Disturbance(stains=spots) if spots else CLEAR
 
     def now(self) -> Disturbance:
-        """The currently active disturbances; costs one query when there are no faults."""
+        """Return the active disturbances; costs one query when there are no faults."""
         room = self.room.now()
         if self.board.empty:
             return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
@@ -155,23 +137,25 @@ class Disturbances:
         return Disturbance(
             stains=self.worn.stains
             + tuple(
-                (number, drawn_stains(seed, number, float(share) * PERCENT))
+                (number, draw_stains(seed, number, float(share) * PERCENT))
                 for number, share in (
                     (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
                 )
             ),
-            occluders=tuple(self._occluder(float(fault.arguments[1])) for fault in self._mine("occluder")),
-            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
-            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist"))
-            + sum(self._crept_rad(fault) for fault in self._mine("creep")),
+            occluders=tuple(
+                self._occluder(float(fault.arguments[1])) for fault in self._own_faults("occluder")
+            ),
+            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._own_faults("glare")),
+            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._own_faults("twist"))
+            + sum(self._creep_rad(fault) for fault in self._own_faults("creep")),
             room=room,
         )
 
-    def _mine(self, kind: str) -> list[Fault]:
+    def _own_faults(self, kind: str) -> list[Fault]:
         return [fault for fault in self.board.active(kind) if fault.argument == self.side]
 
-    def _crept_rad(self, fault: Fault) -> float:
-        """How far a drift fault has progressed, since it began or since its step was entered."""
+    def _creep_rad(self, fault: Fault) -> float:
+        """Return how far a drift has progressed since it began, or since its step was entered."""
         begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
         acting_s = self.world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
@@ -184,3 +168,20 @@ class Disturbances:
         place = noise(self.world.scene.seed, f"glare of camera {self.camera.serial}", 0)
         columns, rows = self.camera.sensor_px
         return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)
+
+
+def _target_balls(head: Head) -> tuple[Fiducial, ...]:
+    """Return the balls at the targets, on posts along the trajectories."""
+    if not head.target_balls:
+        return ()
+    first = 1 + max(each.number for each in head.fiducials)
+    return tuple(
+        Fiducial(number=number, centre_ct_mm=each.target_ct_mm, post_ct=each.outwards_ct)
+        for number, each in enumerate(head.targets, first)
+    )
+
+
+def _upright(post: tuple[float, float, float]) -> Pose:
+    """Return a rotation (3, 3) whose third column is the post; the turn about it is arbitrary but fixed."""
+    hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
+    return rotation_towards(post, hint)

@@ -1,4 +1,4 @@
-"""The registers that the standard requires of every camera."""
+"""The registers that the standard requires of every camera, including those of the message channel."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ CAPABILITIES = (
 
 @dataclass
 class Identity:
-    """A camera's identity. `user_name` can be changed by the client."""
+    """Identity of a camera; a client may change `user_name`."""
 
     address: str
     serial: str
@@ -91,7 +91,7 @@ def add_bootstrap(
     ticks: Ticks,
     acquiring: Callable[[], bool],
 ) -> None:
-    """Add the standard's registers of one camera. CCP is written by the control port itself."""
+    """Add the standard's registers of one camera; CCP is written by the control port itself."""
     _add_identity(registers, identity)
     _add_description(registers)
     _add_control(registers, privilege)
@@ -245,7 +245,7 @@ def _constant(value: int) -> Word:
 
 
 class _Stored:
-    """A register that stores what is written, as far as allowed, without any effect."""
+    """A register that stores the allowed bits written to it, without any effect."""
 
     def __init__(self, allowed: int) -> None:
         self._allowed = allowed
@@ -263,7 +263,7 @@ MOST_RETRIES = 100
 
 
 def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:
-    """Add port, destination, time-out, repetitions and source port of one camera's channel."""
+    """Add port, destination, time-out, retries and source port of the message channel."""
 
     def set_port(value: int) -> None:
         channel.port = value & MCP_PORT_MASK

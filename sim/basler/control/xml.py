@@ -1,4 +1,4 @@
-"""The GenICam description of the camera, generated from the feature table and the standard registers."""
+"""The GenICam description of the camera, generated from its features, standard registers and events."""
 
 from __future__ import annotations
 
@@ -19,38 +19,44 @@ from ronna_hw.wire.gige_vision import (
     TIMESTAMP_RESET,
     Bootstrap,
 )
-from sim.basler.camera.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
+from sim.basler.camera.feature_table import (
+    FEATURES,
+    MAXIMUM_OFFSET,
+    MINIMUM_OFFSET,
+    STEP_OFFSET,
+    address_of,
+)
 from sim.basler.camera.features import Feature, Kind
 from sim.basler.camera.settings import EventKind
 
 
 @dataclass(frozen=True)
 class EventData:
-    """One value of one kind of event; `place` is its offset in an item."""
+    """One value of one kind of event; `offset` is its position in an item of the message."""
 
     kind: EventKind
     what: str
-    place: int
+    offset: int
     length: int
     about: str
 
     @property
     def name(self) -> str:
-        """Spelled as in the family."""
+        """Name of the node, as spelled in the family."""
         return f"{self.kind.feature_name}Event{self.what}"
 
     @property
     def category(self) -> str:
-        """Its category for clients."""
+        """Category of the node."""
         return f"{self.kind.feature_name}EventData"
 
     @property
     def port(self) -> str:
-        """The port of this kind of event."""
+        """Port of this kind of event."""
         return f"{self.kind.feature_name}EventPort"
 
 
-def _all_data() -> Iterator[EventData]:
+def _event_data() -> Iterator[EventData]:
     for kind in EventKind:
         yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
         if kind is EventKind.EXPOSURE_END:
@@ -58,18 +64,21 @@ def _all_data() -> Iterator[EventData]:
         yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
 
 
-EVENT_DATA = tuple(_all_data())
+EVENT_DATA = tuple(_event_data())
 
 
 def add_event_data(root: ElementTree.Element) -> None:
-    """Add nodes, registers and ports of all kinds of events."""
+    """Add nodes, registers and ports of all kinds of events.
+
+    Each kind has a port of its own, which a client fills from messages; addresses are offsets in an item.
+    """
     for data in EVENT_DATA:
         node = _node(root, "Integer", data.name)
         _child(node, "ToolTip", data.about)
         _child(node, "pValue", f"{data.name}Register")
         register = _node(root, "IntReg", f"{data.name}Register")
         for tag, text in (
-            ("Address", f"0x{data.place:X}"),
+            ("Address", f"0x{data.offset:X}"),
             ("Length", str(data.length)),
             ("AccessMode", "RO"),
             ("pPort", data.port),
@@ -100,7 +109,7 @@ LOCK = "TLParamsLocked"
 
 @dataclass(frozen=True)
 class Standard:
-    """A feature whose register is defined by the standard; `command` is the value that a command writes."""
+    """A feature with a register of the standard; `command` is the value that a command writes."""
 
     name: str
     category: str
@@ -181,7 +190,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """The description; its version depends on its content, so that no client uses an outdated copy."""
+    """Generate the description; its version follows from its content: no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {
@@ -202,11 +211,11 @@ def camera_xml() -> bytes:
             "VersionGuid": VERSION_PLACE,
         },
     )
-    _categories(root)
+    _add_categories(root)
     for standard in STANDARD_FEATURES:
-        _standard(root, standard)
+        _add_standard(root, standard)
     for feature in FEATURES:
-        _feature(root, feature)
+        _add_feature(root, feature)
     add_event_data(root)
     _node(root, "Port", PORT)
     ElementTree.indent(root, space=" ")
@@ -215,12 +224,12 @@ def camera_xml() -> bytes:
     return text.replace(VERSION_PLACE.encode(), str(version).encode())
 
 
-def _categories(root: ElementTree.Element) -> None:
+def _add_categories(root: ElementTree.Element) -> None:
     members: dict[str, list[str]] = {}
-    places = [(each.category, each.name) for each in STANDARD_FEATURES]
-    places += [(feature.category, feature.name) for feature in FEATURES]
-    places += [(data.category, data.name) for data in EVENT_DATA]
-    for category, name in places:
+    named = [(each.category, each.name) for each in STANDARD_FEATURES]
+    named += [(feature.category, feature.name) for feature in FEATURES]
+    named += [(data.category, data.name) for data in EVENT_DATA]
+    for category, name in named:
         members.setdefault(category, []).append(name)
     top = _node(root, "Category", "Root")
     for category in members:
@@ -231,11 +240,11 @@ def _categories(root: ElementTree.Element) -> None:
             _child(node, "pFeature", name)
 
 
-def _standard(root: ElementTree.Element, it: Standard) -> None:
+def _add_standard(root: ElementTree.Element, it: Standard) -> None:
     if it.kind == "StringReg":
         node = _node(root, it.kind, it.name)
         _child(node, "ToolTip", it.about)
-        _place(node, it.address, it.access, it.size)
+        _locate(node, it.address, it.access, it.size)
         return
     node = _node(root, it.kind, it.name)
     _child(node, "ToolTip", it.about)
@@ -245,7 +254,7 @@ def _standard(root: ElementTree.Element, it: Standard) -> None:
     _integer_register(root, f"{it.name}Register", it.address, it.access, it.size)
 
 
-def _feature(root: ElementTree.Element, feature: Feature) -> None:
+def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
     node = _node(root, feature.kind.value, feature.name)
     _child(node, "ToolTip", feature.about)
     if feature.visibility != "Beginner":
@@ -263,7 +272,7 @@ def _feature(root: ElementTree.Element, feature: Feature) -> None:
     if feature.kind is Kind.BOOLEAN:
         _child(node, "OnValue", "1")
         _child(node, "OffValue", "0")
-    _limits(root, node, feature, address)
+    _add_limits(root, node, feature, address)
     if feature.unit:
         _child(node, "Unit", feature.unit)
     if feature.kind is Kind.FLOAT:
@@ -271,10 +280,17 @@ def _feature(root: ElementTree.Element, feature: Feature) -> None:
     for selected in feature.selects:
         _child(node, "pSelected", selected)
     access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
-    _number_register(root, register, feature, address, access, _invalidators(feature.name))
+    _number_register(
+        root,
+        register,
+        feature,
+        address,
+        access,
+        [one.name for one in FEATURES if feature.name in one.selects],
+    )
 
 
-def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
+def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
     if feature.minimum is None or feature.maximum is None:
         return
     limits = [("Min", MINIMUM_OFFSET), ("Max", MAXIMUM_OFFSET)]
@@ -284,10 +300,6 @@ def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Featu
         name = f"{feature.name}Register{word}"  # WidthMax is the name of a feature
         _child(node, f"p{word}", name)
         _number_register(root, name, feature, address + offset, "RO", ())
-
-
-def _invalidators(name: str) -> Sequence[str]:
-    return [feature.name for feature in FEATURES if name in feature.selects]
 
 
 def _number_register(
@@ -300,7 +312,7 @@ def _number_register(
 ) -> None:
     if feature.kind is Kind.FLOAT:
         node = _node(root, "FloatReg", name)
-        _place(node, address, access, REGISTER_BYTES, invalidators)
+        _locate(node, address, access, REGISTER_BYTES, invalidators)
         _child(node, "Endianess", "BigEndian")
         return
     _integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
@@ -315,19 +327,19 @@ def _integer_register(
     invalidators: Sequence[str] = (),
 ) -> None:
     node = _node(root, "IntReg", name)
-    _place(node, address, access, size, invalidators)
+    _locate(node, address, access, size, invalidators)
     _child(node, "Sign", "Unsigned")
     _child(node, "Endianess", "BigEndian")
 
 
-def _place(
+def _locate(
     node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
 ) -> None:
     _child(node, "Address", f"0x{address:X}")
     _child(node, "Length", str(size))
     _child(node, "AccessMode", access)
     _child(node, "pPort", PORT)
-    # Values change on their own (limits, status, payload size): a client must always read them.
+    # Limits, status and payload size change on their own: a client must always read them.
     _child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
         _child(node, "pInvalidator", invalidator)

@@ -1,4 +1,4 @@
-"""The images of one camera: what is in view, drawn from far to near, blurred by depth, and read out."""
+"""The light on one camera's sensor: spheres from far to near, blurred by depth, and what disturbs them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from sim.basler.optics.canvas import (
     Canvas,
     Image,
     Lens,
-    blurred,
+    blur,
     bounds_of,
     spread_px,
 )
-from sim.basler.optics.film import Film, Grain, Stain, Surface
+from sim.basler.optics.film import Film, Grain, Stain
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
 from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm
 from sim.world.room_shift import NOTHING_MOVED, RoomShift
@@ -33,6 +33,9 @@ GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposur
 GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
 EDGE_SIGMAS = 4.0  # standard deviations beyond which an edge is invisible
 EDGE_STEPS = 400
+
+MARGIN_PX = spread_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
+NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,7 @@ class Occluder:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What disturbs one camera's view at one moment; comparable and hashable. Stains by sphere number."""
+    """Disturbances of one camera's view at one moment, comparable and hashable; stains by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()
@@ -66,70 +69,15 @@ class Disturbance:
     room: RoomShift = NOTHING_MOVED  # displacement of the spheres
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:
-        """The stains of a sphere."""
+        """Return the stains of a sphere."""
         return tuple(stain for each, stains in self.stains if each == number for stain in stains)
 
 
 CLEAR = Disturbance()
 
 
-def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
-    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
-    outline = lens.project(sphere.outline_mm())
-    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
-    radius = float(np.ptp(outline, axis=0).mean()) / 2
-    towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
-    # A chord at the cosine of half its arc cuts off that arc.
-    edge = radius * cos(pi * occluder.rim_share)
-    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
-    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
-    x -= edge / sigma_px
-    cover = _edge(y.astype(np.float32)[:, None] + x.astype(np.float32)[None, :])
-    dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
-    canvas.light[:] += cover * (dark - canvas.light)
-
-
-def shine(canvas: Canvas, glare: Glare) -> None:
-    """Add the light of a glare."""
-    sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
-    margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
-    x, y = (round(value) for value in glare.centre_px)
-    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
-    if part.empty:
-        return
-    columns = part.x + np.arange(part.width) - glare.centre_px[0]
-    rows = part.y + np.arange(part.height) - glare.centre_px[1]
-    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
-    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _edge(beyond))
-
-
-def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
-    """The sphere that the camera is aimed at; None without any."""
-    return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
-
-
-def _edge(sigmas: Array | Image) -> Image:
-    """Coverage by an object with a blurred edge, by the distance from the edge in its sigmas."""
-    cover: Image = (sigmas > 0.0).astype(np.float32)
-    soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
-    cover[soft] = np.interp(sigmas[soft], *_edge_table())
-    return cover
-
-
-@cache
-def _edge_table() -> tuple[Array, Array]:
-    at = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, EDGE_STEPS + 1)
-    cover = np.array([NormalDist().cdf(each) for each in at])
-    cover[0], cover[-1] = 0.0, 1.0
-    return at, cover
-
-
-MARGIN_PX = spread_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
-NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
-
-
 class Optics:
-    """Lens, light and the films seen so far by one camera."""
+    """Lens, lighting and the grains seen so far of one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
         self.lens = Lens.of(camera)
@@ -138,18 +86,18 @@ class Optics:
         self._grains: dict[int, Grain] = {}
 
     def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
-        """Electrons per microsecond (height, width) on an area of the sensor."""
+        """Return electrons per microsecond (height, width) on an area of the sensor."""
         around = area.grown(MARGIN_PX) if spheres else area
         canvas = Canvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
             self._draw(canvas, sphere, disturbance)
-        looked_at = nearest_to_axis([each for each in spheres if _drawable(each)])
-        if looked_at is not None:
-            sigma_px = self.lens.blur_sigma_px(float(looked_at.centre_mm[2]))
+        aimed_at = nearest_to_axis([each for each in spheres if _drawable(each)])
+        if aimed_at is not None:
+            sigma_px = self.lens.blur_sigma_px(float(aimed_at.centre_mm[2]))
             for occluder in disturbance.occluders:
-                occlude(canvas, occluder, looked_at, self.lens, sigma_px)
+                occlude(canvas, occluder, aimed_at, self.lens, sigma_px)
         for glare in disturbance.glares:
-            shine(canvas, glare)
+            add_glare(canvas, glare)
         return canvas.part(area)
 
     def _draw(self, canvas: Canvas, sphere: Sphere, disturbance: Disturbance) -> None:
@@ -165,21 +113,19 @@ class Optics:
         patch = canvas.part(patch_area)
         drawn = Canvas(patch_area, patch.copy())
         self._paint(drawn, sphere, self._film(sphere, disturbance), sphere_area, stalk_area)
-        patch[:] = blurred(drawn.light, sigma_px)
+        patch[:] = blur(drawn.light, sigma_px)
 
-    def _paint(
-        self, canvas: Canvas, sphere: Sphere, film: Surface, sphere_area: Area, stalk_area: Area
-    ) -> None:
+    def _paint(self, canvas: Canvas, sphere: Sphere, film: Film, sphere_area: Area, stalk_area: Area) -> None:
         # Light falls off with the square of the distance; full strength at the focus distance.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
         stalk = self._stalk(sphere, stalk_area, strength)
         if stalk is not None:
-            _over(canvas.part(stalk_area), stalk.cover, stalk.light)
+            _composite(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
         drawn = draw_sphere(sphere, self.lens, sphere_area, film)
         drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
-        _over(canvas.part(sphere_area), drawn.cover, drawn_light)
+        _composite(canvas.part(sphere_area), drawn.cover, drawn_light)
         both = sphere_area.common(stalk_area)
         if stalk is None or both.empty:
             return
@@ -187,29 +133,80 @@ class Optics:
         in_front = stalk_part.part(both) < drawn_part.part(both)
         in_front &= np.isfinite(drawn_part.part(both))
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
-        _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
+        _composite(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
     def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
-        """Post and base as they appear in an area, or None if they do not."""
+        """Draw the stalk in an area; None if the area is empty."""
         if area.empty:
             return None
         image = draw_stalk(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
-    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Surface:
+    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
         if sphere.number not in self._grains:
             self._grains[sphere.number] = Grain(self._seed, sphere.number)
         grain = self._grains[sphere.number]
         to_camera = -sphere.camera_from_sphere.T @ sphere.centre_mm / sphere.distance_mm
-        stains = [each for each in disturbance.stains_of(sphere.number) if each.may_be_seen(to_camera)]
-        return Film(grain, stains, sphere.radius_mm) if stains else grain
+        stains = [each for each in disturbance.stains_of(sphere.number) if each.may_be_visible(to_camera)]
+        return Film(grain, sphere.radius_mm, stains)
+
+
+def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
+    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
+    outline = lens.project(sphere.outline_mm())
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    radius = float(np.ptp(outline, axis=0).mean()) / 2
+    towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
+    # A chord at the cosine of half its arc cuts off that arc.
+    edge = radius * cos(pi * occluder.rim_share)
+    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
+    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
+    x -= edge / sigma_px
+    cover = _soft_edge(y.astype(np.float32)[:, None] + x.astype(np.float32)[None, :])
+    dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
+    canvas.light[:] += cover * (dark - canvas.light)
+
+
+def add_glare(canvas: Canvas, glare: Glare) -> None:
+    """Add the light of a glare."""
+    sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
+    margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
+    x, y = (round(value) for value in glare.centre_px)
+    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
+    if part.empty:
+        return
+    columns = part.x + np.arange(part.width) - glare.centre_px[0]
+    rows = part.y + np.arange(part.height) - glare.centre_px[1]
+    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
+    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _soft_edge(beyond))
+
+
+def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
+    """Return the sphere that the camera is aimed at; None without any."""
+    return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
+
+
+def _soft_edge(sigmas: Array | Image) -> Image:
+    """Return the coverage by an object with a blurred edge, by the distance from it in its sigmas."""
+    cover: Image = (sigmas > 0.0).astype(np.float32)
+    soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
+    cover[soft] = np.interp(sigmas[soft], *_edge_table())
+    return cover
+
+
+@cache
+def _edge_table() -> tuple[Array, Array]:
+    at = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, EDGE_STEPS + 1)
+    cover = np.array([NormalDist().cdf(each) for each in at])
+    cover[0], cover[-1] = 0.0, 1.0
+    return at, cover
 
 
 def _drawable(sphere: Sphere) -> bool:
     return bool(sphere.centre_mm[2] - sphere.radius_mm >= NEAREST_MM)
 
 
-def _over(behind: Image, cover: Image, light: Image) -> None:
+def _composite(behind: Image, cover: Image, light: Image) -> None:
     """Composite light over what is behind it, in place."""
     behind += cover * (light - behind)
 

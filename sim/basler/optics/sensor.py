@@ -1,4 +1,4 @@
-"""The sensor: light to electrons, shot and read noise, saturation, gain, black level, 8 or 12 bits."""
+"""From illumination to pixel values: light across the sensor, and its read-out with noise, gain and bits."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FALL_OFF = 0.06  # towards the corners
 
 
 class Lighting:
-    """The light of one camera: its own gradient, and a fall-off towards the corners."""
+    """Light of one camera: a gradient of its own, and a fall-off towards the corners."""
 
     def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
         self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
@@ -32,11 +32,11 @@ class Lighting:
         self._background_slope = slopes[2:] * BACKGROUND_SLOPE
 
     def on_film(self, area: Area) -> Image:
-        """Electrons per microsecond (height, width) from a film of unit brightness."""
+        """Return electrons per microsecond (height, width) from a film of unit brightness."""
         return self._surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
 
     def on_background(self, area: Area) -> Image:
-        """Electrons per microsecond (height, width) from an empty background."""
+        """Return electrons per microsecond (height, width) from an empty background."""
         return self._surface(area, self._background_slope, 0.0) * np.float32(BACKGROUND_ELECTRONS_PER_US)
 
     def _surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
@@ -57,7 +57,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor; at unity gain the full well is full scale."""
+    """A sensor whose full well is full scale at unity gain."""
 
     read_noise_electrons: float
     full_well_electrons: float
@@ -72,10 +72,10 @@ class Sensor:
         bits: int,
         noise: np.random.Generator | None,
     ) -> Pixels:
-        """Pixel values (rows, columns) of `light` in electrons per microsecond; no noise without generator.
+        """Expose to `light`, electrons per microsecond, and return pixel values (rows, columns).
 
         Shot noise is approximated as normal with the variance of the mean: below 20 electrons, where that is
-        wrong, read noise dominates.
+        wrong, read noise dominates. Without a generator there is no noise.
         """
         pixels: Pixels = np.empty(light.shape, np.uint8 if bits == 8 else np.uint16)
         # gain, plus half a step: the conversion to integers truncates
@@ -102,7 +102,7 @@ class Sensor:
 
 
 def _normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
-    """Standard normal numbers, four from each 64-bit word: a third of the time of the usual method."""
+    """Draw normal numbers, four from each 64-bit word, in a third of the time of the usual method."""
     count = rows * columns
     words = generator.integers(0, 2**64 - 1, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     numbers: Image = _normal_table().take(words.view(np.uint16)[:count]).reshape(rows, columns)
@@ -111,7 +111,7 @@ def _normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
 
 @cache
 def _normal_table() -> Image:
-    """Quantiles of the normal distribution in equal steps of probability, scaled to variance 1."""
+    """Tabulate quantiles of the normal distribution in equal steps of probability, scaled to variance 1."""
     inverse = NormalDist().inv_cdf
     half = np.array([inverse((step + 0.5) / NORMAL_STEPS) for step in range(NORMAL_STEPS // 2)])
     table = np.concatenate([half, -half[::-1]])
