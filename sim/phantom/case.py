@@ -1,4 +1,4 @@
-"""Writes a complete phantom case: CT series, plan, and ground truth."""
+"""Writes the files of a phantom: the CT series with plan and truth, or the postoperative series and truth."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from sim.phantom.head.obstacles import FREE, XFRAME
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
-from sim.phantom.scan import FREE, XFRAME, Planes, Scan, plain_scan
+from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.world.rigid import apply
 from sim.world.scene.model import Scene
@@ -34,7 +35,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class PhantomCase:
-    """What was written."""
+    """The files written for a phantom."""
 
     series: Path
     plan: Path
@@ -48,7 +49,7 @@ def write_case(
 ) -> PhantomCase:
     """Scan the head of a scene and plan on it. Raises SIM-001 when the scene cannot be scanned.
 
-    `scan` adds the surroundings of that head; without it the scene is scanned as it is. Plan and truth are
+    `scan` adds surroundings to that head; without it the scene is scanned as it is. Plan and truth are
     written last, so a folder with a plan has a complete series.
     """
     scan = scan or plain_scan(scene)
@@ -67,12 +68,13 @@ def write_case(
             series.write(number, stored)
             progress((planes.steps + number + 1) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
-    write_whole(truth, json.dumps(_truth(scan, series, planes), indent=1).encode())
-    write_whole(plan, _plan(scan, series.series_instance_uid).encode())
+    write_whole(truth, json.dumps(_case_truth(scan, series, planes), indent=1).encode())
+    write_whole(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
 
 
-def _plan(scan: Scan, series_instance_uid: str) -> str:
+def plan_toml(scan: Scan, series_instance_uid: str) -> str:
+    """Return the plan on a scan, with the trajectories of its scene."""
     import tomli_w
 
     scene = scan.scene
@@ -100,7 +102,7 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
     return tomli_w.dumps(content)
 
 
-def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
+def _case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
     return (
         scan.truth
@@ -138,7 +140,7 @@ def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class PostoperativeCase:
-    """What was written."""
+    """The files written after the operation."""
 
     series: Path
     truth: Path
@@ -152,7 +154,7 @@ def write_postoperative(
     folder: Path,
     progress: Progress = lambda share: None,
 ) -> PostoperativeCase:
-    """Scan the head again; the truth is written last, so a folder that has it has a complete series."""
+    """Scan the head again. The truth is written last: a folder that has it has a complete series."""
     grid = scan.grid
     series = DicomSeries(
         scan.scene.model_copy(update={"ct": scan.protocol}),
@@ -178,7 +180,7 @@ def write_postoperative(
 def postoperative_truth(
     scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
 ) -> dict[str, Any]:
-    """Where everything is, in the CT frame of the plan and in that of the new scan."""
+    """Return the pose of the new scan and the instruments, in the CT frame of the plan and in the new one."""
     post_from_pre = scan.pose.scan_from_head
     return {
         "scene": scan.scene.name,

@@ -1,4 +1,4 @@
-"""The postoperative scan: the same head in another pose, without markers, with what was inserted."""
+"""The postoperative scan: the head in another pose, without markers, with the instruments of a run."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from sim.phantom.head.anatomy import (
     shifted,
     side_cable,
 )
-from sim.phantom.head.shapes import Ball, Bounds, Point, Rod, Shape, Values
+from sim.phantom.head.shapes import Ball, Bounds, Point, Rod, Shape, Values, as_point
 from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
 from sim.phantom.scanner.fine_painting import middle_at, paint_rod
-from sim.phantom.scanner.grid import ORIGIN_DIGITS, CtGrid
+from sim.phantom.scanner.grid import CtGrid, centred_grid
 from sim.phantom.scanner.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
@@ -41,22 +41,25 @@ FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid
 BELOW_SKULL_MM = 1.5  # overshoot of a drill beyond the inner table
 TO_BRAIN_MM = sum(thickness for thickness, _ in LAYERS[:6])  # skin to the inside of the skull
 
+TURN_RAD = radians(10.0)  # of the head between the two scans, per axis, either way
+SHIFT_MM = 30.0
+STREAK_HU = (200.0, 400.0)  # next to the metal
+STREAK_LOBES = (4, 5, 6, 7)
+STREAK_FALL_MM = 2.5
+POST_PLACE = 2  # index of the post among a marker's bodies, see `marker_on_foot`
+
 
 class Kind(StrEnum):
-    """What is in the head when it is scanned."""
+    """Kind of an instrument in the head."""
 
     ELECTRODE = "electrode"
     NEEDLE = "needle"
     DRILL_HOLE = "drill-hole"
 
 
-# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
-RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
-
-
 @dataclass(frozen=True)
 class Instrument:
-    """One trajectory as actually carried out, CT frame of the plan: tip, and unit vector out of the head."""
+    """An instrument where a run left it, CT frame of the plan: tip, and unit vector out of the head."""
 
     identifier: str
     kind: Kind
@@ -64,7 +67,7 @@ class Instrument:
     outwards: Point
 
     def rod(self, head: Head) -> Rod:
-        """The body to paint; a drilled hole is filled with fluid, and as deep as the skull."""
+        """Return the body to paint; a drilled hole is filled with fluid, and as deep as the skull."""
         skin_mm = _to_skin_mm(self, head)
         if self.kind is not Kind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
@@ -74,7 +77,7 @@ class Instrument:
 
 
 def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]]:
-    """The scene of a run and what it left at the targets reached. Raises SIM-006, SIM-007."""
+    """Read the scene of a run and its instruments at the targets reached. Raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
         raise NothingToVerify(f"{run} has no simulated theatre")
@@ -88,98 +91,10 @@ def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]
         ct_from_robot = inverse(sample.head_moved @ robot_from_ct)
         tip = apply(ct_from_robot, sample.tip_mm)
         inwards = ct_from_robot[:3, :3] @ np.array(sample.axis)
-        found.append(Instrument(identifier, kind, _point(tip), _point(-inwards / np.linalg.norm(inwards))))
-    return scene, tuple(found)
-
-
-def _to_skin_mm(instrument: Instrument, head: Head) -> float:
-    """From the tip outwards to the skin."""
-    axes = np.array(head.semi_axes_mm)
-    start = np.subtract(instrument.tip_mm, head.centre_ct_mm) / axes
-    along = np.array(instrument.outwards) / axes
-    a, b, c = along @ along, start @ along, start @ start - 1.0
-    if c >= 0.0:
-        return 0.0  # the tip is outside the head: the run missed it by far
-    return float((np.sqrt(b * b - a * c) - b) / a)
-
-
-def _point(values: Array) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-@dataclass(frozen=True, eq=False)
-class HeadPose:
-    """Pose of the head: `scan_from_head` (4, 4) maps the CT frame of the plan to that of the new scan."""
-
-    scan_from_head: Matrix
-
-    def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
-        """Scan coordinates as head coordinates; they broadcast together."""
-        back = inverse(self.scan_from_head).astype(np.float32)
-        u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in back[:3])
-        return u, v, w
-
-    def rod(self, rod: Rod) -> Rod:
-        """A rod in scan coordinates."""
-        along = self.scan_from_head[:3, :3] @ np.array(rod.along)
-        return Rod(
-            rod.hu, _point(apply(self.scan_from_head, rod.start)), _point(along), rod.length, rod.radius
+        found.append(
+            Instrument(identifier, kind, as_point(tip), as_point(-inwards / np.linalg.norm(inwards)))
         )
-
-
-@dataclass(frozen=True, eq=False)
-class PosedShape:
-    """A body of the head in the new scan."""
-
-    shape: Shape
-    pose: HeadPose
-
-    @property
-    def hu(self) -> float:
-        """Its intensity."""
-        return self.shape.hu
-
-    def bounds(self) -> Bounds:
-        """A bounding box of the body's rotated bounding box."""
-        return self._box
-
-    @cached_property
-    def _box(self) -> Bounds:
-        """Used by each slice of the scan."""
-        corners = apply(self.pose.scan_from_head, list(product(*zip(*self.shape.bounds(), strict=True))))
-        return _point(corners.min(axis=0)), _point(corners.max(axis=0))
-
-    def depth(self, x: Values, y: Values, z: Values) -> Values:
-        """Signed depth in mm."""
-        return self.shape.depth(*self.pose.to_head(x, y, z))
-
-
-@dataclass(frozen=True, eq=False)
-class PosedLayers:
-    """The layers of the head in the new scan."""
-
-    layers: HeadLayers
-    pose: HeadPose
-
-    def at(self, x: Values, y: Values, z: Values) -> Values:
-        """HU at these points; air outside the head."""
-        return self.layers.at(*self.pose.to_head(x, y, z))
-
-    def bounds(self, margin_mm: float) -> Bounds:
-        """A bounding box of the head, with a margin."""
-        centre = apply(self.pose.scan_from_head, self.layers.centre)
-        turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
-        half_sides = np.linalg.norm(turned, axis=1) + margin_mm
-        return _point(centre - half_sides), _point(centre + half_sides)
-
-
-TURN_RAD = radians(10.0)  # of the head between the two scans, per axis, either way
-SHIFT_MM = 30.0
-STREAK_HU = (200.0, 400.0)  # next to the metal
-STREAK_LOBES = (4, 5, 6, 7)
-STREAK_FALL_MM = 2.5
-POST_PLACE = 2  # index of the post among a marker's bodies, see `marker_on_foot`
+    return scene, tuple(found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +113,7 @@ class PostoperativeScan:
     streaks: tuple[Streak | None, ...]  # one per rod, at the origin; none for a drilled hole
 
     def paint(self, number: int) -> Values:
-        """HU (rows, columns) of one slice with its noise."""
+        """Paint one slice with its noise: HU (rows, columns)."""
         grid = self.grid
         z_mm = float(grid.z_mm[number])
         x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
@@ -234,11 +149,11 @@ class PostoperativeScan:
 def draw_scan(
     scene: Scene, instruments: tuple[Instrument, ...], seed: int, protocol: CtProtocol | None = None
 ) -> PostoperativeScan:
-    """The head of a scene in a pose drawn from `seed`: spheres and bases removed, screws left in the bone."""
+    """Draw the pose of a scene's head from `seed`; spheres and bases are removed, screws stay in the bone."""
     generator = noise(seed, "postoperative pose", 0)
     protocol = protocol or scene.ct
     pose = _draw_pose(scene, generator)
-    grid = _grid(scene, pose, protocol)
+    grid = centred_grid(apply(pose.scan_from_head, scene.head.centre_ct_mm), protocol)
     head = scene.head
     anatomy = draw_anatomy(scene)
     beside = set(side_cable(head))  # belongs to the scanner's room
@@ -255,12 +170,92 @@ def draw_scan(
             PosedShape(shape, pose) for shape in (*anatomy.surroundings, *screws) if shape not in beside
         ),
         fillings=tuple(
-            Ball(one.hu, _three(apply(pose.scan_from_head, one.centre)), one.radius)
+            Ball(one.hu, as_point(apply(pose.scan_from_head, one.centre)), one.radius)
             for one in anatomy.fillings
         ),
         rods=tuple(pose.rod(one.rod(head)) for one in instruments),
         streaks=tuple(_streak(generator) if one.kind is not Kind.DRILL_HOLE else None for one in instruments),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class HeadPose:
+    """Pose of the head: `scan_from_head` (4, 4) maps the CT frame of the plan to that of the new scan."""
+
+    scan_from_head: Matrix
+
+    def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
+        """Map scan coordinates, which broadcast together, to head coordinates."""
+        back = inverse(self.scan_from_head).astype(np.float32)
+        u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in back[:3])
+        return u, v, w
+
+    def rod(self, rod: Rod) -> Rod:
+        """Map a rod to scan coordinates."""
+        along = self.scan_from_head[:3, :3] @ np.array(rod.along)
+        return Rod(
+            rod.hu, as_point(apply(self.scan_from_head, rod.start)), as_point(along), rod.length, rod.radius
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PosedShape:
+    """A body of the head in the new scan."""
+
+    shape: Shape
+    pose: HeadPose
+
+    @property
+    def hu(self) -> float:
+        """Intensity."""
+        return self.shape.hu
+
+    def bounds(self) -> Bounds:
+        """Return a bounding box of the rotated bounding box, computed once for all slices."""
+        return self._box
+
+    @cached_property
+    def _box(self) -> Bounds:
+        corners = apply(self.pose.scan_from_head, list(product(*zip(*self.shape.bounds(), strict=True))))
+        return as_point(corners.min(axis=0)), as_point(corners.max(axis=0))
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the signed depth in mm."""
+        return self.shape.depth(*self.pose.to_head(x, y, z))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedLayers:
+    """The layers of the head in the new scan."""
+
+    layers: HeadLayers
+    pose: HeadPose
+
+    def at(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the HU at these points; air outside the head."""
+        return self.layers.at(*self.pose.to_head(x, y, z))
+
+    def bounds(self, margin_mm: float) -> Bounds:
+        """Return a bounding box of the head, with a margin."""
+        centre = apply(self.pose.scan_from_head, self.layers.centre)
+        turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
+        half_sides = np.linalg.norm(turned, axis=1) + margin_mm
+        return as_point(centre - half_sides), as_point(centre + half_sides)
+
+
+# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
+RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
+
+
+def _to_skin_mm(instrument: Instrument, head: Head) -> float:
+    """Return the distance in mm from the tip outwards to the skin."""
+    axes = np.array(head.semi_axes_mm)
+    start = np.subtract(instrument.tip_mm, head.centre_ct_mm) / axes
+    along = np.array(instrument.outwards) / axes
+    a, b, c = along @ along, start @ along, start @ start - 1.0
+    if c >= 0.0:
+        return 0.0  # the tip is outside the head: the run missed it by far
+    return float((np.sqrt(b * b - a * c) - b) / a)
 
 
 def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
@@ -270,23 +265,12 @@ def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
     return HeadPose(matrix_from(moved - turn @ centre, turn))
 
 
-def _grid(scene: Scene, pose: HeadPose, protocol: CtProtocol) -> CtGrid:
-    """The protocol's field, centred on the head."""
-    counts = np.array([protocol.columns, protocol.rows, protocol.slices])
-    spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
-    middle = apply(pose.scan_from_head, scene.head.centre_ct_mm)
-    x, y, z = (round(float(value), ORIGIN_DIGITS) for value in middle - (counts - 1) * spacing / 2)
-    return CtGrid(
-        (x, y, z), protocol.pixel_mm, protocol.slice_mm, protocol.columns, protocol.rows, protocol.slices
-    )
-
-
 def _screw(post: Shape) -> Rod:
-    """The remaining part of a marker's post, in scalp and bone."""
+    """Return the remaining part of a marker's post, in scalp and bone."""
     assert isinstance(post, Rod)
-    left_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
-    start = shifted(post.start, post.along, post.length - left_mm)
-    return Rod(post.hu, start, post.along, left_mm, post.radius)
+    remaining_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
+    start = shifted(post.start, post.along, post.length - remaining_mm)
+    return Rod(post.hu, start, post.along, remaining_mm, post.radius)
 
 
 def _streak(generator: np.random.Generator) -> Streak:
@@ -298,8 +282,3 @@ def _streak(generator: np.random.Generator) -> Streak:
         phase_rad=float(generator.uniform(0.0, 2.0 * np.pi)),
         height_mm=1.0,
     )
-
-
-def _three(values: NDArray[np.float64]) -> tuple[float, float, float]:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

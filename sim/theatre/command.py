@@ -1,4 +1,4 @@
-"""`ronna-sim theatre` and `ronna-sim verify`."""
+"""`ronna-sim theatre`, its staff's commands, and `ronna-sim scene` and `verify`."""
 
 from __future__ import annotations
 
@@ -99,16 +99,16 @@ def theatre(
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
-    kept = out / SCENE_FILE  # a scene file may have been changed since
-    where = str(kept) if goes_on and kept.exists() else scene
-    if where == str(kept):
-        _require_its_own(context, out)
+    saved_scene = out / SCENE_FILE  # a scene file may have been changed since
+    where = str(saved_scene) if goes_on and saved_scene.exists() else scene
+    if where == str(saved_scene):
+        _require_same_world(context, out)
     truth = load_scene(
         where,
         seed=seed,
         markers=markers,
         targets=targets,
-        fiducials=Carrier.FREE if where == str(kept) else fiducials,
+        fiducials=Carrier.FREE if where == str(saved_scene) else fiducials,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
@@ -126,7 +126,7 @@ def theatre(
             cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
             faults=script,
             parameters=parameters,
-            left=read_left_world(out) if goes_on else None,
+            saved=read_left_world(out) if goes_on else None,
             records=records,
         )
         reasons = _serve(running, ended)
@@ -134,46 +134,46 @@ def theatre(
         fail(reasons[0], EXIT_FAILED)
 
 
-def _require_its_own(context: typer.Context, folder: Path) -> None:
-    """Raise CLI-001 where something else was asked for than the world to be continued has."""
+def _require_same_world(context: typer.Context, folder: Path) -> None:
+    """Raise CLI-001 for an option that differs from the world to be continued."""
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
 
     if context.params["scene"] not in SCENES:  # a file, which may have been changed, and has its own seed
         return
-    left = read_scene(folder / SCENE_FILE)
+    saved = read_scene(folder / SCENE_FILE)
     owns = {
-        "scene": left.name,
-        "seed": left.seed,
-        "markers": len(left.head.fiducials),
-        "targets": len(left.head.targets),
+        "scene": saved.name,
+        "seed": saved.seed,
+        "markers": len(saved.head.fiducials),
+        "targets": len(saved.head.targets),
     }
     for option, own in owns.items():
         source = context.get_parameter_source(option)
-        asked = context.params[option]
-        if source is not None and source.name == "COMMANDLINE" and asked != own:
+        given = context.params[option]
+        if source is not None and source.name == "COMMANDLINE" and given != own:
             raise UsageMistake(
                 f"--continue: the {option} of the world left in {folder} cannot be changed",
                 expected=f"{own}",
-                got=f"{asked}",
+                got=f"{given}",
                 action=f"Omit --{option} to continue it, or omit --continue for a new world.",
             )
 
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
-    """Serve until asked to end; returns the reason if a device has ended by itself."""
+    """Serve until `ended`; returns the reason if a device has ended by itself."""
     from sim.world.process import announce
 
     reasons: list[str] = []
     try:
 
-        def gone(reason: str) -> None:
+        def report_end(reason: str) -> None:
             if not ended.is_set():
                 reasons.append(reason)
                 ended.set()
 
-        running.watch(gone)
+        running.watch(report_end)
         announce(
             "theatre",
             endpoints={

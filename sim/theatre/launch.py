@@ -33,7 +33,7 @@ THEATRE_FILE = "theatre.toml"
 # Shorter than the caller's limits for the theatre: it must learn which device does not start.
 DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0  # in all
 DEVICE_IDLE_LIMIT_S = IDLE_TIMEOUT_S - 2.0
-STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has no state to save yet
+STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has nothing to save yet
 CLOSE_LIMIT_S = 1.0  # for all devices; one that hangs is then killed, before this process must exit
 REST_LIMIT_S = 0.3  # host time
 REST_LOOK_S = 0.005
@@ -42,6 +42,10 @@ SILENCE_LIMIT_PACED_S = 0.25
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
 NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
+
+CALIBRATION_FILE = "calibration.toml"
+
+COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
 
 
 class Theatre:
@@ -56,18 +60,18 @@ class Theatre:
         cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
-        left: LeftWorld | None = None,
+        saved: LeftWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
 
-        `left` is the state in which another theatre left its world, to continue from; `records` replace the
-        theatre's own calibrations. Raises PRC-001 when a device does not become ready.
+        `saved` is the world of an earlier theatre, to continue from; `records` replace the theatre's own
+        calibrations. Raises PRC-001 when a device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
-        self.world = World.create(scene, paced=paced) if left is None else left.go_on(scene, paced=paced)
+        self.world = World.create(scene, paced=paced) if saved is None else saved.go_on(scene, paced=paced)
         if faults:
             _, standing = self.world.fault_script()
             self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)
@@ -84,11 +88,11 @@ class Theatre:
                 self._write_tools(),
                 limit_s,
                 cycle_ms,
-                calibrated_at(self.file) if left is not None else None,
+                calibrated_at(self.file) if saved is not None else None,
             )
             content["calibration"] |= records
             refer_to_tip(content)
-            known = None if left is None else identity_of(self.file)
+            known = None if saved is None else identity_of(self.file)
             write_theatre_file({"identity": known or uuid4().hex, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
@@ -99,20 +103,20 @@ class Theatre:
         """Endpoint of the control port."""
         return self._control.endpoint
 
-    def watch(self, gone: Callable[[str], None]) -> None:
-        """Call `gone` with a reason when a device process ends by itself."""
+    def watch(self, on_end: Callable[[str], None]) -> None:
+        """Call `on_end` with a reason when a device process ends by itself."""
 
         def wait(child: ChildProcess) -> None:
             code = child.process.wait()
             words = " / ".join(child.messages) or f"exit code {code}"
-            gone(f"{child.name} ended: {words}")
+            on_end(f"{child.name} ended: {words}")
 
         for child in self._children:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
         """Save the state of the world, then end all device processes and the control port."""
-        self._leave_world()
+        self._save_world()
         for child in self._children:
             if child.alive:
                 child.process.terminate()  # all at once, then wait for each
@@ -121,8 +125,8 @@ class Theatre:
             child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
 
-    def _leave_world(self) -> None:
-        """Give a moving arm time to come to rest: its client may just have died."""
+    def _save_world(self) -> None:
+        """Save the world, after a moving arm has had time to rest: its client may just have died."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
@@ -145,7 +149,7 @@ class Theatre:
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
-                on_message=_show_controller_message,
+                on_message=_pass_on_pendant,
             )
             for name, more in arguments.items()
         ]
@@ -165,20 +169,17 @@ class Theatre:
         return files
 
 
-def _show_controller_message(line: str) -> None:
-    """A message on the robot's pendant is one of the theatre."""
+def _pass_on_pendant(line: str) -> None:
+    """Pass on the messages of the robot's pendant."""
     if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
 
 
-CALIBRATION_FILE = "calibration.toml"
-
-
 def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
-    """Records by their names in the theatre file; the later of two with the same name wins. Raises SIM-014.
+    """Read calibration records by name; of two with the same name the later wins. Raises SIM-014.
 
-    Their content is checked by readers of the theatre file.
+    Readers of the theatre file check their content.
     """
     records: dict[str, Any] = {}
     for path in paths:
@@ -193,11 +194,8 @@ def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
     return records
 
 
-COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
-
-
 def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """NAME=VALUE settings per device command.
+    """Sort `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
 
     Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
     """

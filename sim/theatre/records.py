@@ -1,4 +1,4 @@
-"""The calibration record of an arm as a laboratory would have it: the truth plus residual errors."""
+"""Arm and tool records of a theatre file as a laboratory would have them: the truth plus residual errors."""
 
 from __future__ import annotations
 
@@ -24,9 +24,15 @@ STATED_ERROR_MM = 0.10
 # retain 15 and 16 % of an uncalibrated arm's errors, whose effect is 0.10 mm.
 ARM_ERROR_MM = 0.016
 
+STEREO_HEAD_KG = 2.1
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame
+# From home, with the arm turned aside: the gauge is on the table next to the patient.
+GAUGE_TURN_DEG = -40.0
+GAUGE_BASE_MM = 60.0
+
 
 def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
-    """The deviations of the record, named as in `ronna_hw.calibration.ArmCalibration`."""
+    """Return the deviations of an arm's record, named as in `ronna_hw.calibration.ArmCalibration`."""
 
     def off(values: Any, sigma: float) -> Array:
         exact = np.asarray(values, dtype=float)
@@ -52,34 +58,15 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
 
 
 def measured_mount(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
-    """FLANGE <- TOOL of the head as found by a calibration, instead of the nominal one."""
+    """Return FLANGE <- TOOL of the head as a calibration finds it, instead of the nominal pose."""
     beside = matrix_from(generator.normal(0.0, residual.tool_mm, 3), np.eye(3))
     return pose_of(matrix_of(mount.flange_from_tool_true) @ beside)
-
-
-STEREO_HEAD_KG = 2.1
-CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame
-# From home, with the arm turned aside: the gauge is on the table next to the patient.
-GAUGE_TURN_DEG = -40.0
-GAUGE_BASE_MM = 60.0
-
-
-def refer_to_tip(content: dict[str, Any]) -> None:
-    """Make the guide's record in a theatre file refer to the calibration of its tip in it."""
-    guide, records = content["tools"]["guide"], content["calibration"]
-    guide["tip"] = records["tool_tip"]["identifier"]
-    head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
-    guide["tip_in_head"] = TipInHead.of(head, tip).model_dump(mode="json")
-
-
-def _pose(plain: dict[str, Any]) -> PoseRecord:
-    return PoseRecord.model_validate({key: tuple(value) for key, value in plain.items()})
 
 
 def tool_records(
     scene: Scene, dated: Callable[[str], dict[str, Any]], flange: str
 ) -> dict[str, dict[str, Any]]:
-    """By name; `dated` creates the fields common to all dated records."""
+    """Return the tool records by name; `dated` makes the fields common to all dated records."""
     mount = scene.mount
     guide = mount.guide
     A1, *others = scene.arm.home_deg
@@ -107,14 +94,14 @@ def tool_records(
             "gauge": {
                 "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
                 "base_mm": GAUGE_BASE_MM,
-                **gauge_read(scene),
+                **gauge_readings(scene),
             },
         },
     }
 
 
-def gauge_read(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]:
-    """The dials as read for the record: with other seats, arrivals and readings than those of a case."""
+def gauge_readings(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]:
+    """Draw the dials as read for the record, with seats, arrivals and readings other than a case's."""
     draws, each = noise(scene.seed, "gauge of the record", 0), GAUGE_APPROACHES // mountings
     seated = draws.normal(0.0, scene.mount.guide.seat_mm, (mountings, 1, 3))
     end = (seated + draws.normal(0.0, scene.arm.repeatability_mm, (mountings, each, 3))).reshape(-1, 3)
@@ -129,8 +116,20 @@ def gauge_read(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]
     }
 
 
+def refer_to_tip(content: dict[str, Any]) -> None:
+    """Make the guide's record refer to the calibration of its tip in the same theatre file."""
+    guide, records = content["tools"]["guide"], content["calibration"]
+    guide["tip"] = records["tool_tip"]["identifier"]
+    head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
+    guide["tip_in_head"] = TipInHead.of(head, tip).model_dump(mode="json")
+
+
+def _pose(plain: dict[str, Any]) -> PoseRecord:
+    return PoseRecord.model_validate({key: tuple(value) for key, value in plain.items()})
+
+
 def _frame(mount: Mount) -> dict[str, Any]:
-    """How the tracker sees the guide, if it has a frame."""
+    """Return the pose of the guide's tracker frame on the mount, if it has one."""
     if mount.guide.tip_from_frame is None:
         return {}
     mount_from_tip = inverse(matrix_of(mount.tool_from_marker_true)) @ matrix_of(mount.tool_from_tip_true)

@@ -21,7 +21,7 @@ Range = tuple[float, float]
 
 
 class Purpose(StrEnum):
-    """What a family may be used for."""
+    """Permitted use of a family."""
 
     TUNING = "tuning"
     JUDGING = "judging"
@@ -46,7 +46,7 @@ class PostStreaks:
 
 @dataclass(frozen=True)
 class Family:
-    """What scans of one family contain. Values are drawn uniformly from the ranges, once per scan."""
+    """Contents of the scans of one family. Values are drawn uniformly from the ranges, once per scan."""
 
     name: str
     purpose: Purpose
@@ -69,16 +69,16 @@ class Family:
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # polymer balls and cylinders, this many of each
     look_alikes: tuple[Draw, ...] = ()  # objects that are not spheres, two of each kind
-    bare: bool = False  # spheres without film and post
+    bare: bool = False  # spheres have neither film nor post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
 
 
 @dataclass(frozen=True)
 class MarkerBands:
-    """Bright or dark straight streaks: how many near each marker, and their position.
+    """Bright or dark straight streaks: how many near each marker, and where.
 
-    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise
-    they pass the sphere.
+    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
+    sphere.
     """
 
     count: tuple[int, int]
@@ -229,13 +229,13 @@ PROTOCOLS: dict[str, CtProtocol] = {
 
 
 PASSING_MM = 40.0  # half the length of a band that passes a sphere
-RAY_MM = 25.0  # and of one that starts at metal
+RAY_MM = 25.0  # half the length of a band that starts at metal
 
 
 def draw_bands(
     kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
 ) -> tuple[Band, ...]:
-    """Some for each marker; none if the family has none."""
+    """Draw the bands of each marker; none if the family has none."""
     if kind is None:
         return ()
     return tuple(

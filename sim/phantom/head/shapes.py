@@ -1,6 +1,6 @@
 """Solid bodies by their signed depth: millimetres below the surface, negative outside.
 
-Depth is exact for balls, rods and arcs, and first-order near the surface of ellipsoids. Coordinates are CT
+Depth is exact except for ellipsoids and cables, where it is first-order near the surface. Coordinates are CT
 LPS mm; x, y and z may be any arrays that broadcast together.
 """
 
@@ -23,15 +23,15 @@ class Shape(Protocol):
 
     @property
     def hu(self) -> float:
-        """Its intensity."""
+        """Intensity."""
         ...
 
     def bounds(self) -> Bounds:
-        """A bounding box."""
+        """Return a bounding box."""
         ...
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        """Signed depth in mm."""
+        """Return the signed depth in mm."""
         ...
 
 
@@ -47,7 +47,7 @@ class Ball:
         return _around(self.centre, (self.radius,) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, cz = _single(self.centre)
+        cx, cy, cz = _as_float32(self.centre)
         distance: Values = np.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
         return np.float32(self.radius) - distance
 
@@ -103,8 +103,8 @@ class Rod:
         return (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        sx, sy, sz = _single(self.start)
-        ax, ay, az = _single(self.along)
+        sx, sy, sz = _as_float32(self.start)
+        ax, ay, az = _as_float32(self.along)
         dx, dy, dz = x - sx, y - sy, z - sz
         height = dx * ax + dy * ay + dz * az
         across: Values = np.sqrt(np.maximum(dx * dx + dy * dy + dz * dz - height * height, np.float32(0.0)))
@@ -127,7 +127,7 @@ class Trough:
         return _around(self.centre, (self.outer, self.outer, inf))
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, _ = _single(self.centre)
+        cx, cy, _ = _as_float32(self.centre)
         dx, dy = x - cx, y - cy
         distance: Values = np.sqrt(dx * dx + dy * dy) + np.float32(0.0) * z
         wall = np.minimum(distance - np.float32(self.inner), np.float32(self.outer) - distance)
@@ -169,7 +169,7 @@ class Cable:
         return _around(self.centre, half_sides)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, cz = _single(self.centre)
+        cx, cy, cz = _as_float32(self.centre)
         turn = (z - cz) * np.float32(2.0 * np.pi / self.wave_length)
         dx = x - cx - np.float32(self.swing[0]) * np.sin(turn)
         dy = y - cy - np.float32(self.swing[1]) * np.cos(turn)
@@ -179,9 +179,24 @@ class Cable:
         return np.float32(self.radius) - distance / np.float32(slope)
 
 
+def as_point(values: NDArray[np.float64]) -> Point:
+    """Convert an array (3,) to a point."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def rounded_point(values: NDArray[np.float64]) -> Point:
+    """Convert an array (3,) to a point of six decimals."""
+    x, y, z = (round(float(value), 6) for value in values)
+    return x, y, z
+
+
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
-    """Depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad|, f the scaled radius."""
-    (cx, cy, cz), (a, b, c) = _single(centre), _single(semi_axes)
+    """Return the depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad f|.
+
+    f is the radius in semi-axes.
+    """
+    (cx, cy, cz), (a, b, c) = _as_float32(centre), _as_float32(semi_axes)
     u, v, w = ((x - cx) / a) ** 2, ((y - cy) / b) ** 2, ((z - cz) / c) ** 2
     squared = u + v + w
     gradient = np.sqrt(u / (a * a) + v / (b * b) + w / (c * c) + np.float32(1e-12))
@@ -189,7 +204,7 @@ def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: P
     return depth
 
 
-def _single(point: Point) -> tuple[np.float32, np.float32, np.float32]:
+def _as_float32(point: Point) -> tuple[np.float32, np.float32, np.float32]:
     x, y, z = point
     return np.float32(x), np.float32(y), np.float32(z)
 
@@ -326,7 +341,7 @@ def _along(x: Values, y: Values, z: Values, origin: Point, direction: np.ndarray
 def _height_and_distance(
     x: Values, y: Values, z: Values, origin: Point, axis: Point
 ) -> tuple[Values, Values]:
-    """Height along a unit axis through `origin`, and distance from it."""
+    """Return the height along a unit axis through `origin`, and the distance from it."""
     height = _along(x, y, z, origin, np.array(axis))
     squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
     across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))

@@ -1,4 +1,4 @@
-"""Effects of a real scanner beyond noise: geometry that is not as stated, blur, metal.
+"""Effects of a real scanner beyond noise: geometry that is not as stated, kernels, beam hardening.
 
 Every fault has a size; the default is none. The truth remains that of the scene: markers where they are.
 """
@@ -16,6 +16,15 @@ from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.painting import PLANE_SIGMA_MM
 
 MOST_TILT_DEG = 30.0  # of a gantry
+
+COARSE_MM = 1.5
+ANGLES = 120
+DENSE_FROM_HU = 300.0  # above soft tissue and water
+LOSS_PER_CM = (
+    0.012  # of the total path, per cm of dense matter (water equivalent); a skull then cups by 30 to 60 HU
+)
+MM_PER_CM = 10.0
+HU_PER_WATER = 1000.0
 
 
 @dataclass(frozen=True)
@@ -41,21 +50,17 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class ScannerFaults:
-    """Tilt of the gantry (degrees), true over stated table feed minus 1, slice thickness (None: the stated
-    spacing), beam hardening (1: typical), patient motion halfway up the markers, in any direction and along
-    the table, the kernel, whether metal is stored beyond 3071 HU, and whether the headers show upright slices
-    whatever the tilt.
-    """
+    """Faults of one scan; the patient moves halfway up the markers, in any direction and along the table."""
 
-    tilt_deg: float = 0.0
-    table_scale: float = 0.0
-    thickness_mm: float | None = None
-    beam_hardening: float = 0.0
+    tilt_deg: float = 0.0  # of the gantry
+    table_scale: float = 0.0  # true over stated table feed, minus 1
+    thickness_mm: float | None = None  # of a slice; None: the stated spacing
+    beam_hardening: float = 0.0  # 1 is typical
     motion_mm: float = 0.0
     slide_mm: float = 0.0
     kernel: str = "standard"
-    extended_range: bool = False
-    tilt_hidden: bool = False
+    extended_range: bool = False  # metal is stored beyond 3071 HU
+    tilt_hidden: bool = False  # the headers show upright slices whatever the tilt
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
@@ -71,11 +76,11 @@ class ScannerFaults:
 
     @property
     def stated_tilt_deg(self) -> float:
-        """As the headers have it."""
+        """Tilt that the headers state."""
         return 0.0 if self.tilt_hidden else self.tilt_deg
 
     def active(self) -> dict[str, Any]:
-        """Those that differ from the default, for the truth file."""
+        """Return the faults that differ from the default, for the truth file."""
         usual = asdict(ScannerFaults())
         return {name: value for name, value in asdict(self).items() if value != usual[name]}
 
@@ -83,18 +88,14 @@ class ScannerFaults:
 NO_FAULTS = ScannerFaults()
 
 
-COARSE_MM = 1.5
-ANGLES = 120
-DENSE_FROM_HU = 300.0  # above soft tissue and water
-LOSS_PER_CM = (
-    0.012  # of the total path, per cm of dense matter (water equivalent); a skull then cups by 30 to 60 HU
-)
-MM_PER_CM = 10.0
-HU_PER_WATER = 1000.0
-
-
 def hardening(image: Values, pixel_mm: float, strength: float) -> Values:
-    """Correction to add to a slice (rows, columns) in HU; a `strength` of 1 is typical."""
+    """Return the beam hardening to add to a slice (rows, columns) in HU; a `strength` of 1 is typical.
+
+    Dense bodies absorb the soft part of the beam, so what is in line with them is too dark. A coarse copy of
+    the slice is projected in parallel beams. The loss is modelled as proportional to the path through dense
+    matter times the total path, the leading term for a scanner with water correction. The error of the
+    projections is reconstructed by filtered back-projection.
+    """
     import cv2
 
     step = max(1, round(COARSE_MM / pixel_mm))
@@ -134,7 +135,7 @@ def _turns(side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def _ramp_filtered(projection: Values, cell_cm: float) -> Values:
-    """Ramp-filtered with cosine roll-off (Shepp-Logan would ring at a post)."""
+    """Apply a ramp filter with cosine roll-off (Shepp-Logan would ring at a post)."""
     count = 2 * len(projection)
     cycles = np.fft.rfftfreq(count, cell_cm)
     roll = np.cos(0.5 * np.pi * cycles / cycles[-1])

@@ -1,4 +1,7 @@
-"""The voxels around one marker, painted on a fine grid and blurred exactly: accurate to 0.01 mm."""
+"""Markers and thin rods, painted on a fine grid and blurred exactly: accurate to 0.01 mm.
+
+The slice painter gives every edge the same width, which is wrong across a rod thinner than that.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +39,7 @@ def paint_patch(
     kernel: Kernel,
     thickness_mm: float,
 ) -> Patch:
-    """Paint the surroundings of a marker's centre; `shapes` is everything that may extend into them."""
+    """Paint the surroundings of a marker's centre, into which any of `shapes` may extend."""
     where = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
     ]
@@ -70,7 +73,7 @@ def paint_patch(
 
 
 def _samples(voxels: NDArray[np.float64], spacing: float, spread: float) -> NDArray[np.float64]:
-    """Fine positions around a row of voxels, a whole number of them per voxel."""
+    """Return fine positions around a row of voxels, a whole number of them per voxel."""
     per_voxel = int(np.ceil(spacing / FINE_MM))
     step = spacing / per_voxel
     outside = int(np.ceil((spread - 0.5 * spacing) / step))
@@ -112,7 +115,7 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
 
 
 def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | None:
-    """Centre (x, y) of the part of a rod within `half_mm` of a height; None if there is none."""
+    """Return the centre (x, y) of the part of a rod within `half_mm` of a height; None without one."""
     part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return None
@@ -121,7 +124,7 @@ def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | No
 
 
 def _part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
-    """Both ends of the axis between two heights, widened by the rod's radius; None if there is none."""
+    """Return both ends of the axis between two heights, widened by the rod's radius; None without any."""
     start, along = np.array(rod.start), np.array(rod.along)
     margin_mm = rod.radius * float(np.hypot(along[0], along[1]))
     low_mm, high_mm = low_mm - margin_mm, high_mm + margin_mm

@@ -1,4 +1,4 @@
-"""Paints bodies over an image, only where they are."""
+"""Painting over an image: bodies, the scanner's exact blur, and the streaks of metal."""
 
 from __future__ import annotations
 
@@ -10,11 +10,24 @@ from numpy.typing import NDArray
 
 from sim.phantom.head.shapes import Ball, Point, Shape, Values
 
+PLANE_SIGMA_MM = 0.42  # in the slice: 1 mm full width at half maximum
+SLICE_SIGMA_MM = 0.35  # along z, before the slice's own thickness
+SPREAD_SIGMAS = 4.0
+BOX_VARIANCE = 1.0 / 12.0  # of a box of unit width
+
+Matrix = NDArray[np.float32]
+
+FILLING_HU = 250.0  # next to the metal
+FILLING_FALL_MM = 6.0  # beyond this, streaks fade with the inverse of the distance
+FILLING_LOBES = 7
+BAND_FADES = 0.25  # of its half length
+FAINTEST = 1e-3  # of a streak's height profile; below this the slice is left unchanged
+
 
 def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge_mm: float) -> None:
     """Paint a body into `image` (z, y, x), with samples at `axes` = (x, y, z), each ascending.
 
-    Within a width of `edge_mm` around its surface the body blends into the previous content.
+    Within `edge_mm` across its surface the body blends into the previous content.
     """
     low, high = shape.bounds()
     margin = np.float32(0.5 * edge_mm)
@@ -33,18 +46,14 @@ def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge
     region += (np.float32(shape.hu) - region) * cover
 
 
-PLANE_SIGMA_MM = 0.42  # in the slice: 1 mm full width at half maximum
-SLICE_SIGMA_MM = 0.35  # along z, before the slice's own thickness
-SPREAD_SIGMAS = 4.0
-BOX_VARIANCE = 1.0 / 12.0  # of a box of unit width
-
-Matrix = NDArray[np.float32]
-
-
 def blur_weights(
     voxels_mm: NDArray[np.float64], spacing_mm: float, fine_mm: NDArray[np.float64], sigma_mm: float
 ) -> Matrix:
-    """Weights (voxels, fine samples), each row adding up to 1."""
+    """Return the weights (voxels, fine samples) of fine samples in voxels; each row adds up to 1.
+
+    A voxel is the average, over its box, of the object blurred by a Gaussian: the weight of a fine sample is
+    the Gaussian integrated over the voxel, so the blur costs one matrix product per axis.
+    """
     edges = (fine_mm[None, :] - voxels_mm[:, None] + 0.5 * spacing_mm) / (sqrt(2.0) * sigma_mm)
     other = (fine_mm[None, :] - voxels_mm[:, None] - 0.5 * spacing_mm) / (sqrt(2.0) * sigma_mm)
     raw = _erf(edges) - _erf(other)
@@ -53,12 +62,12 @@ def blur_weights(
 
 
 def blur_spread_mm(spacing_mm: float, sigma_mm: float) -> float:
-    """How far outside a voxel's centre the object still affects it."""
+    """Return how far outside a voxel's centre the object still affects it."""
     return SPREAD_SIGMAS * sigma_mm + 0.5 * spacing_mm
 
 
 def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:
-    """Standard deviation of an edge in any direction, between that in the slice and that along z."""
+    """Return the standard deviation of an edge in any direction, between those in the slice and along z."""
     plane = plane_sigma_mm**2 + BOX_VARIANCE * pixel_mm**2
     along = SLICE_SIGMA_MM**2 + BOX_VARIANCE * slice_mm**2
     return sqrt((2.0 * plane + along) / 3.0)
@@ -68,13 +77,6 @@ def _erf(values: NDArray[np.float64]) -> NDArray[np.float64]:
     # values repeat from voxel to voxel, and there are few: not worth importing SciPy
     result: NDArray[np.float64] = np.vectorize(erf, otypes=[float])(values)
     return result
-
-
-FILLING_HU = 250.0  # next to the metal
-FILLING_FALL_MM = 6.0  # beyond this, streaks fade with the inverse of the distance
-FILLING_LOBES = 7
-BAND_FADES = 0.25  # of its half length
-FAINTEST = 1e-3  # of a streak's height profile; below this the slice is left unchanged
 
 
 @dataclass(frozen=True)
@@ -105,7 +107,7 @@ class Band:
 
 
 def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> None:
-    """Add it to a slice; it fades along z."""
+    """Add a band to a slice; it fades along z."""
     share = exp(-0.5 * ((z_mm - band.centre[2]) / band.height_mm) ** 2)
     if share < FAINTEST:
         return
@@ -118,20 +120,20 @@ def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> No
 
 
 def add_filling_streaks(image: Values, x: Values, y: Values, z_mm: float, filling: Ball) -> None:
-    """Rays in the slices through a filling."""
+    """Add rays in the slices through a filling."""
     if abs(z_mm - filling.centre[2]) <= filling.radius:
         lobes = Streak(filling.centre, FILLING_HU, FILLING_FALL_MM, FILLING_LOBES, filling.centre[0], 1.0)
-        _add(image, x, y, lobes, FILLING_HU)
+        _add_lobes(image, x, y, lobes, FILLING_HU)
 
 
 def add_streak(image: Values, x: Values, y: Values, z_mm: float, streak: Streak) -> None:
-    """Rays that fade smoothly along z."""
+    """Add rays to a slice; they fade smoothly along z."""
     share = exp(-0.5 * ((z_mm - streak.centre[2]) / streak.height_mm) ** 2)
     if share > FAINTEST:
-        _add(image, x, y, streak, share * streak.hu)
+        _add_lobes(image, x, y, streak, share * streak.hu)
 
 
-def _add(image: Values, x: Values, y: Values, streak: Streak, hu: float) -> None:
+def _add_lobes(image: Values, x: Values, y: Values, streak: Streak, hu: float) -> None:
     dx, dy = x[None, :] - np.float32(streak.centre[0]), y[:, None] - np.float32(streak.centre[1])
     distance = np.maximum(np.sqrt(dx * dx + dy * dy), np.float32(streak.fall_mm))
     strength = np.float32(hu * streak.fall_mm) / distance

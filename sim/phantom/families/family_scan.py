@@ -1,4 +1,4 @@
-"""Draws one random scan of a family: head, markers, their surroundings, and the field."""
+"""Draws one scan of a family at random: head, markers, their surroundings, and the field."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from sim.phantom.head.anatomy import (
 from sim.phantom.head.look_alikes import LookAlike, Seat
 from sim.phantom.head.obstacles import (
     FRAMES,
+    FREE,
     SPHERES,
     Obstacles,
     frame_fiducials,
@@ -36,8 +37,8 @@ from sim.phantom.head.obstacles import (
     frame_shapes,
     skin_point,
 )
-from sim.phantom.head.shapes import ellipsoid_depth
-from sim.phantom.scan import FREE, Scan
+from sim.phantom.head.shapes import ellipsoid_depth, rounded_point
+from sim.phantom.scan import Scan
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.phantom.scanner.painting import Streak
 from sim.world.noise import noise
@@ -68,23 +69,26 @@ STREAK_HEIGHT_MM = 3.0
 def family_scan(
     name: str, protocol: str, *, seed: int = 0, markers: int | None = None, fiducials: str = FREE
 ) -> Scan:
-    """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
+    """Draw a scan; raises SIM-001 for an unknown name or when the markers do not fit."""
     if name not in FAMILIES:
         raise BadScene(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
         raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
     count = markers or (SPHERES if fiducials in FRAMES else family.markers)
-    head, placed = _draw_head(family, seed, count, fiducials, generator)
+    head, sphere_centres = _draw_head(family, seed, count, fiducials, generator)
     scene = _scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
-    around, distractors = _obstacles(family, head, placed, covering_mm, generator)
-    grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
-    objects = _look_alikes(family, head, grid, placed, generator)
-    built = frame_markers if fiducials in FRAMES else _standing
+    around, distractors = _obstacles(family, head, sphere_centres, covering_mm, generator)
+    grid, marks = place_grid(head, scene.ct), _buried_shares(head, covering_mm)
+    objects = _look_alikes(family, head, grid, sphere_centres, generator)
     if family.bare:
-        built = _floating
-    anatomy = _anatomy(family, head, built(head, generator), around, fiducials, generator)
+        built = tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
+    elif fiducials in FRAMES:
+        built = frame_markers(head, generator)
+    else:
+        built = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+    anatomy = _anatomy(family, head, built, around, fiducials, generator)
     if objects:
         bodies = tuple(shape for one in objects for shape in one.shapes)
         places = tuple(place for one in objects for place in one.places)
@@ -107,7 +111,7 @@ def family_scan(
 
 
 def protocol_named(name: str) -> CtProtocol:
-    """A protocol by name; raises SIM-001."""
+    """Return a protocol by name; raises SIM-001."""
     if name not in PROTOCOLS:
         raise BadScene(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
     return PROTOCOLS[name]
@@ -122,7 +126,7 @@ def _scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str)
 def _draw_head(
     family: Family, seed: int, count: int, fiducials: str, generator: np.random.Generator
 ) -> tuple[Head, Vector]:
-    """A head with its markers, and the markers' centres (n, 3)."""
+    """Draw a head with its markers; returns it and the centres of the markers (n, 3)."""
     sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
     width, depth, height = (float(generator.uniform(*size)) for size in sizes)
     along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
@@ -132,11 +136,11 @@ def _draw_head(
     entry, normal = skin_point(bare, along)
     target = Target(
         identifier="T1",
-        entry_ct_mm=_three(entry),
-        target_ct_mm=_three(entry - TARGET_DEPTH_MM * normal),
+        entry_ct_mm=rounded_point(entry),
+        target_ct_mm=rounded_point(entry - TARGET_DEPTH_MM * normal),
     )
     found = (
-        _with_frame(family, bare, fiducials, count, generator)
+        _frame_and_more_fiducials(family, bare, fiducials, count, generator)
         if fiducials in FRAMES
         else _free_fiducials(family, bare, count, generator)
     )
@@ -157,7 +161,9 @@ def _free_fiducials(
         skin, normal = skin_point(head, _cap_direction(generator))
         centre = skin + normal * generator.uniform(*family.standoff_mm)
         room = CLEARANCE_MM + (PAIR_DISTANCE_MM if family.pairs else 0.0)
-        if _clear_of_cable(centre, head) and all(np.linalg.norm(centre - other) > room for other in centres):
+        if _is_clear_of_cable(centre, head) and all(
+            np.linalg.norm(centre - other) > room for other in centres
+        ):
             centres.append(centre)
             posts.append(normal)
         if len(centres) == alone:
@@ -169,15 +175,15 @@ def _free_fiducials(
         centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
         posts.append(posts[number])
     return tuple(
-        Fiducial(number=k + 1, centre_ct_mm=_three(centre), post_ct=_three(post))
+        Fiducial(number=k + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(post))
         for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
     )
 
 
-def _with_frame(
+def _frame_and_more_fiducials(
     family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
 ) -> tuple[Fiducial, ...]:
-    """The frame's spheres, and the others next to the frame."""
+    """Place the frame's spheres, and any others next to the frame."""
     found = list(frame_fiducials(head, frame, generator))
     centres = [np.array(one.centre_ct_mm) for one in found]
     bars = [(centres[0], centres[2]), (centres[1], centres[3])]
@@ -187,44 +193,40 @@ def _with_frame(
         skin, normal = skin_point(head, _cap_direction(generator, BESIDE_FRAME_RAD))
         centre = skin + normal * generator.uniform(*family.standoff_mm)
         if (
-            _clear_of_cable(centre, head)
+            _is_clear_of_cable(centre, head)
             and all(np.linalg.norm(centre - other) > CLEARANCE_MM for other in centres)
-            and all(_from_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
+            and all(_distance_to_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
         ):
             centres.append(centre)
-            found.append(Fiducial(number=len(found) + 1, centre_ct_mm=_three(centre), post_ct=_three(normal)))
+            found.append(
+                Fiducial(
+                    number=len(found) + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(normal)
+                )
+            )
     raise BadScene(f"{count - SPHERES} markers do not fit next to the frame")
 
 
-def _from_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
+def _distance_to_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
     way = end - start
     share = np.clip((point - start) @ way / (way @ way), 0.0, 1.0)
     return float(np.linalg.norm(point - start - share * way))
 
 
-def _clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
+def _is_clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
     x, y, z = centres.T.astype(np.float32)
     return all(float(shape.depth(x, y, z).max()) < -LEAD_ROOM_MM for shape in bodies.shapes)
 
 
-def _clear_of_cable(centre: Vector, head: Head) -> bool:
+def _is_clear_of_cable(centre: Vector, head: Head) -> bool:
     x, y, _ = head.centre_ct_mm
     cable = np.array([x + head.semi_axes_mm[0] + CABLE_GAP_MM, y + CABLE_BEHIND_MM])
     return bool(np.linalg.norm(centre[:2] - cable) > CABLE_ROOM_MM)
 
 
-def _standing(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
-    return tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
-
-
-def _floating(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
-    return tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
-
-
 def _obstacles(
-    family: Family, head: Head, placed: Vector, covering_mm: float, generator: np.random.Generator
+    family: Family, head: Head, sphere_centres: Vector, covering_mm: float, generator: np.random.Generator
 ) -> tuple[Obstacles, list[tuple[float, float, float]]]:
-    """Everything except the head itself, and the positions of the distractors."""
+    """Draw the objects around the head; returns them and the centres of the distractors."""
     around = Obstacles()
     if covering_mm > 0.0:
         around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))
@@ -232,16 +234,16 @@ def _obstacles(
         around += obstacles.cushion(head)
     if family.pins:
         around += obstacles.clamp(head, family.pins, generator)
-    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in placed]
+    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
     for number in range(family.electrodes + family.bolts):
         fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
         for _ in range(ATTEMPTS):
             direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
-            if _clear_of_spheres(fixed(head, direction), placed):
+            if _is_clear_of_spheres(fixed(head, direction), sphere_centres):
                 break
         around += fixed(head, direction)
         taken.append(skin_point(head, direction)[0])
-    taken = list(placed)
+    taken = list(sphere_centres)
     distractors = []
     for number in range(2 * family.distractors):
         # far enough for the longest cylinder
@@ -254,12 +256,12 @@ def _obstacles(
 
 
 def _look_alikes(
-    family: Family, head: Head, grid: CtGrid, placed: Vector, generator: np.random.Generator
+    family: Family, head: Head, grid: CtGrid, sphere_centres: Vector, generator: np.random.Generator
 ) -> list[LookAlike]:
-    """Objects that keep clear of the markers and of each other, within the field."""
+    """Draw look-alikes clear of the markers and of each other, within the field."""
     first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
     last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
-    taken = list(placed)
+    taken = list(sphere_centres)
     drawn = []
     for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
         for _ in range(ATTEMPTS):
@@ -319,8 +321,8 @@ def _post_streaks(
     )
 
 
-def _marks(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
-    """How deep a bandage buries each sphere, as a share of its height."""
+def _buried_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
+    """Return how deep a bandage buries each sphere, as a share of its height."""
     if covering_mm <= 0.0:
         return {}
     marks = {}
@@ -355,8 +357,3 @@ def _free_direction(
         if all(np.linalg.norm(place - other) > clearance_mm for other in taken):
             return direction
     raise BadScene("no room left on the head")
-
-
-def _three(vector: Vector) -> tuple[float, float, float]:
-    x, y, z = (round(float(value), 6) for value in vector)
-    return x, y, z
