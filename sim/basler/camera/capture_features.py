@@ -20,8 +20,8 @@ from sim.basler.camera.features import (
     Kind,
     always,
     constant,
-    only,
     setting,
+    single_entry,
     trigger_setting,
 )
 from sim.basler.camera.settings import (
@@ -264,8 +264,8 @@ EXPOSURE_LIMITS: dict[str, Any] = {
 ANALOG = "AnalogControls"
 INSIDE_C = 45.0  # a camera warmed up on its mount; constant here
 EXPOSURE_FEATURES: tuple[Feature, ...] = (
-    constant("ExposureMode", CONTROL, "Exposure mode.", 0, **only("Timed")),
-    constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **only("Off")),
+    constant("ExposureMode", CONTROL, "Exposure mode.", 0, **single_entry("Timed")),
+    constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **single_entry("Off")),
     Feature(
         "ExposureTimeAbs",
         Kind.FLOAT,
@@ -287,9 +287,14 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         unit="us",
     ),
     constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
-    constant("GainAuto", ANALOG, "Automatic gain.", 0, **only("Off")),
+    constant("GainAuto", ANALOG, "Automatic gain.", 0, **single_entry("Off")),
     constant(
-        "GainSelector", ANALOG, "Signal to which the gain applies.", 0, selects=("GainRaw",), **only("All")
+        "GainSelector",
+        ANALOG,
+        "Signal to which the gain applies.",
+        0,
+        selects=("GainRaw",),
+        **single_entry("All"),
     ),
     setting(
         "GainRaw",
@@ -305,7 +310,7 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         "Signal to which the black level applies.",
         0,
         selects=("BlackLevelRaw",),
-        **only("All"),
+        **single_entry("All"),
     ),
     setting(
         "BlackLevelRaw",

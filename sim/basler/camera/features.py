@@ -127,6 +127,6 @@ def constant(name: str, category: str, about: str, value: float, **more: Any) ->
     return Feature(name, kind, category, about, read=always(value), **more)
 
 
-def only(entry: str) -> dict[str, Any]:
+def single_entry(entry: str) -> dict[str, Any]:
     """Return the keywords of an enumeration with a single entry: the family's name, one choice here."""
     return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}

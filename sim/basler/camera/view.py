@@ -1,4 +1,4 @@
-"""What one camera sees: the spheres in front of it and the disturbances; only here is theatre geometry."""
+"""The view of one camera: the spheres in front of it, and the disturbances of its image."""
 
 from __future__ import annotations
 

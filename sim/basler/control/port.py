@@ -44,40 +44,6 @@ MAC_BYTES = 6
 ADDRESS_BYTES = 4
 
 
-@dataclass(frozen=True)
-class Answered:
-    """A command and its answer, None if it required none."""
-
-    datagram: bytes
-    answer: bytes | None
-    at_s: float
-
-
-class ReplayCache:
-    """Keeps the last modifying command of each application: a repeated one is answered, not executed again.
-
-    `now_s` is the host's monotonic clock.
-    """
-
-    def __init__(self, now_s: Callable[[], float]) -> None:
-        self._now_s = now_s
-        self._last: OrderedDict[Peer, Answered] = OrderedDict()
-
-    def find(self, peer: Peer, datagram: bytes) -> Answered | None:
-        """Return the answer to this command, including its request id, if it was the last one."""
-        last = self._last.get(peer)
-        if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
-            return None
-        return last
-
-    def keep(self, peer: Peer, datagram: bytes, answer: bytes | None) -> None:
-        """Store the answer to a command."""
-        self._last[peer] = Answered(datagram, answer, self._now_s())
-        self._last.move_to_end(peer)
-        while len(self._last) > PEERS_KEPT:
-            self._last.popitem(last=False)
-
-
 class Ignored(Exception):
     """A command that gets no answer."""
 
@@ -247,6 +213,40 @@ class ControlPort:
     def _check_readable(self, peer: Peer) -> None:
         if not self._privilege.may_read(peer):
             raise Refusal(GevStatus.ACCESS_DENIED)
+
+
+@dataclass(frozen=True)
+class Answered:
+    """A command and its answer, None if it required none."""
+
+    datagram: bytes
+    answer: bytes | None
+    at_s: float
+
+
+class ReplayCache:
+    """Keeps the last modifying command of each application: a repeated one is answered, not executed again.
+
+    `now_s` is the host's monotonic clock.
+    """
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._last: OrderedDict[Peer, Answered] = OrderedDict()
+
+    def find(self, peer: Peer, datagram: bytes) -> Answered | None:
+        """Return the answer to this command, including its request id, if it was the last one."""
+        last = self._last.get(peer)
+        if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
+            return None
+        return last
+
+    def keep(self, peer: Peer, datagram: bytes, answer: bytes | None) -> None:
+        """Store the answer to a command."""
+        self._last[peer] = Answered(datagram, answer, self._now_s())
+        self._last.move_to_end(peer)
+        while len(self._last) > PEERS_KEPT:
+            self._last.popitem(last=False)
 
 
 def _items(layout: str, payload: bytes) -> list[tuple[int, ...]]:

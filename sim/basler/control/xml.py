@@ -108,7 +108,7 @@ LOCK = "TLParamsLocked"
 
 
 @dataclass(frozen=True)
-class Standard:
+class StandardFeature:
     """A feature with a register of the standard; `command` is the value that a command writes."""
 
     name: str
@@ -121,12 +121,14 @@ class Standard:
     command: int | None = None
 
 
-def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> Standard:
-    return Standard(name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address])
+def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
+    return StandardFeature(
+        name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address]
+    )
 
 
-def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> Standard:
-    return Standard(name, "TransportLayer", "Integer", address, about, access)
+def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> StandardFeature:
+    return StandardFeature(name, "TransportLayer", "Integer", address, about, access)
 
 
 STANDARD_FEATURES = (
@@ -137,7 +139,7 @@ STANDARD_FEATURES = (
     _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
     _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
     _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
-    Standard(
+    StandardFeature(
         "GevHeartbeatTimeout",
         "TransportLayer",
         "Integer",
@@ -145,8 +147,10 @@ STANDARD_FEATURES = (
         "Heartbeat timeout, ms.",
         "RW",
     ),
-    Standard("GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"),
-    Standard(
+    StandardFeature(
+        "GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"
+    ),
+    StandardFeature(
         "GevTimestampTickFrequency",
         "TransportLayer",
         "Integer",
@@ -154,7 +158,7 @@ STANDARD_FEATURES = (
         "Ticks per second.",
         size=8,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampControlLatch",
         "TransportLayer",
         "Command",
@@ -163,7 +167,7 @@ STANDARD_FEATURES = (
         "WO",
         command=TIMESTAMP_LATCH,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampControlReset",
         "TransportLayer",
         "Command",
@@ -172,7 +176,7 @@ STANDARD_FEATURES = (
         "WO",
         command=TIMESTAMP_RESET,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampValue",
         "TransportLayer",
         "Integer",
@@ -240,7 +244,7 @@ def _add_categories(root: ElementTree.Element) -> None:
             _child(node, "pFeature", name)
 
 
-def _add_standard(root: ElementTree.Element, it: Standard) -> None:
+def _add_standard(root: ElementTree.Element, it: StandardFeature) -> None:
     if it.kind == "StringReg":
         node = _node(root, it.kind, it.name)
         _child(node, "ToolTip", it.about)

@@ -76,7 +76,7 @@ class EkiServer:
 
     @property
     def endpoint(self) -> str:
-        """Where clients connect, with the actual port when port 0 was requested."""
+        """Endpoint for clients, with the actual port when port 0 was requested."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 

@@ -98,7 +98,7 @@ class RsiSocket:
 
 
 class LinkFaults:
-    """What the fault script does to outgoing telegrams and incoming replies; one object per controller.
+    """The fault script as it acts on telegrams and replies; one object per controller.
 
     Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time.
     Random draws depend on the cycle number only: the same cycles are hit whatever was hit before.
