@@ -10,6 +10,7 @@ from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.pendant import PendantDisplay, rsi_timeout, too_fast
 
 
 @pytest.fixture
@@ -128,3 +129,25 @@ def test_in_t1_a_correction_faster_than_250_mm_per_second_stops_the_arm(in_T1: A
         if controller.message is None:
             in_T1.answer(on_a1(3.0 + 0.18 * n * min(1.0, n / 60)))
     assert controller.message.number == ControllerParameters().T1_speed_message
+
+
+def test_messages_texts_and_acknowledgements_are_each_shown_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    display = PendantDisplay(lambda: 12.5)
+    silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
+    for message, notice in (
+        (None, ""),
+        (silence, ""),
+        (silence, "mind the\nhead"),
+        (silence, "mind the\nhead"),
+        (None, ""),
+        (speed, ""),
+    ):
+        display.update(message, notice)
+    assert capsys.readouterr().err.splitlines() == [
+        "pendant at 12.500 s: KSS29002 signal flow: object ETHERNET1 returns error RSITimeout (100 packets)",
+        "pendant at 12.500 s: mind the head",
+        "pendant at 12.500 s: KSS29002 acknowledged",
+        "pendant at 12.500 s: KSS01102 command velocity A1: 400.0 deg/s, at most 360.0",
+    ]
