@@ -24,7 +24,7 @@ from sim.kuka.pendant import (
     guard_opened,
     too_fast_for_T1,
 )
-from sim.kuka.rsi.program_run import RsiRun, RunSettings, StartPose
+from sim.kuka.rsi.program_run import RsiRun, RunSettings
 from sim.kuka.rsi.signal_flow import resolve_inputs
 from sim.kuka.rsi.telegrams import Reply
 
@@ -137,9 +137,7 @@ class Controller:
             needs_confirmation=self.interlocks.manual,
             correction_share=self.override_percent / FULL_OVERRIDE if scales else 1.0,
         )
-        arm = self.arm
-        pose = StartPose(arm.axes_deg, arm.reported_deg, arm.reported_frame, arm.tool_point(), arm.base)
-        self.run = RsiRun(settings, self.arm.description, pose, self.arm.joints_for, self.parameters)
+        self.run = RsiRun(settings, self.arm, self.parameters)
         self.program_state = ProState.ACTIVE
         return DONE
 

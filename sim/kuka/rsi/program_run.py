@@ -7,16 +7,14 @@ and ends each cycle with `finish`.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Supervision
+from sim.kuka.manipulator import Manipulator
 from sim.kuka.pendant import Message, rsi_bad, rsi_timeout
 from sim.kuka.rsi.signal_flow import (
     ACTIVE_BIT,
@@ -27,9 +25,6 @@ from sim.kuka.rsi.signal_flow import (
     resolve_inputs,
 )
 from sim.kuka.rsi.telegrams import RejectedReplies, Reply, ReplyReader, TelegramWriter
-from sim.world.arm.robot_description import RobotDescription
-
-Matrix = NDArray[np.float64]
 
 IPOC_STEP = 2_654_435_761  # from run to run, modulo the range: a new run may begin higher or lower
 EXIT_MOVE_CORR = "ExitMoveCorr"
@@ -56,28 +51,10 @@ class RunSettings:
     correction_share: float = 1.0  # share of a correction that takes effect, if the override scales it
 
 
-@dataclass(frozen=True)
-class StartPose:
-    """The arm at RSI_ON: axes (deg), the reported frame, and tool and BASE in $ROBROOT."""
-
-    axes_deg: list[float]
-    reported_deg: Sequence[float]
-    reported_frame: Sequence[float]  # X Y Z (mm) A B C (deg) in BASE
-    tool_point: Matrix
-    base: Matrix
-
-
 class RsiRun:
     """State of one run. Once `over`, `message` is the reason; None if the client requested the end."""
 
-    def __init__(
-        self,
-        settings: RunSettings,
-        arm: RobotDescription,
-        start: StartPose,
-        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
-        parameters: ControllerParameters,
-    ) -> None:
+    def __init__(self, settings: RunSettings, arm: Manipulator, parameters: ControllerParameters) -> None:
         context = settings.context
         self.settings = settings
         self.state = RsiState.ON
@@ -101,8 +78,8 @@ class RsiRun:
         self._writer = TelegramWriter(
             context.send,
             context.ethernet.precision,
-            start.reported_deg,
-            start.reported_frame,
+            arm.reported_deg,
+            arm.reported_frame,
             context.feedback,
         )
         self.rejected = RejectedReplies(context.ethernet.sentype)
@@ -110,26 +87,26 @@ class RsiRun:
         self._outputs = EthernetOutputs(context, parameters.missing_element)
         inputs = resolve_inputs(context)
         self._supervision = Supervision(
-            arm, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
+            arm.description, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
         )
-        relative = settings.relative
-        self._flow = SignalFlow(
-            inputs,
-            start.axes_deg,
-            lambda: AxisCorrector(
-                arm, start.axes_deg, context.axis_correction, context.axis_monitor, relative=relative
-            ),
-            lambda: PositionCorrector(
-                start.tool_point,
-                start.base[:3, :3],
-                start.axes_deg,
-                inverse,
+        start_deg, relative = arm.axes_deg, settings.relative
+        axis = position = None
+        if inputs.axes:
+            axis = AxisCorrector(
+                arm.description, start_deg, context.axis_correction, context.axis_monitor, relative=relative
+            )
+        if inputs.frame:
+            position = PositionCorrector(
+                arm.tool_point(),
+                arm.base[:3, :3],
+                start_deg,
+                arm.joints_for,
                 context.position_correction,
                 context.position_monitor,
                 relative=relative,
-            ),
-            relative=relative,
-            share=settings.correction_share,
+            )
+        self._flow = SignalFlow(
+            inputs, start_deg, axis, position, relative=relative, share=settings.correction_share
         )
 
     @property

@@ -250,8 +250,8 @@ class SignalFlow:
         self,
         inputs: Inputs,
         base_deg: list[float],
-        axis: Callable[[], AxisCorrector],
-        position: Callable[[], PositionCorrector],
+        axis: AxisCorrector | None,
+        position: PositionCorrector | None,
         *,
         relative: bool,
         share: float = 1.0,
@@ -260,8 +260,8 @@ class SignalFlow:
         self._inputs = inputs
         self._relative = relative
         self._share = share
-        self._axis = axis() if inputs.axes else None
-        self._position = position() if inputs.frame else None
+        self._axis = axis
+        self._position = position
         self._last: list[float] | None = None
         self._stop_before = False
         self.command_deg: list[float] = base_deg  # the drives' own list: an arm at rest stays at rest
