@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from sim.phantom.scanner.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM
+from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]

@@ -24,8 +24,8 @@ from ronna_hw.wire.gige_vision import (
     GvcpCommand,
     GvcpFlag,
 )
-from sim.basler.camera.settings import EventKind, Settings, Ticks
 from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.settings import EventKind, Settings, Ticks
 
 STREAM_CHANNEL = 0
 FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's

@@ -15,13 +15,13 @@ from collections.abc import Callable, Iterator, Sequence
 from ipaddress import IPv4Address
 
 from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_PORT, PENDING_PAYLOAD, GevStatus, GvcpCommand
-from sim.basler.camera.device import Camera
 from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.settings import TriggerMoments
 from sim.basler.control.bootstrap import Identity
 from sim.basler.control.privilege import Peer
+from sim.basler.device import Camera
 from sim.basler.faults import CameraFaults
 from sim.basler.message_channel import MessageChannel
+from sim.basler.settings import TriggerMoments
 from sim.errors import EndpointTaken
 from sim.world.world import World
 

@@ -25,9 +25,9 @@ from ronna_hw.wire.gige_vision import (
     GvspFormat,
     PayloadType,
 )
-from sim.basler.camera.settings import FrameSettings
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.canvas import Area
+from sim.basler.settings import FrameSettings
 
 KEPT_BLOCKS = 16
 DEFAULT_PACKET_SIZE = 1500

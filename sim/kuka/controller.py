@@ -116,7 +116,7 @@ class Controller:
         *,
         counts_from_first_reply: bool = False,
     ) -> Acknowledgement:
-        """RSI_ON, with the context's settings or others."""
+        """Execute RSI_ON with the context's settings or others."""
         answer = self.ready()
         if answer is not DONE:
             return answer

@@ -88,7 +88,7 @@ class Manipulator:
         return IDENTITY if self._base is None else self._base
 
     def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
-        """Nominal pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
+        """Return the nominal pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
         axes = self.drives.axes_deg if axes_deg is None else axes_deg
         flange = self._nominal.flange([radians(angle) for angle in axes])
         return flange if self._tool is None else flange @ self._tool

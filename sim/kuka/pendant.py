@@ -34,26 +34,26 @@ class Message(NamedTuple):
 
 
 def rsi_timeout(late: int) -> Message:
-    """Too many replies were late."""
+    """Message of too many late replies."""
     return Message(
         RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
     )
 
 
 def rsi_bad(object_name: str) -> Message:
-    """An object was used where it has no effect."""
+    """Message of an object used where it has no effect."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
 def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
-    """The total correction left a monitor's range."""
+    """Message of a total correction beyond a monitor's range."""
     return Message(
         RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
     )
 
 
 def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
-    """One command was too far from the previous one."""
+    """Message of a command too far from the previous one."""
     return Message(
         COMMAND_ACCELERATION,
         f"command acceleration {axis}: step {step_deg:.4f} deg, at most {limit_deg:.4f}",
@@ -62,7 +62,7 @@ def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
 
 
 def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
-    """The commanded acceleration exceeds the axis limit for longer than one cycle."""
+    """Message of a commanded acceleration above the axis limit for longer than one cycle."""
     return Message(
         COMMAND_ACCELERATION,
         f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
@@ -71,45 +71,45 @@ def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: f
 
 
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
-    """The commanded speed exceeds the axis limit."""
+    """Message of a commanded speed above the axis limit."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
 
 
 def too_fast_for_T1(number: int, speed_mm_s: float, limit_mm_s: float) -> Message:
-    """The tool moved faster than the test mode allows."""
+    """Message of a tool faster than the test mode allows."""
     return Message(number, f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}", True)
 
 
 def end_switch(number: int, axis: str, angle_deg: float) -> Message:
-    """The command would pass a software end switch."""
+    """Message of a command beyond a software end switch."""
     sign = "+" if angle_deg > 0 else "-"
     return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
 
 
 def near_singularity() -> Message:
-    """A Cartesian correction or path leads to where the joints cannot follow."""
+    """Message of a Cartesian correction or path that the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
 
 
 def emergency_stop(number: int) -> Message:
-    """The emergency stop was pressed; it is acknowledged after its release."""
+    """Message of a pressed emergency stop; acknowledged after its release."""
     return Message(number, "emergency stop", True)
 
 
 def guard_opened(number: int) -> Message:
-    """The safety gate was opened in an automatic mode; it is acknowledged when closed again."""
+    """Message of a gate opened in an automatic mode; acknowledged once it is closed."""
     return Message(number, "operator safety: guard open", True)
 
 
 def enabling_switch_released(number: int) -> Message:
-    """The enabling switch was released in a test mode while a program ran."""
+    """Message of an enabling switch released in a test mode while a program ran."""
     return Message(number, "enabling switch released", True)
 
 
 def collision(number: int) -> Message:
-    """The torque monitor saw more than the model explains."""
+    """Message of a torque that the model does not explain."""
     return Message(number, "collision detected: torque beyond the monitored range", True)
 
 

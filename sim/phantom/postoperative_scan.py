@@ -24,11 +24,11 @@ from sim.phantom.head.anatomy import (
     shifted,
     side_cable,
 )
+from sim.phantom.head.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Ball, Bounds, Point, Rod, Shape, Values, as_point
 from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
 from sim.phantom.scanner.fine_painting import middle_at, paint_rod
 from sim.phantom.scanner.grid import CtGrid, centred_grid
-from sim.phantom.scanner.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
 from sim.world.scene.model import CtProtocol, Head, Scene, read_scene

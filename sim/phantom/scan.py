@@ -13,11 +13,11 @@ import numpy as np
 
 from sim.phantom.head.anatomy import AIR_HU, Anatomy, HeadLayers, draw_anatomy
 from sim.phantom.head.obstacles import FREE, XFRAME, frame_markers, frame_shapes
+from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Shape, Values
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults, hardening
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
-from sim.phantom.scanner.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.world.noise import noise
 from sim.world.scene.model import Scene
 

@@ -1,1 +1,1 @@
-"""One camera: its settings and features, its acquisition, and its view of the theatre."""
+"""One camera: its features, its acquisition, and its view of the theatre."""

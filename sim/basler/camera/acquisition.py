@@ -9,7 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim.basler.camera.photographer import FrameSource
-from sim.basler.camera.settings import (
+from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.settings import (
     AcquisitionMode,
     EventKind,
     FrameSettings,
@@ -24,7 +25,6 @@ from sim.basler.camera.settings import (
     readout_us,
     shortest_period_us,
 )
-from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.stream_channel import Frame, StreamChannel
 
 IDLE_CHECK_S = 0.5

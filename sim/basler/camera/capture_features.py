@@ -24,7 +24,7 @@ from sim.basler.camera.features import (
     single_entry,
     trigger_setting,
 )
-from sim.basler.camera.settings import (
+from sim.basler.settings import (
     AcquisitionMode,
     RampImage,
     Trigger,

@@ -12,7 +12,7 @@ from enum import Enum
 from typing import Any, Protocol
 
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.camera.settings import Settings
+from sim.basler.settings import Settings
 from sim.basler.stream_channel import StreamChannel
 
 Number = int | float

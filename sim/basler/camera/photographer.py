@@ -9,11 +9,11 @@ from typing import Protocol
 import numpy as np
 
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.basler.camera.settings import FrameSettings, RampImage, bits_per_pixel
 from sim.basler.camera.view import Disturbances, Pose, View
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Pixels, Sensor
+from sim.basler.settings import FrameSettings, RampImage, bits_per_pixel
 from sim.world.noise import noise
 from sim.world.scene.model import CameraTruth
 from sim.world.world import World

@@ -27,11 +27,11 @@ from ronna_hw.wire.gige_vision import (
     GevStatus,
     GvcpCapability,
 )
-from sim.basler.camera.settings import Ticks
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Memory, Refusal, RegisterMap, Word
 from sim.basler.control.xml import camera_xml
 from sim.basler.message_channel import MessageChannel
+from sim.basler.settings import Ticks
 from sim.basler.stream_channel import (
     LARGEST_PACKET_SIZE,
     PACKET_SIZE_STEP,

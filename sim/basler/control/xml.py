@@ -19,15 +19,15 @@ from ronna_hw.wire.gige_vision import (
     TIMESTAMP_RESET,
     Bootstrap,
 )
-from sim.basler.camera.feature_table import (
+from sim.basler.camera.features import Feature, Kind
+from sim.basler.control.feature_table import (
     FEATURES,
     MAXIMUM_OFFSET,
     MINIMUM_OFFSET,
     STEP_OFFSET,
     address_of,
 )
-from sim.basler.camera.features import Feature, Kind
-from sim.basler.camera.settings import EventKind
+from sim.basler.settings import EventKind
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ AXES, EXTERNAL_AXES = 6, 0
 
 
 class Request(IntEnum):
-    """REQTYPE."""
+    """Values of REQTYPE."""
 
     CONNECT = 0
     START = 1
@@ -35,7 +35,7 @@ class Request(IntEnum):
 
 
 class Event(IntEnum):
-    """EventID of a response."""
+    """Values of EventID in a response."""
 
     STARTED = 0
     STOPPED = 1

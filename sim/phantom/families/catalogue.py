@@ -14,7 +14,7 @@ import numpy as np
 
 from sim.phantom.head.anatomy import Marker, shifted
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
-from sim.phantom.scanner.painting import Band
+from sim.phantom.head.painting import Band
 from sim.world.scene.model import CtProtocol
 
 Range = tuple[float, float]

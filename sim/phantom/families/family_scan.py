@@ -37,10 +37,10 @@ from sim.phantom.head.obstacles import (
     frame_shapes,
     skin_point,
 )
+from sim.phantom.head.painting import Streak
 from sim.phantom.head.shapes import ellipsoid_depth, rounded_point
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
-from sim.phantom.scanner.painting import Streak
 from sim.world.noise import noise
 from sim.world.rigid import rotation_towards
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene

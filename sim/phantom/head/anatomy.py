@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import BadScene
+from sim.phantom.head.painting import Band, Streak
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough, Values, ellipsoid_depth
-from sim.phantom.scanner.painting import Band, Streak
 from sim.world.noise import noise
 from sim.world.scene.model import Fiducial, Head, Scene
 

@@ -28,8 +28,8 @@ from sim.phantom.head.anatomy import (
     marker_on_post,
     shifted,
 )
+from sim.phantom.head.painting import Streak
 from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab, as_point
-from sim.phantom.scanner.painting import Streak
 from sim.world.rigid import rotation_towards
 from sim.world.scene.model import Fiducial, Head
 from sim.world.scene.skin import CAP_AXIS_CT

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from sim.errors import SEE_PHANTOM, BadScene
+from sim.phantom.head.painting import PLANE_SIGMA_MM
 from sim.phantom.head.shapes import Values
-from sim.phantom.scanner.painting import PLANE_SIGMA_MM
 
 MOST_TILT_DEG = 30.0  # of a gantry
 

@@ -17,11 +17,11 @@ from conformance.report import CaseResult, run_case
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
-from sim.basler.camera.device import Camera
-from sim.basler.camera.feature_table import address_of
 from sim.basler.control.bootstrap import XML_ADDRESS
+from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
 from sim.basler.control.registers import Memory, Refusal, Word
+from sim.basler.device import Camera
 from sim.basler.faults import NoFaults
 from sim.basler.server import CameraPair
 from sim.basler.stream_channel import Block, StreamChannel

@@ -27,10 +27,10 @@ from ronna_hw.wire.gige_vision import (
 )
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.polaris import BX_START, crc16
-from sim.basler.camera.device import Camera
-from sim.basler.camera.feature_table import address_of
-from sim.basler.camera.settings import FrameSettings, TriggerMoments
 from sim.basler.control.bootstrap import Identity
+from sim.basler.control.feature_table import address_of
+from sim.basler.device import Camera
+from sim.basler.settings import FrameSettings, TriggerMoments
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters

@@ -16,8 +16,8 @@ from captured import Datagram, wireshark_reads, write_capture
 
 from drivers.basler_stereo.control import gvcp
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
-from sim.basler.camera.settings import EventKind, RampImage, Settings
 from sim.basler.message_channel import Event, MessageChannel
+from sim.basler.settings import EventKind, RampImage, Settings
 from sim.basler.stream_channel import Frame, StreamChannel
 
 pytestmark = pytest.mark.skipif(

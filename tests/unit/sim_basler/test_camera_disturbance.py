@@ -7,13 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.settings import FrameSettings, Settings
 from sim.basler.camera.view import Disturbances, View
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.film import STAINED_BRIGHTNESS, Stain, draw_stains
 from sim.basler.optics.picture import Disturbance, Glare, Occluder, Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
+from sim.basler.settings import FrameSettings, Settings
 from sim.errors import BadFaultScript
 from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards

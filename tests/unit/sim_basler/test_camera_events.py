@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
-from sim.basler.camera.settings import EventKind
 from sim.basler.faults import NoFaults
 from sim.basler.message_channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, Event, MessageChannel
+from sim.basler.settings import EventKind
 
 OK, INVALID_PARAMETER, ACCESS_DENIED = 0, 0x8002, 0x8006
 OTHER = ("127.0.0.1", 40002)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.basler.camera.photographer import Photographer, to_wire
 from sim.basler.camera.photographer import ramp_image as ramp
-from sim.basler.camera.settings import FrameSettings, RampImage, Settings
 from sim.basler.camera.view import View
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
+from sim.basler.settings import FrameSettings, RampImage, Settings
 from sim.world.noise import noise
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.named_scenes import named_scene

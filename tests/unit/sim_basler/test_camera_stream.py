@@ -11,7 +11,7 @@ import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap, PixelFormat
 from sim.basler import stream_channel as stream
-from sim.basler.camera.settings import SOFTWARE_TRIGGER_SKEW_NS, Settings, readout_us
+from sim.basler.settings import SOFTWARE_TRIGGER_SKEW_NS, Settings, readout_us
 from sim.basler.stream_channel import (
     BURST_BYTES,
     KEPT_BLOCKS,

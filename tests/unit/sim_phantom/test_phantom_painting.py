@@ -10,10 +10,10 @@ import pytest
 
 from sim.errors import BadScene
 from sim.phantom.head.anatomy import AIR_HU, LAYERS, METAL_HU, Anatomy, HeadLayers, draw_anatomy
+from sim.phantom.head.painting import blur_weights, paint
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
 from sim.phantom.scan import SlicePainter
 from sim.phantom.scanner.grid import CtGrid, place_grid
-from sim.phantom.scanner.painting import blur_weights, paint
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import named_scene
 

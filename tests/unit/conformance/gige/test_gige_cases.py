@@ -11,8 +11,8 @@ from spoilt_cameras import Mistake, Patch, Stand
 from conformance.case import Outcome
 from conformance.gige.protocol import PROTOCOL
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
-from sim.basler.camera.feature_table import address_of
 from sim.basler.control.bootstrap import XML_ADDRESS
+from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
 
 FRAME_LIMIT_S = 0.5  # for an image that a spoilt camera never sends

@@ -7,15 +7,15 @@ from collections.abc import Callable
 
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.camera.feature_table import add_features
 from sim.basler.camera.photographer import FrameSource
-from sim.basler.camera.settings import Settings, TheatreClock, Ticks, TriggerMoments, UserSet
 from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
+from sim.basler.control.feature_table import add_features
 from sim.basler.control.port import Actions, ControlPort, ReplayCache
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message_channel import EventReporter, MessageChannel
+from sim.basler.settings import Settings, TheatreClock, Ticks, TriggerMoments, UserSet
 from sim.basler.stream_channel import StreamChannel
 
 

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
 from sim.basler.camera.features import Commands, Feature, Kind, Number, always, constant, setting
-from sim.basler.camera.settings import EventKind, UserSet
 from sim.basler.control.registers import Refusal, RegisterMap, Word
+from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
 
 
