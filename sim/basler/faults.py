@@ -17,7 +17,7 @@ from sim.world.world import World
 FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain
 SPOT_RADIUS_PX = 6.0
 WHOLE = 100.0
-LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  # of the noise
+LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  # streams of noise
 
 Light = NDArray[np.float32]
 

@@ -29,7 +29,7 @@ from sim.basler.settings import EventKind, Settings, Ticks
 
 STREAM_CHANNEL = 0
 FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
-DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
+DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # at power-on; those of the family are unconfirmed
 EVENTS_KEPT = 32  # queued behind a pending message; more are lost
 EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
 DATAGRAM_BYTES = 2048

@@ -37,7 +37,7 @@ PACKET_SIZE_STEP = 4
 WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
 BURST_BYTES = 32 * 1024  # sent at once; a default kernel buffers about six of these for a receiver
 SHORTEST_SLEEP_S = 2e-4  # shorter sleeps take longer than requested
-LONGEST_CREDIT_S = 1.5e-3  # of link time that a late sender may catch up at once: the buffer above
+LONGEST_CREDIT_S = 1.5e-3  # link time that a late sender may catch up at once: the kernel's buffer
 IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
 PMTU_DO, PMTU_DONT = 2, 0
 

@@ -36,7 +36,7 @@ REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
 READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that one's limit
 LOOK_S = 0.001  # host time between checks whether someone waits for theatre time
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
-UNCHANGED_CYCLES = 50  # of correction, after which lock-step is paced
+UNCHANGED_CYCLES = 50  # without a new correction, after which lock-step is paced
 STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
 
 

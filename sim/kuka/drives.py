@@ -21,7 +21,7 @@ from sim.kuka.pendant import (
 )
 from sim.world.arm.robot_description import AXES, RobotDescription
 
-STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis this far caught up sticks again; fast ones slide
+STICKS_AGAIN_SHARE = 0.5  # share of the breakaway below which a lagging axis sticks again; a fast one slides
 
 ROUNDING_DEG = 1e-6  # six decimals on the wire
 SHORTEST_WINDOW_CYCLES = 3

@@ -41,7 +41,7 @@ FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid
 BELOW_SKULL_MM = 1.5  # overshoot of a drill beyond the inner table
 TO_BRAIN_MM = sum(thickness for thickness, _ in LAYERS[:6])  # skin to the inside of the skull
 
-TURN_RAD = radians(10.0)  # of the head between the two scans, per axis, either way
+TURN_RAD = radians(10.0)  # largest rotation of the head between the scans, per axis
 SHIFT_MM = 30.0
 STREAK_HU = (200.0, 400.0)  # next to the metal
 STREAK_LOBES = (4, 5, 6, 7)
@@ -55,6 +55,10 @@ class Kind(StrEnum):
     ELECTRODE = "electrode"
     NEEDLE = "needle"
     DRILL_HOLE = "drill-hole"
+
+
+# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
+RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
 
 
 @dataclass(frozen=True)
@@ -241,10 +245,6 @@ class PosedLayers:
         turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
         half_sides = np.linalg.norm(turned, axis=1) + margin_mm
         return as_point(centre - half_sides), as_point(centre + half_sides)
-
-
-# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
-RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
 
 
 def _to_skin_mm(instrument: Instrument, head: Head) -> float:

@@ -25,7 +25,7 @@ STATED_ERROR_MM = 0.10
 ARM_ERROR_MM = 0.016
 
 STEREO_HEAD_KG = 2.1
-CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame
 # From home, with the arm turned aside: the gauge is on the table next to the patient.
 GAUGE_TURN_DEG = -40.0
 GAUGE_BASE_MM = 60.0

@@ -20,7 +20,7 @@ from sim.world.world import World
 
 RING_SIZE = 6  # so that consecutive frames never have the same noise
 REFRESH_PAUSE_S = 0.05  # between two images for the ring, so that drawing leaves time for the stream
-TRIGGERED_LANE, RING_LANE = 0, 1  # of the noise
+TRIGGERED_LANE, RING_LANE = 0, 1  # streams of noise
 
 
 class FrameSource(Protocol):

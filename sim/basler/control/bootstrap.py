@@ -62,6 +62,9 @@ CAPABILITIES = (
     | GvcpCapability.USER_DEFINED_NAME
 )
 
+LONGEST_TIMEOUT_MS = 60_000
+MOST_RETRIES = 100
+
 
 @dataclass
 class Identity:
@@ -256,10 +259,6 @@ class _Stored:
 
     def write(self, value: int) -> None:
         self._value = value & self._allowed
-
-
-LONGEST_TIMEOUT_MS = 60_000
-MOST_RETRIES = 100
 
 
 def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:

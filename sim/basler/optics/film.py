@@ -22,7 +22,7 @@ TABLE_SIZE = 1 << 16
 # odd multipliers that spread neighbouring cubes over the table (Fibonacci hashing, one per axis)
 MULTIPLIERS = (np.int32(0x1E3779B1), np.int32(0x05EBCA77), np.int32(0x42B2AE3D))
 
-STAINED_BRIGHTNESS = 0.3  # of the clean film: light passes the stain twice
+STAINED_BRIGHTNESS = 0.3  # relative to clean film: light passes the stain twice
 STAIN_EDGE_MM = 0.04  # a drop dries with a soft edge
 SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, from the sphere's centre
 

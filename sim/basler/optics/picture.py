@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
 from math import cos, pi, sin
 from statistics import NormalDist
@@ -65,7 +65,7 @@ class Disturbance:
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()
     glares: tuple[Glare, ...] = ()
-    twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
+    twist_rad: float = 0.0  # rotation of the camera in its mount, out of the plane of both cameras
     room: RoomShift = NOTHING_MOVED  # displacement of the spheres
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:

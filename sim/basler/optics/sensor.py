@@ -16,7 +16,7 @@ from sim.world.noise import noise
 # Light returned by the film at the working distance: a sphere reaches 200 of 255 at 4 ms and lowest gain.
 FILM_ELECTRONS_PER_US = 2.0
 BACKGROUND_ELECTRONS_PER_US = 0.04  # drapes and skin between the spheres
-SLOPE = 0.05  # of the light from the centre of the sensor to its edge, at most
+SLOPE = 0.05  # largest change of light from the centre of the sensor to its edge
 BACKGROUND_SLOPE = 0.4
 FALL_OFF = 0.06  # towards the corners
 

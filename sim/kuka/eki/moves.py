@@ -12,14 +12,14 @@ from sim.kuka.pendant import Message
 from sim.world.arm.orientation import pose_of_frame
 
 LARGEST = 1e6  # mm or degrees: a pose far out of reach, whose squares are still numbers
-LEAST_PERCENT = 0.001  # of a speed: a motion that never ends has no duration to calculate with
+LEAST_PERCENT = 0.001  # smallest speed: a motion that never ends has no duration
 FRAME = ("X", "Y", "Z", "A", "B", "C")
 _ESCAPED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": " ", "\r": " "})
 
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
 SLOWEST_LINE_M_S = 1e-6
-T1_MARGIN = 0.95  # of the tool speed allowed in T1: the path is checked in steps
+T1_MARGIN = 0.95  # share of T1's tool speed that is used: the path is checked in steps
 SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
 STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 

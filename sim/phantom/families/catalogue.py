@@ -19,6 +19,17 @@ from sim.world.scene.model import CtProtocol
 
 Range = tuple[float, float]
 
+PAIR_DISTANCE_MM = 14.0
+
+PROTOCOLS: dict[str, CtProtocol] = {
+    "good": CtProtocol(),
+    "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
+    "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
+}
+
+PASSING_MM = 40.0  # half the length of a band that passes a sphere
+RAY_MM = 25.0  # half the length of a band that starts at metal
+
 
 class Purpose(StrEnum):
     """Permitted use of a family."""
@@ -42,6 +53,23 @@ class PostStreaks:
     hu: Range
     fall_mm: Range
     lobes: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class MarkerBands:
+    """Bright or dark straight streaks: how many near each marker, and where.
+
+    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
+    sphere.
+    """
+
+    count: tuple[int, int]
+    hu: Range
+    width_mm: Range
+    height_mm: Range
+    beside_mm: Range
+    below_mm: Range  # the sphere's centre
+    from_metal: bool = False
 
 
 @dataclass(frozen=True)
@@ -71,26 +99,6 @@ class Family:
     look_alikes: tuple[Draw, ...] = ()  # objects that are not spheres, two of each kind
     bare: bool = False  # spheres have neither film nor post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
-
-
-@dataclass(frozen=True)
-class MarkerBands:
-    """Bright or dark straight streaks: how many near each marker, and where.
-
-    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
-    sphere.
-    """
-
-    count: tuple[int, int]
-    hu: Range
-    width_mm: Range
-    height_mm: Range
-    beside_mm: Range
-    below_mm: Range  # the sphere's centre
-    from_metal: bool = False
-
-
-PAIR_DISTANCE_MM = 14.0
 
 
 def _beside_objects(name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]) -> Family:
@@ -220,16 +228,6 @@ FAMILIES: dict[str, Family] = {
         ),
     )
 }
-
-PROTOCOLS: dict[str, CtProtocol] = {
-    "good": CtProtocol(),
-    "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
-    "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
-}
-
-
-PASSING_MM = 40.0  # half the length of a band that passes a sphere
-RAY_MM = 25.0  # half the length of a band that starts at metal
 
 
 def draw_bands(

@@ -49,7 +49,7 @@ CUP_RADIUS_MM, CUP_MM, CUP_HU = 5.0, 2.0, 3500.0
 LEAD_RADIUS_MM, LEAD_MM = 0.6, 60.0
 BOLT_RADIUS_MM, BOLT_MM, BOLT_IN_SKULL_MM = 1.4, 30.0, 10.0
 
-DISTRACTOR_HU = (100.0, 150.0)  # as the markers
+DISTRACTOR_HU = (100.0, 150.0)  # polymer, like the markers
 DISTRACTOR_BALL_MM, DISTRACTOR_CYLINDER_MM = 16.0, 12.0  # diameters
 CYLINDER_LENGTH_MM = (24.0, 40.0)
 DISTRACTOR_STANDOFF_MM = (22.0, 32.0)
@@ -58,7 +58,7 @@ FREE, XFRAME, XFRAME_CLOSE = "free", "xframe", "xframe-close"
 FRAMES = {XFRAME: SPHERE_CENTRES_MM, XFRAME_CLOSE: CLOSE_SPHERE_CENTRES_MM}
 SPHERES = 4
 
-TILT_RAD = radians(20.0)  # of the foot from the middle of the cap
+TILT_RAD = radians(20.0)  # largest tilt of the foot from the middle of the cap
 BAR_HU = (260.0, 2500.0)  # plastic or aluminium
 FOOT_HU, FOOT_IN_SKULL_MM = 3500.0, 10.0
 ATTEMPTS = 200

@@ -20,8 +20,8 @@ Matrix = NDArray[np.float32]
 FILLING_HU = 250.0  # next to the metal
 FILLING_FALL_MM = 6.0  # beyond this, streaks fade with the inverse of the distance
 FILLING_LOBES = 7
-BAND_FADES = 0.25  # of its half length
-FAINTEST = 1e-3  # of a streak's height profile; below this the slice is left unchanged
+BAND_FADES = 0.25  # width of its fading ends, relative to its half length
+FAINTEST = 1e-3  # value of a streak's height profile below which a slice is left unchanged
 
 
 def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge_mm: float) -> None:

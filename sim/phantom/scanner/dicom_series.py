@@ -29,7 +29,7 @@ SCAN_DATE = "20180601"  # a fixed day: the date must not change the bytes
 UID_PREFIX = "2.25."  # UIDs based on a 128-bit number
 UID_BITS = 128
 COORDINATE_DIGITS = 4
-DIRECTION_DIGITS = 10  # of a cosine: four would displace the last row of a tilted slice by 0.01 mm
+DIRECTION_DIGITS = 10  # of a direction cosine: four would displace the last row of a tilted slice by 0.01 mm
 FILE_PATTERN = "slice-*.dcm"
 
 

@@ -20,9 +20,8 @@ MOST_TILT_DEG = 30.0  # of a gantry
 COARSE_MM = 1.5
 ANGLES = 120
 DENSE_FROM_HU = 300.0  # above soft tissue and water
-LOSS_PER_CM = (
-    0.012  # of the total path, per cm of dense matter (water equivalent); a skull then cups by 30 to 60 HU
-)
+# Share of the total path lost per cm of dense matter (water equivalent); a skull then cups by 30 to 60 HU.
+LOSS_PER_CM = 0.012
 MM_PER_CM = 10.0
 HU_PER_WATER = 1000.0
 
