@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import ronna_hw.command_line.early_interruption
-import ronna_hw.host.parent_process  # noqa: F401 - first, to notice a parent that dies during the imports
-
-# isort: split
 import typer
 
 from ronna_hw.command_line.terminal import run
@@ -26,8 +22,7 @@ def register(app: typer.Typer) -> None:
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
-    from sim.theatre.command import fault, mount, stand, theatre, verify, work
-    from sim.theatre.scene_command import scene
+    from sim.theatre.command import fault, mount, scene, stand, theatre, verify, work
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, fault, verify):
         app.command()(command)

@@ -29,7 +29,7 @@ from benchmarks.scans.scanner_faults import with_noise
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
 from ronna_hw.host.child_process import command
 from sim.phantom.case import write_case
-from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from studies.localization.phantom_scans import AIR_HU, bound_mm
 

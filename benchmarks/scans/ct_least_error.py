@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from sim.phantom.scanner import blur
+from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM
 
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
@@ -62,8 +62,8 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 def _derivatives(scan: BallScan) -> list[Array]:
     """Derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
-    along = sqrt(blur.SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
-    across = sqrt(blur.PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
+    along = sqrt(SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
+    across = sqrt(PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])
     places = [(np.arange(n) - n // 2) * step for n, step in zip(_shape(scan), scan.spacing_mm, strict=True)]
 
@@ -96,7 +96,7 @@ def _cover(places: list[Array], unknowns: Array) -> Array:
 
 def _noise_power(scan: BallScan) -> Array:
     """The spectrum of the phantom's noise, HU² per voxel: white, smoothed by three taps along two axes."""
-    side = exp(-0.5 * (scan.pixel_mm / blur.PLANE_SIGMA_MM) ** 2)
+    side = exp(-0.5 * (scan.pixel_mm / PLANE_SIGMA_MM) ** 2)
     gains = [
         (1.0 + 2.0 * side * np.cos(2.0 * np.pi * np.fft.fftfreq(count))) ** 2 / (1.0 + 2.0 * side**2)
         for count in _shape(scan)[1:]

@@ -18,12 +18,10 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import ProvenTrajectory, compare
 from ronna_hw.errors import RonnaError
-from sim.phantom.postoperative.instruments import Instrument, Kind
-from sim.phantom.postoperative.scan import PostoperativeScan, draw_scan
-from sim.phantom.scan import plain_scan
+from sim.phantom.postoperative_scan import Instrument, Kind, PostoperativeScan, draw_scan
+from sim.phantom.scan import Planes, plain_scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
-from sim.phantom.scanner.planes import Planes
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import CtProtocol, Scene

@@ -29,7 +29,7 @@ from procedures.registration.point_registration import register
 from ronna_hw.errors import RonnaError
 from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS
-from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.world.scene.named_scenes import named_scene

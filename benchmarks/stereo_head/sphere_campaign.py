@@ -23,7 +23,7 @@ from procedures.relocalization import SphereImage, SphereStatus, measure_sphere,
 from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import NoSphere, RaysDoNotMeet, WrongSize
 from ronna_hw.frames import Frame
-from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
+from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 
 Array = NDArray[np.float64]
 

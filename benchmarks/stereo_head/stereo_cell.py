@@ -35,7 +35,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.settings import Settings
+from sim.basler.settings import Settings
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import (
     apply,

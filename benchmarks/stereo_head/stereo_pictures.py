@@ -15,11 +15,9 @@ from numpy.typing import NDArray
 
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.plausible import FINEST_MM
-from sim.basler.optics.canvas import Area
-from sim.basler.optics.film import Stain, drawn_stains
-from sim.basler.optics.foreground import Disturbance, Glare, Occluder
-from sim.basler.optics.lens import Lens
-from sim.basler.optics.picture import Optics
+from sim.basler.optics.canvas import Area, Lens
+from sim.basler.optics.film import Stain, draw_stains
+from sim.basler.optics.picture import Disturbance, Glare, Occluder, Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
 from sim.world.noise import noise
@@ -148,7 +146,7 @@ class Studio:
         )
 
     def _stains(self, case: Case, number: int, generator: np.random.Generator) -> tuple[Stain, ...]:
-        stains = drawn_stains(number, number % FILMS, case.stained) if case.stained else ()
+        stains = draw_stains(number, number % FILMS, case.stained) if case.stained else ()
         if case.blot_rad == NONE:
             return stains
         x, y, z = generator.standard_normal(3)

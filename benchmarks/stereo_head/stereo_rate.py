@@ -123,8 +123,8 @@ def _sums(rounds: list[Sums]) -> Sums:
 def _drawing() -> Figure:
     """CPU of one image drawn on a trigger, in an area as used by the servo loop."""
     from sim.basler.camera.photographer import Photographer
-    from sim.basler.camera.settings import Settings
     from sim.basler.optics.canvas import Area
+    from sim.basler.settings import Settings
     from sim.world.scene.named_scenes import named_scene
     from sim.world.world import World
 

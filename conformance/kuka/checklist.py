@@ -59,7 +59,7 @@ _ELSEWHERE: dict[int, str] = {
     19: "needs dedicated contexts: tests/unit/sim_kuka, tests/system/robot/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
-    24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_axis_limits.py",
+    24: "not run on a real arm: tests/unit/sim_kuka/test_signal_flow.py",
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
     32: "needs RSIPI: tests/system/robot/test_kuka_link_rsipi.py",
     33: "needs RSIPI: tests/system/robot/test_kuka_sim_rsipi.py; the C++ clients are not on the Python index",
@@ -68,7 +68,7 @@ _ELSEWHERE: dict[int, str] = {
     39: _SDK_CHANNEL,
     41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/robot/kuka_sim",
     42: "the suite cannot open the guard: tests/system/robot/kuka_sim/test_cell_faults.py",
-    43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/robot/kuka_sim",
+    43: "simulator only: tests/unit/sim_kuka/test_rsi_link.py, tests/system/robot/kuka_sim",
     44: "the suite cannot open the guard: tests/unit/kuka_rsi",
 }
 # Requirements of a line beyond its cases, and where they are tested.

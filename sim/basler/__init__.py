@@ -1,1 +1,1 @@
-"""Two GigE Vision cameras that render what they would see."""
+"""Two GigE Vision cameras that render the scene."""

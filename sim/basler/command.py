@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 CAMERAS = 2
-FAULTS_OF = ("camera", "room")  # the ones this simulator can have on its own
+FAULTS_OF = ("camera", "room")  # devices whose faults this simulator can have alone
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD, M_ARENA_MAX = -1, -3, -8  # from malloc.h of the GNU C library
+KEPT_BYTES = 256 << 20
+LARGEST_KEPT_BYTES = 32 << 20  # the largest value the library accepts
 
 
 def basler(
@@ -23,8 +28,7 @@ def basler(
     """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
     from ipaddress import IPv4Address
 
-    from sim.basler.kept_memory import keep_freed_memory
-    from sim.basler.pair import CameraPair
+    from sim.basler.server import CameraPair
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     addresses = address or []
@@ -46,3 +50,22 @@ def basler(
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)
     pair.serve()
+
+
+def keep_freed_memory() -> bool:
+    """Keep freed memory in this process for the next image; False if the C library has no such settings.
+
+    An image needs several arrays of a few megabytes. The C library returns such memory to the kernel when
+    freed, and the kernel clears it page by page on the next request. Most images are drawn in `row_bands`;
+    this is for the rest: strong defocus, faults on the lens, the images themselves.
+    """
+    try:
+        mallopt = ctypes.CDLL(None).mallopt
+    except (OSError, AttributeError):
+        return False
+    settings = (
+        (M_MMAP_THRESHOLD, LARGEST_KEPT_BYTES),
+        (M_TRIM_THRESHOLD, KEPT_BYTES),
+        (M_ARENA_MAX, 1),  # threads share one arena
+    )
+    return all([mallopt(name, value) == 1 for name, value in settings])

@@ -1,4 +1,4 @@
-"""The fault script's current effects on one camera."""
+"""The fault script as it acts on one camera: its packets, messages, clock and light."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.blur import blurred
+from sim.basler.optics.canvas import blur
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.camera import BOTH
 from sim.world.noise import noise
@@ -17,7 +17,7 @@ from sim.world.world import World
 FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain
 SPOT_RADIUS_PX = 6.0
 WHOLE = 100.0
-LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  # of the noise
+LOSS_LANE, ORDER_LANE, DOUBLE_LANE, ANSWER_LANE, MESSAGE_LANE = 0, 1, 2, 3, 4  # streams of noise
 
 Light = NDArray[np.float32]
 
@@ -35,7 +35,7 @@ class EmptyBoard:
 
 
 class CameraFaults:
-    """Queries the board on behalf of one camera. One object per thread: each has its own board."""
+    """The faults of one camera; one object per thread, because each has its own board."""
 
     def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
         self._world = world
@@ -47,11 +47,11 @@ class CameraFaults:
 
     @property
     def scripted(self) -> bool:
-        """Whether there are any camera faults."""
+        """Whether the script has any camera fault."""
         return not self._board.empty
 
-    def lost(self, block_id: int, packets: int) -> Collection[int]:
-        """Ids of packets that are lost."""
+    def lost_packets(self, block_id: int, packets: int) -> Collection[int]:
+        """Draw the ids of lost packets."""
         if self._board.empty:
             return ()
         gone: set[int] = set()
@@ -68,8 +68,8 @@ class CameraFaults:
             gone.update(np.flatnonzero(drawn < share).tolist())
         return gone
 
-    def order(self, block_id: int, packets: int) -> Sequence[int]:
-        """Packet ids in order of arrival, possibly with duplicates."""
+    def packet_order(self, block_id: int, packets: int) -> Sequence[int]:
+        """Draw the packet ids in order of arrival, possibly with duplicates."""
         if self._board.empty:
             return range(packets)
         ids = np.arange(packets)
@@ -86,28 +86,28 @@ class CameraFaults:
             return True
         if self.active("unplug"):
             return False
-        limits = [float(fault.arguments[1]) for fault in self._mine("path")]
+        limits = [float(fault.arguments[1]) for fault in self._own_faults("path")]
         return packet_bytes <= min(limits, default=packet_bytes)
 
     def active(self, kind: str) -> bool:
         """Whether a fault of this kind is active on this camera."""
-        return bool(self._mine(kind))
+        return bool(self._own_faults(kind))
 
     def happened(self, kind: str) -> bool:
-        """True once after a momentary fault of that kind."""
+        """Return True once after a momentary fault of this kind."""
         happened = self._board.happened(f"camera_{kind}")
         return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
-        """The largest amount among active faults of this kind; 0 without one."""
-        return max((float(fault.arguments[1]) for fault in self._mine(kind)), default=0.0)
+        """Return the largest amount among active faults of this kind; 0 without one."""
+        return max((float(fault.arguments[1]) for fault in self._own_faults(kind)), default=0.0)
 
     def drift_ppm(self) -> float:
-        """How much too fast the time stamp counter runs."""
-        return sum(float(fault.arguments[1]) for fault in self._mine("drift"))
+        """Return by how much the time stamp counter runs too fast."""
+        return sum(float(fault.arguments[1]) for fault in self._own_faults("drift"))
 
     def answer_lost(self) -> bool:
-        """Whether the next answer to a command is lost."""
+        """Draw whether the next answer to a command is lost."""
         share = self.amount("lose_answers")
         if not share:
             return False
@@ -115,26 +115,26 @@ class CameraFaults:
         return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
 
     def message_lost(self) -> bool:
-        """Whether the next event message is lost."""
+        """Draw whether the next event message is lost."""
         share = self.amount("lose_events")
         if not share:
             return False
         self._messages += 1
         return bool(self._noise(self._messages, MESSAGE_LANE).uniform(0.0, WHOLE) < share)
 
-    def on_lens(self) -> tuple[tuple[str, float], ...]:
-        """Active disturbances of the light, by name and amount; for comparison and for `spoil`."""
+    def light_faults(self) -> tuple[tuple[str, float], ...]:
+        """Return the active faults of the light, by name and amount."""
         if self._board.empty:
             return ()
         found = [(kind, self.amount(kind)) for kind in ("defocus", "dust") if self.active(kind)]
         return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
 
-    def spoil(self, light: Light, left_px: int, top_px: int) -> Light:
-        """Light (height, width) of an area of the sensor with these disturbances applied."""
-        for kind, amount in self.on_lens():
+    def disturb(self, light: Light, left_px: int, top_px: int) -> Light:
+        """Apply the faults of the light to an area (height, width) of the sensor."""
+        for kind, amount in self.light_faults():
             match kind:
                 case "defocus":
-                    light = np.asarray(blurred(light, amount), dtype=np.float32)
+                    light = np.asarray(blur(light, amount), dtype=np.float32)
                 case "dust":
                     light = self._dusted(light, int(amount), left_px, top_px)
                 case "darken":
@@ -154,7 +154,7 @@ class CameraFaults:
             dusted[(x - place_x) ** 2 + (y - place_y) ** 2 < SPOT_RADIUS_PX**2] = 0.0
         return dusted
 
-    def _mine(self, kind: str) -> list[Fault]:
+    def _own_faults(self, kind: str) -> list[Fault]:
         if self._board.empty:
             return []
         active = self._board.active(f"camera_{kind}")

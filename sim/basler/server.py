@@ -1,21 +1,29 @@
-"""Serves the control ports of several cameras on one thread: sockets, broadcasts, heartbeats."""
+"""The stereo head's two cameras in one process: their addresses, and one thread that serves them."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import heapq
 import itertools
 import selectors
 import socket
 import struct
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from ipaddress import IPv4Address
 
-from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, PENDING_PAYLOAD, GevStatus, GvcpCommand
-from sim.basler.camera.device import Camera
+from ronna_hw.wire.gige_vision import GVCP_ACK_HEADER, GVCP_PORT, PENDING_PAYLOAD, GevStatus, GvcpCommand
+from sim.basler.camera.photographer import Photographer
+from sim.basler.control.bootstrap import Identity
 from sim.basler.control.privilege import Peer
-from sim.basler.message.channel import MessageChannel
+from sim.basler.device import Camera
+from sim.basler.faults import CameraFaults
+from sim.basler.message_channel import MessageChannel
+from sim.basler.settings import TriggerMoments
+from sim.errors import EndpointTaken
+from sim.world.world import World
 
 DATAGRAM_BYTES = 2048
 IDLE_CHECK_S = 0.5
@@ -23,19 +31,126 @@ SCRIPTED_CHECK_S = 0.01  # while there is a fault script: how quickly its events
 # A datagram is answered before the next is read, so one camera's backlog cannot starve the other.
 DATAGRAMS_AT_ONCE = 64
 
+# UDP port 3956 is fixed by the standard, so each camera needs an address of its own.
+FIRST_ADDRESS = IPv4Address("127.77.0.1")
+PAIRS_TRIED = 2000
+BROADCAST_ADDRESSES = ("255.255.255.255", "127.255.255.255")
+
+SIDES = ("left", "right")
+
+
+class CameraPair:
+    """Two cameras over one world, served until ended."""
+
+    def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
+        sockets = bind_pair(addresses)
+        moments = TriggerMoments(world.clock)
+        self._cameras = []
+        for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
+            # one board for the server's thread, one for the thread that takes images
+            faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
+            self._cameras.append(
+                Camera(
+                    Identity(control.getsockname()[0], truth.serial, side),
+                    Photographer(world, truth, seen),
+                    world.clock,
+                    moments,
+                    faults=faults,
+                )
+            )
+        self._server = ControlServer(self._cameras, sockets, bind_broadcast(), _report)
+
+    @property
+    def endpoints(self) -> dict[str, str]:
+        """Endpoints of the cameras."""
+        return {
+            side: f"gev://{camera.identity.address}"
+            for side, camera in zip(SIDES, self._cameras, strict=True)
+        }
+
+    def serve(self) -> None:
+        """Serve clients until `end`."""
+        for camera in self._cameras:
+            camera.open()
+        try:
+            self._server.serve()
+        finally:
+            for camera in self._cameras:
+                camera.close()
+
+    def end(self) -> None:
+        """Make `serve` return soon."""
+        self._server.end()
+
+
+def _report(message: str) -> None:
+    sys.stderr.write(message + "\n")
+
+
+def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
+    """Bind control sockets to two given addresses, or to a free pair; raises SIM-004."""
+    if addresses:
+        left, right = addresses
+        return _bind(left, right)
+    for pair in range(PAIRS_TRIED):
+        with contextlib.suppress(EndpointTaken):
+            return _bind(str(FIRST_ADDRESS + 2 * pair), str(FIRST_ADDRESS + 2 * pair + 1))
+    raise EndpointTaken(
+        f"no pair of addresses from {FIRST_ADDRESS} on has UDP port {GVCP_PORT} free",
+        limit=f"{PAIRS_TRIED} pairs tried",
+    )
+
+
+def bind_broadcast() -> list[socket.socket]:
+    """Bind sockets that receive broadcasts; several programs may listen in parallel."""
+    sockets = []
+    for address in BROADCAST_ADDRESSES:
+        listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            listener.bind((address, GVCP_PORT))
+        except OSError:  # a program that does not share: cameras can then be found by address only
+            listener.close()
+            continue
+        sockets.append(listener)
+    return sockets
+
+
+def _bind(left: str, right: str) -> tuple[socket.socket, socket.socket]:
+    first = _bind_one(left)
+    try:
+        return first, _bind_one(right)
+    except EndpointTaken:
+        first.close()
+        raise
+
+
+def _bind_one(address: str) -> socket.socket:
+    control = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        control.bind((address, GVCP_PORT))
+    except OSError as error:
+        control.close()
+        reason = "is in use" if error.errno == errno.EADDRINUSE else f"cannot be bound: {error.strerror}"
+        raise EndpointTaken(f"UDP port {GVCP_PORT} of {address} {reason}") from error
+    return control
+
 
 class ControlServer:
-    """`sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts."""
+    """Serves the control ports of several cameras on one thread: sockets, broadcasts, heartbeats.
+
+    `sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts.
+    """
 
     def __init__(
         self,
         cameras: Sequence[Camera],
         sockets: Sequence[socket.socket],
         shared: Sequence[socket.socket],
-        tell: Callable[[str], None],
+        report: Callable[[str], None],
     ) -> None:
         self._cameras = list(zip(cameras, sockets, strict=True))
-        self._tell = tell
+        self._report = report
         self._selector = selectors.DefaultSelector()
         self._waker, self._sleeper = socket.socketpair()
         self._ended = False
@@ -54,10 +169,10 @@ class ControlServer:
     def serve(self) -> None:
         """Serve until `end`."""
         while not self._ended:
-            self._receive_all(self._patience_s())
+            self._receive_all(self._wait_s())
             self._send_late()
             for camera, _ in self._cameras:
-                camera.befall()
+                camera.apply_faults()
                 camera.messages.repeat_overdue()
                 left_s = camera.privilege.seconds_left()
                 if left_s is not None and left_s <= 0.0:
@@ -71,12 +186,12 @@ class ControlServer:
         self._wake()
 
     def _wake(self) -> None:
-        """Make the server re-check what is due. May be called from another thread."""
+        """Make the server check what is due. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
-    def _patience_s(self) -> float:
-        """Time until the next owner may lose control."""
+    def _wait_s(self) -> float:
+        """Return the time until something is due: a heartbeat, a message, a delayed answer, the script."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
@@ -84,8 +199,8 @@ class ControlServer:
         due_s += [each - time.monotonic() for each in messages if each is not None]
         return max(0.0, min([check_s, *due_s, *(each for each in left if each is not None)]))
 
-    def _receive_all(self, patience_s: float) -> None:
-        for key, _ in self._selector.select(patience_s):
+    def _receive_all(self, wait_s: float) -> None:
+        for key, _ in self._selector.select(wait_s):
             if key.data is None:
                 with contextlib.suppress(OSError):
                     self._sleeper.recv(DATAGRAM_BYTES)
@@ -116,7 +231,7 @@ class ControlServer:
         try:
             answer = camera.port.answer(datagram, peer)
         except Exception as problem:  # an error here must cost one answer, not both cameras
-            self._tell(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
+            self._report(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
             return
         if answer is None:
             return
@@ -126,7 +241,7 @@ class ControlServer:
 
 
 def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """What becomes of an answer under active faults: delay in host time, and datagram."""
+    """Yield what the active faults make of an answer: delay in host time, and datagram."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer
@@ -145,5 +260,5 @@ def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
 
 
 def _same_network(own: str, other: str) -> bool:
-    """A camera on the loopback network does not answer broadcasts from outside."""
+    """Return False for a broadcast from outside to a camera on the loopback network, or the reverse."""
     return IPv4Address(own).is_loopback == IPv4Address(other).is_loopback

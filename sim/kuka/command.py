@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
 
 RSI_DEFAULT = "udp://127.0.0.1:59152"
-FAULTS_OF = ("robot",)  # the ones this simulator can have on its own
+FAULTS_OF = ("robot",)  # devices whose faults this simulator can have alone
 
 
 class Corrections(StrEnum):
-    """How corrections accumulate."""
+    """Accumulation of corrections."""
 
     ABSOLUTE = "absolute"
     RELATIVE = "relative"
@@ -73,14 +73,14 @@ def kuka(
     the log states why a reply was rejected.
     """
     from ronna_hw.endpoints import parse_endpoint
-    from sim.kuka.arm.manipulator import Manipulator
-    from sim.kuka.controller.autostart import Autostart
-    from sim.kuka.controller.controller import Controller
-    from sim.kuka.controller.cycle_loop import CycleLoop
+    from sim.kuka.autostart import Autostart
+    from sim.kuka.controller import Controller
     from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, changed_parameters
+    from sim.kuka.cycle_loop import CycleLoop
     from sim.kuka.eki.server import EkiServer
-    from sim.kuka.rsi.rsi_socket import resolve
-    from sim.kuka.rsi.telegram_writer import TelegramWriter
+    from sim.kuka.manipulator import Manipulator
+    from sim.kuka.rsi.link import resolve
+    from sim.kuka.rsi.telegrams import TelegramWriter
     from sim.named_parameters import rows
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
@@ -89,15 +89,16 @@ def kuka(
             typer.echo(f"{name}={value}  {meaning}")
         return
     parameters = changed_parameters(parameter or ())
-    context = _context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
+    context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
-    where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
-    client = parse_endpoint(where).require("udp")
+    ethernet = context.ethernet
+    file_address = f"udp://{ethernet.pc_ip}:{ethernet.pc_port}"
+    client = parse_endpoint(rsi or (file_address if rsi_config else RSI_DEFAULT)).require("udp")
     address = resolve(client)
-    eki_address, project_address = _listening(eki), _listening(eki_project)
+    eki_address, project_address = _listening_endpoint(eki), _listening_endpoint(eki_project)
     room = open_world(world, scene, faults, FAULTS_OF)
-    left = room.arm() if room.has_arm else None
-    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, left)
+    last_state = room.arm() if room.has_arm else None
+    arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, last_state)
     controller = Controller(context, arm, room.mounted_tool, parameters)
     # In lock-step theatre time stands still while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
@@ -111,12 +112,12 @@ def kuka(
         "kuka",
         control=control,
         endpoints={"rsi": str(client), "eki": sdk_server.endpoint, "eki_project": project_server.endpoint},
-        **_summary(context, inferred=rsi_config is not None and rsi_context is None),
+        **_link_facts(context, inferred=rsi_config is not None and rsi_context is None),
     )
     cycle_loop.run()
 
 
-def _context(
+def _read_context(
     rsi_config: Path | None,
     rsi_context: Path | None,
     corrections: Corrections | None,
@@ -139,8 +140,8 @@ def _context(
     return context.model_copy(update={"program": context.program.model_copy(update=changes)})
 
 
-def _summary(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
-    """Facts about the link for the client, and whether the wiring was inferred from tags."""
+def _link_facts(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
+    """Return facts about the link for the READY line, and whether the wiring was inferred from tags."""
     return {
         "wiring": "inferred" if inferred else "context",
         "wired": sorted({wire.object for wire in context.wiring}),
@@ -151,12 +152,8 @@ def _summary(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
     }
 
 
-def _file_address(context: RsiContext) -> str:
-    return f"udp://{context.ethernet.pc_ip}:{context.ethernet.pc_port}"
-
-
-def _listening(text: str) -> Endpoint:
-    """An endpoint to listen on; port 0 requests a free one."""
+def _listening_endpoint(text: str) -> Endpoint:
+    """Parse an endpoint to listen on; port 0 requests a free one."""
     from ronna_hw.endpoints import parse_endpoint
 
     return parse_endpoint(text, listening=True).require("tcp")

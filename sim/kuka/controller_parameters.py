@@ -145,7 +145,7 @@ class ControllerParameters:
 
 
 def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
-    """The parameters with `NAME=VALUE` applied; raises KRC-003 for an unknown name or an invalid value."""
+    """Apply `NAME=VALUE` to the default parameters; raises KRC-003 for an unknown name or invalid value."""
     return changed(ControllerParameters(), assignments, UnknownParameter)
 
 

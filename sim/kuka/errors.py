@@ -1,4 +1,4 @@
-"""Errors of the robot controller at start-up. Later problems are messages on its pendant."""
+"""Start-up errors of the robot controller; later problems are messages on its pendant."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """The simulated head CT: a DICOM series, a plan on it, and the truth.
 
-Faults of real scanners are options (`scanner/faults.py`). Not simulated: helical artefacts, roundness of the
-spheres, anatomy beyond ellipsoids. Streaks are lobes that fade with distance, or straight bands, not a
+Faults of real scanners are options (`scanner/faults.py`). Not simulated: helical artefacts, spheres out of
+round, anatomy beyond ellipsoids. Streaks are lobes that fade with distance, or straight bands, not a
 reconstruction; streaks from posts exist only in the families `posts`, `bands`, `streaks` and `rays`.
 """

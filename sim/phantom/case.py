@@ -1,4 +1,4 @@
-"""Writes a complete phantom case: CT series, plan, and ground truth."""
+"""Writes the files of a phantom: the CT series with plan and truth, or the postoperative series and truth."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
+from sim.phantom.head.obstacles import FREE, XFRAME
+from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
+from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
-from sim.phantom.scanner.planes import Planes
+from sim.world.rigid import apply
 from sim.world.scene.model import Scene
 from sim.world.scene.plan_feasibility import STANDOFF_MM
 
@@ -33,7 +35,7 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class PhantomCase:
-    """What was written."""
+    """The files written for a phantom."""
 
     series: Path
     plan: Path
@@ -47,7 +49,7 @@ def write_case(
 ) -> PhantomCase:
     """Scan the head of a scene and plan on it. Raises SIM-001 when the scene cannot be scanned.
 
-    `scan` adds the surroundings of that head; without it the scene is scanned as it is. Plan and truth are
+    `scan` adds surroundings to that head; without it the scene is scanned as it is. Plan and truth are
     written last, so a folder with a plan has a complete series.
     """
     scan = scan or plain_scan(scene)
@@ -66,12 +68,13 @@ def write_case(
             series.write(number, stored)
             progress((planes.steps + number + 1) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
-    write_whole(truth, json.dumps(_truth(scan, series, planes), indent=1).encode())
-    write_whole(plan, _plan(scan, series.series_instance_uid).encode())
+    write_whole(truth, json.dumps(_case_truth(scan, series, planes), indent=1).encode())
+    write_whole(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
 
 
-def _plan(scan: Scan, series_instance_uid: str) -> str:
+def plan_toml(scan: Scan, series_instance_uid: str) -> str:
+    """Return the plan on a scan, with the trajectories of its scene."""
     import tomli_w
 
     scene = scan.scene
@@ -99,7 +102,7 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
     return tomli_w.dumps(content)
 
 
-def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
+def _case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
     return (
         scan.truth
@@ -133,3 +136,65 @@ def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
             ],
         }
     )
+
+
+@dataclass(frozen=True)
+class PostoperativeCase:
+    """The files written after the operation."""
+
+    series: Path
+    truth: Path
+    series_instance_uid: str
+    slices: int
+
+
+def write_postoperative(
+    scan: PostoperativeScan,
+    instruments: tuple[Instrument, ...],
+    folder: Path,
+    progress: Progress = lambda share: None,
+) -> PostoperativeCase:
+    """Scan the head again. The truth is written last: a folder that has it has a complete series."""
+    grid = scan.grid
+    series = DicomSeries(
+        scan.scene.model_copy(update={"ct": scan.protocol}),
+        grid,
+        folder / SERIES_FOLDER,
+        occasion=f"after the operation, {scan.seed}, {instruments}",
+    )
+    series.prepare()
+
+    def paint(number: int) -> NDArray[np.uint16]:
+        return stored_values(scan.paint(number))
+
+    with ThreadPoolExecutor(WORKERS) as pool:
+        for number, stored in enumerate(pool.map(paint, range(grid.slices))):
+            series.write(number, stored)
+            progress((number + 1) / grid.slices)
+    truth = folder / TRUTH_FILE
+    content = postoperative_truth(scan, instruments, series.series_instance_uid)
+    write_whole(truth, json.dumps(content, indent=1).encode())
+    return PostoperativeCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices)
+
+
+def postoperative_truth(
+    scan: PostoperativeScan, instruments: tuple[Instrument, ...], series_instance_uid: str
+) -> dict[str, Any]:
+    """Return the pose of the new scan and the instruments, in the CT frame of the plan and in the new one."""
+    post_from_pre = scan.pose.scan_from_head
+    return {
+        "scene": scan.scene.name,
+        "seed": scan.seed,
+        "series_instance_uid": series_instance_uid,
+        "post_from_pre": post_from_pre.tolist(),
+        "instruments": [
+            {
+                "id": one.identifier,
+                "kind": one.kind.value,
+                "tip_mm": list(one.tip_mm),
+                "outwards": list(one.outwards),
+                "tip_in_scan_mm": apply(post_from_pre, one.tip_mm).tolist(),
+            }
+            for one in instruments
+        ],
+    }

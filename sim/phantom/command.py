@@ -1,4 +1,4 @@
-"""`ronna-sim phantom`."""
+"""`ronna-sim phantom`: a head CT with its plan and truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
 class Instrument(StrEnum):
-    """What is in the head when it is scanned postoperatively."""
+    """Instrument in the head of a postoperative scan."""
 
     ELECTRODE = "electrode"
     NEEDLE = "needle"
@@ -31,7 +31,7 @@ class Instrument(StrEnum):
 
 
 class Fiducials(StrEnum):
-    """What carries the spheres."""
+    """Fixation of the spheres."""
 
     FREE = "free"
     XFRAME = "xframe"
@@ -122,7 +122,7 @@ def phantom(
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case
-    from sim.phantom.families.drawn_scan import family_scan, protocol_named
+    from sim.phantom.families.family_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import ScannerFaults
     from sim.world.process import end_with_parent, load_scene
@@ -195,11 +195,10 @@ def phantom(
 def _scan_after(
     run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
-    """The postoperative CT of a run's head."""
-    from sim.phantom.families.drawn_scan import protocol_named
-    from sim.phantom.postoperative.case import write_postoperative
-    from sim.phantom.postoperative.instruments import Kind, instruments_of
-    from sim.phantom.postoperative.scan import draw_scan
+    """Write the postoperative CT of a run's head."""
+    from sim.phantom.case import write_postoperative
+    from sim.phantom.families.family_scan import protocol_named
+    from sim.phantom.postoperative_scan import Kind, draw_scan, instruments_of
 
     scene, left = instruments_of(run, Kind(instrument.value))
     scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))

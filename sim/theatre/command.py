@@ -1,4 +1,4 @@
-"""`ronna-sim theatre` and `ronna-sim verify`."""
+"""`ronna-sim theatre`, its staff's commands, and `ronna-sim scene` and `verify`."""
 
 from __future__ import annotations
 
@@ -91,25 +91,23 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
-    from sim.theatre.calibration_files import read_calibrations
-    from sim.theatre.device_parameters import parameters_by_device
-    from sim.theatre.launch import Theatre
+    from sim.theatre.launch import Theatre, parameters_by_device, read_calibrations
     from sim.world.faults import read_faults
     from sim.world.process import end_with_parent, fail, load_scene
     from sim.world.saved_world import lock_folder, read_saved_world
     from sim.world.truth import SCENE_FILE
 
     require_folder(out)
-    kept = out / SCENE_FILE  # a scene file may have been changed since
-    where = str(kept) if goes_on and kept.exists() else scene
-    if where == str(kept):
-        _require_its_own(context, out)
+    saved_scene = out / SCENE_FILE  # a scene file may have been changed since
+    where = str(saved_scene) if goes_on and saved_scene.exists() else scene
+    if where == str(saved_scene):
+        _require_same_world(context, out)
     truth = load_scene(
         where,
         seed=seed,
         markers=markers,
         targets=targets,
-        fiducials=Carrier.FREE if where == str(kept) else fiducials,
+        fiducials=Carrier.FREE if where == str(saved_scene) else fiducials,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
@@ -127,7 +125,7 @@ def theatre(
             cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
             faults=script,
             parameters=parameters,
-            left=read_saved_world(out) if goes_on else None,
+            saved=read_saved_world(out) if goes_on else None,
             records=records,
         )
         reasons = _serve(running, ended)
@@ -135,46 +133,46 @@ def theatre(
         fail(reasons[0], EXIT_FAILED)
 
 
-def _require_its_own(context: typer.Context, folder: Path) -> None:
-    """Raise CLI-001 where something else was asked for than the world to be continued has."""
+def _require_same_world(context: typer.Context, folder: Path) -> None:
+    """Raise CLI-001 for an option that differs from the world to be continued."""
     from sim.world.scene.model import read_scene
     from sim.world.scene.named_scenes import SCENES
     from sim.world.truth import SCENE_FILE
 
     if context.params["scene"] not in SCENES:  # a file, which may have been changed, and has its own seed
         return
-    left = read_scene(folder / SCENE_FILE)
+    saved = read_scene(folder / SCENE_FILE)
     owns = {
-        "scene": left.name,
-        "seed": left.seed,
-        "markers": len(left.head.fiducials),
-        "targets": len(left.head.targets),
+        "scene": saved.name,
+        "seed": saved.seed,
+        "markers": len(saved.head.fiducials),
+        "targets": len(saved.head.targets),
     }
     for option, own in owns.items():
         source = context.get_parameter_source(option)
-        asked = context.params[option]
-        if source is not None and source.name == "COMMANDLINE" and asked != own:
+        given = context.params[option]
+        if source is not None and source.name == "COMMANDLINE" and given != own:
             raise UsageMistake(
                 f"--continue: the {option} of the world left in {folder} cannot be changed",
                 expected=f"{own}",
-                got=f"{asked}",
+                got=f"{given}",
                 action=f"Omit --{option} to continue it, or omit --continue for a new world.",
             )
 
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
-    """Serve until asked to end; returns the reason if a device has ended by itself."""
+    """Serve until `ended`; returns the reason if a device has ended by itself."""
     from sim.world.process import announce
 
     reasons: list[str] = []
     try:
 
-        def gone(reason: str) -> None:
+        def report_end(reason: str) -> None:
             if not ended.is_set():
                 reasons.append(reason)
                 ended.set()
 
-        running.watch(gone)
+        running.watch(report_end)
         announce(
             "theatre",
             endpoints={
@@ -299,3 +297,36 @@ def verify(
             for row in outcome["targets"]
         ],
     )
+
+
+def scene(
+    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of a named scene.")] = 0,
+    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
+    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    fiducials: Annotated[
+        Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+    ] = Carrier.FREE,
+    template: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Implant the spheres with this template from `ronna-plan template`."
+        ),
+    ] = None,
+) -> None:
+    """Print the full ground truth of a scene as TOML, as a starting point for your own scene."""
+    import tomli_w
+
+    from ronna_hw.marker_template import read_marker_template
+    from sim.errors import BadScene
+    from sim.world.process import load_scene
+    from sim.world.scene.named_scenes import SCENES, named_scene
+
+    if template is None:
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
+    else:
+        if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
+            raise BadScene("a template belongs to a named scene and fixes the number of markers")
+        implanted = read_marker_template(template)
+        truth = named_scene(scene, seed=seed, targets=targets, template=implanted)
+    typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

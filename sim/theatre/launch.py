@@ -6,18 +6,22 @@ import contextlib
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
-from sim.kuka.controller.message_display import LINE_BEGINS
+from sim.errors import BadCalibrationFile, BadDeviceParameter
+from sim.kuka.controller_parameters import changed_parameters
+from sim.kuka.pendant import PENDANT_PREFIX
+from sim.polaris.unit.behaviour import changed_behaviour
 from sim.polaris.unit.tool_definition import write_definition
+from sim.theatre.records import refer_to_tip
 from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
-from sim.theatre.tool_records import refer_to_tip
 from sim.world.control_port import ControlPort, Room
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
@@ -28,7 +32,7 @@ THEATRE_FILE = "theatre.toml"
 # Shorter than the caller's limits for the theatre: it must learn which device does not start.
 DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0  # in all
 DEVICE_IDLE_LIMIT_S = IDLE_TIMEOUT_S - 2.0
-STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has no state to save yet
+STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has nothing to save yet
 CLOSE_LIMIT_S = 1.0  # for all devices; one that hangs is then killed, before this process must exit
 REST_LIMIT_S = 0.3  # host time
 REST_LOOK_S = 0.005
@@ -37,6 +41,10 @@ SILENCE_LIMIT_PACED_S = 0.25
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
 NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
+
+CALIBRATION_FILE = "calibration.toml"
+
+COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
 
 
 class Theatre:
@@ -51,18 +59,18 @@ class Theatre:
         cycle_ms: int | None = None,
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
-        left: SavedWorld | None = None,
+        saved: SavedWorld | None = None,
         records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
 
-        `left` is the state in which another theatre left its world, to continue from; `records` replace the
-        theatre's own calibrations. Raises PRC-001 when a device does not become ready.
+        `saved` is the world of an earlier theatre, to continue from; `records` replace the theatre's own
+        calibrations. Raises PRC-001 when a device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
-        self.world = World.create(scene, paced=paced) if left is None else left.restore(scene, paced=paced)
+        self.world = World.create(scene, paced=paced) if saved is None else saved.go_on(scene, paced=paced)
         if faults:
             _, standing = self.world.fault_script()
             self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)
@@ -79,11 +87,11 @@ class Theatre:
                 self._write_tools(),
                 limit_s,
                 cycle_ms,
-                calibrated_at(self.file) if left is not None else None,
+                calibrated_at(self.file) if saved is not None else None,
             )
             content["calibration"] |= records
             refer_to_tip(content)
-            known = None if left is None else identity_of(self.file)
+            known = None if saved is None else identity_of(self.file)
             write_theatre_file({"identity": known or uuid4().hex, **content}, self.file)
         except BaseException:  # including interruptions: no device process is left behind
             self.close()
@@ -94,20 +102,20 @@ class Theatre:
         """Endpoint of the control port."""
         return self._control.endpoint
 
-    def watch(self, gone: Callable[[str], None]) -> None:
-        """Call `gone` with a reason when a device process ends by itself."""
+    def watch(self, on_end: Callable[[str], None]) -> None:
+        """Call `on_end` with a reason when a device process ends by itself."""
 
         def wait(child: ChildProcess) -> None:
             code = child.process.wait()
             words = " / ".join(child.messages) or f"exit code {code}"
-            gone(f"{child.name} ended: {words}")
+            on_end(f"{child.name} ended: {words}")
 
         for child in self._children:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
         """Save the state of the world, then end all device processes and the control port."""
-        self._leave_world()
+        self._save_world()
         for child in self._children:
             if child.alive:
                 child.process.terminate()  # all at once, then wait for each
@@ -116,8 +124,8 @@ class Theatre:
             child.stop(max(0.0, deadline - time.monotonic()))
         self._control.close()
 
-    def _leave_world(self) -> None:
-        """Give a moving arm time to come to rest: its client may just have died."""
+    def _save_world(self) -> None:
+        """Save the world, after a moving arm has had time to rest: its client may just have died."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
@@ -140,7 +148,7 @@ class Theatre:
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
-                on_message=_show_controller_message,
+                on_message=_pass_on_pendant,
             )
             for name, more in arguments.items()
         ]
@@ -160,8 +168,46 @@ class Theatre:
         return files
 
 
-def _show_controller_message(line: str) -> None:
-    """A message on the robot's pendant is one of the theatre."""
-    if line.startswith(LINE_BEGINS):
+def _pass_on_pendant(line: str) -> None:
+    """Pass on the messages of the robot's pendant."""
+    if line.startswith(PENDANT_PREFIX):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
+
+
+def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
+    """Read calibration records by name; of two with the same name the later wins. Raises SIM-014.
+
+    Readers of the theatre file check their content.
+    """
+    records: dict[str, Any] = {}
+    for path in paths:
+        file = path / CALIBRATION_FILE if path.is_dir() else path
+        try:
+            found = read_toml(file, BadCalibrationFile).get("calibration")
+        except OSError as error:
+            raise BadCalibrationFile(f"cannot read {file}: {error.strerror}") from error
+        if not isinstance(found, dict) or not found:
+            raise BadCalibrationFile(f"{file} has no table [calibration] with records")
+        records |= found
+    return records
+
+
+def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
+    """Sort `DEVICE.NAME=VALUE` settings, such as `robot.lag_s=0.03`, by device command.
+
+    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
+    """
+    found: dict[str, tuple[str, ...]] = {}
+    for setting in settings:
+        device, dot, assignment = setting.partition(".")
+        if device not in COMMANDS or not dot or "=" not in assignment:
+            raise BadDeviceParameter(
+                f"{setting!r} is not DEVICE.NAME=VALUE",
+                expected=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS),
+            )
+        name = COMMANDS[device]
+        found[name] = (*found.get(name, ()), assignment)
+    changed_parameters(found.get("kuka", ()))
+    changed_behaviour(found.get("polaris", ()))
+    return found

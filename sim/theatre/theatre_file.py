@@ -1,8 +1,7 @@
-"""Writes the theatre file: the endpoints announced by the devices, and calibration records.
+"""The theatre file: endpoints announced by the devices, and calibration records.
 
-A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would
-have measured it. The tool frame is the well-known exception: the record has the nominal pose, and the
-mount deviates from it.
+A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would have
+measured it. The tool frame is the exception: its record has the nominal pose, and the mount deviates from it.
 """
 
 from __future__ import annotations
@@ -20,9 +19,8 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_whole
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
-from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
-from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
-from sim.theatre.tool_records import refer_to_tip, tool_records
+from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
+from sim.theatre.records import STATED_ERROR_MM, arm_values, measured_mount, refer_to_tip, tool_records
 from sim.world.noise import noise
 from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
@@ -51,9 +49,10 @@ def theatre_content(
     cycle_ms: int | None = None,
     calibrated: datetime | None = None,
 ) -> dict[str, Any]:
-    """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`.
+    """Return the content of the theatre file as plain data for `ronna_hw.config.TheatreFile`.
 
-    `cycle_ms` if the robot's cycle differs from its context's; `calibrated` if the records were not made now.
+    `cycle_ms` is the robot's cycle if it differs from its context's, `calibrated` the time of the records if
+    not now.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
     content: dict[str, Any] = {
@@ -101,7 +100,7 @@ def theatre_content(
 
 
 def _tool(name: str, rom: Path) -> dict[str, str]:
-    """A tool with its definition; an existing one is pinned by its hash, so that no other replaces it."""
+    """Return a tool with its definition file, pinned by its hash if it exists."""
     option = {"name": name, "rom": str(rom)}
     if not rom.is_file():
         return option
@@ -111,11 +110,13 @@ def _tool(name: str, rom: Path) -> dict[str, str]:
 
 def write_theatre_file(content: dict[str, Any], path: Path) -> None:
     """Write the theatre file atomically."""
-    write_whole(path, _toml(content).encode())
+    import tomli_w
+
+    write_whole(path, tomli_w.dumps(content).encode())
 
 
 def identity_of(theatre_file: Path) -> str | None:
-    """The identity of the theatre that wrote a theatre file; None if there is no such file."""
+    """Return the identity of the theatre that wrote a theatre file; None without such a file."""
     try:
         identity: str = read_toml(theatre_file, InputRefused)["identity"]
     except (OSError, ValueError, KeyError):
@@ -124,7 +125,7 @@ def identity_of(theatre_file: Path) -> str | None:
 
 
 def calibrated_at(theatre_file: Path) -> datetime | None:
-    """When the calibration records of a theatre file were made; None if there is no such file."""
+    """Return when the calibration records of a theatre file were made; None without such a file."""
     try:
         content = read_toml(theatre_file, InputRefused)
         made: datetime = content["calibration"]["stereo_head"]["created"]
@@ -136,13 +137,13 @@ def calibrated_at(theatre_file: Path) -> datetime | None:
 def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     error = scene.calibration_error
     if error.first_day:
-        drawn = {
+        as_drawn = {
             "tip_mm": DRAWN_TIP_MM,
             "tip_direction_rad": DRAWN_DIRECTION_RAD,
             "marker_translation_mm": DRAWN_FRAME_MM,
             "marker_rotation_rad": DRAWN_FRAME_RAD,
         }
-        error = error.model_copy(update=drawn)
+        error = error.model_copy(update=as_drawn)
     generator = noise(scene.seed, "calibration", 0)
     measured = error.arm and measured_mount(scene.mount, error.arm, noise(scene.seed, "arm calibration", 0))
     head = matrix_of(measured or scene.mount.flange_from_tool_nominal)
@@ -162,7 +163,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
         }
 
     def mounted(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
-        """For a part on the mount: on the first day it has its drawing, which is not a calibration."""
+        """Make the record of a part on the mount; on the first day its drawing, which is no calibration."""
         made = record(name, stated_error_mm, **more)
         if not error.first_day:
             return made
@@ -199,7 +200,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
 
 
 def _credible_mm(error_mm: float) -> float:
-    """An error as a laboratory can state it, also in a scene without one."""
+    """Return an error that a laboratory can state, also for a scene without one."""
     return max(error_mm, FINEST_ON_ARM_MM)
 
 
@@ -245,9 +246,3 @@ def _pose(pose: PoseRecord) -> dict[str, Any]:
         "translation_mm": list(pose.translation_mm),
         "quaternion_wxyz": list(pose.quaternion_wxyz),
     }
-
-
-def _toml(content: dict[str, Any]) -> str:
-    import tomli_w
-
-    return tomli_w.dumps(content)

@@ -1,6 +1,6 @@
-"""Compares a finished run with the truth: what the CT localizer missed, where the guide's tip really was.
+"""Compares a finished run with the truth: spheres that the CT localizer missed, and the guide's true tip.
 
-Uses the run's records and the truth sampled by the theatre; neither knows the other.
+It uses the run's records and the truth sampled by the theatre; neither knows the other.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; sphe
 
 
 def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
-    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare, SIM-007
-    when the truth cannot be read, PRO-033 for a run that was altered.
+    """Compare a run folder with the truth of its theatre.
 
-    A run made with `--sim` contains its theatre; of a run by hand, `theatre` is the folder of the theatre it
-    was made in, which may have seen other runs and, by mistake, another patient.
+    Raises SIM-006 when there is nothing to compare, SIM-007 when the truth cannot be read, PRO-033 for an
+    altered run. A run made with `--sim` contains its theatre; for a run by hand, `theatre` is the folder of
+    its theatre, which may have seen other runs and, by mistake, another patient.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
     lateral_mm, axial_mm, axis_error_rad), as plain data; `other_samples` names those at no target of
     the plan.
     """
-    _require_not_of_runs(run)
+    _require_single_run(run)
     place = run / THEATRE_FOLDER if theatre is None else theatre
     if not (place / SCENE_FILE).exists():
         if theatre is None:
@@ -56,18 +56,18 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
         )
     found = inspected(run).require_unchanged()
     if theatre is None:
-        scene, taken = _own_truth(found, place)
+        scene, taken = _contained_truth(found, place)
     else:
-        scene, taken = read_scene(place / SCENE_FILE), _during(found, read_samples(place))
+        scene, taken = read_scene(place / SCENE_FILE), _samples_during(found, read_samples(place))
     samples = {sample.target: sample for sample in taken}  # the last sample of each target
-    localization = _standing(found, "fiducial_localization")
+    localization = _valid_record(found, "fiducial_localization")
     if localization is None and not samples:
         raise NothingToVerify(f"{run} located no sphere and reached no target")
     try:
         ct = _verify_ct(scene, localization)
         targets = [
             _verify_target(scene, trajectory, samples.pop(trajectory["id"]))
-            for trajectory in _planned(found)
+            for trajectory in _planned_trajectories(found)
             if trajectory["id"] in samples
         ]
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:
@@ -80,20 +80,20 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     return {"ct": ct, "targets": targets, "other_samples": list(samples)}
 
 
-def _require_not_of_runs(folder: Path) -> None:
-    """Raises SIM-006 for a folder of runs, with their names."""
+def _require_single_run(folder: Path) -> None:
+    """Raise SIM-006, naming the runs, for a folder of runs."""
     if not folder.is_dir() or (folder / JOURNAL_FILE).exists():
         return
-    held = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
-    if held:
+    runs = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
+    if runs:
         raise NothingToVerify(
-            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
-            action=f"Give one of them: {folder / held[-1]}.",
+            f"{folder} is not a run; it holds {counted(len(runs), 'run')}: {some_of(runs)}",
+            action=f"Give one of them: {folder / runs[-1]}.",
         )
 
 
 def require_targets(run: Path, outcome: dict[str, Any]) -> None:
-    """Raises SIM-006 when no tip was sampled at a target of the plan: an empty table is no success."""
+    """Raise SIM-006 when no tip was sampled at a target of the plan: an empty table is no success."""
     if outcome["targets"]:
         return
     other = ", ".join(outcome["other_samples"])
@@ -105,8 +105,8 @@ def require_targets(run: Path, outcome: dict[str, Any]) -> None:
     )
 
 
-def _own_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
-    """The truth that a run contains, from the very bytes that are compared with its journal."""
+def _contained_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
+    """Read the truth that a run contains, from the very bytes that are compared with its journal."""
 
     def checked(name: str, content: bytes) -> bytes:
         return found.require_content(f"{THEATRE_FOLDER}/{name}", content)
@@ -117,23 +117,23 @@ def _own_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSampl
     return parse_scene_json(scene, SCENE_FILE), parse_samples(samples)
 
 
-def _during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
-    """The samples taken while the run was made, by the clock that theatre and run share."""
+def _samples_during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
+    """Return the samples taken during the run, by the clock that theatre and run share."""
     if not found.chain.lines:
         return ()
     began_s, ended_s = (theatre_time_s(line) for line in (found.chain.lines[0], found.chain.lines[-1]))
     return [one for one in samples if began_s <= one.theatre_time_s <= ended_s]
 
 
-def _planned(found: Inspection) -> list[dict[str, Any]]:
-    """The trajectories of the plan that the run followed; the scene may use other names."""
-    plan = _standing(found, "plan_check")
+def _planned_trajectories(found: Inspection) -> list[dict[str, Any]]:
+    """Return the trajectories of the plan that the run followed; the scene may use other names."""
+    plan = _valid_record(found, "plan_check")
     return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 
 
-def _standing(found: Inspection, kind: str) -> Record | None:
-    standing = (one for one in reversed(found.records) if one.identifier not in found.superseded)
-    return next((one for one in standing if one.kind == kind), None)
+def _valid_record(found: Inspection, kind: str) -> Record | None:
+    valid = (one for one in reversed(found.records) if one.identifier not in found.superseded)
+    return next((one for one in valid if one.kind == kind), None)
 
 
 def _verify_ct(scene: Scene, localization: Record | None) -> dict[str, Any] | None:

@@ -24,7 +24,7 @@ from ronna_hw.host.control_port import ControlAddress, ask_control_port
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, GVCP_PORT, Bootstrap
 from ronna_hw.wire.polaris_rom import MARKER_FACES_OFFSET
-from sim.basler.control.feature_registers import address_of
+from sim.basler.control.feature_table import address_of
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.named_scenes import robot_frame
 

@@ -1,1 +1,1 @@
-"""One camera: its settings, the limits of its features, and the timing of its exposures."""
+"""One camera: its features, its acquisition, and its view of the theatre."""

@@ -1,4 +1,4 @@
-"""Acquisition control: start and stop, triggered or free-running, within the camera's maximum rate."""
+"""Acquisition control: start and stop, triggered or free-running, within the camera's frame rate."""
 
 from __future__ import annotations
 
@@ -9,36 +9,32 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from sim.basler.camera.photographer import FrameSource
-from sim.basler.camera.settings import (
+from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.settings import (
     AcquisitionMode,
+    EventKind,
     FrameSettings,
     Settings,
-    Trigger,
-    TriggerSettings,
-    TriggerSource,
-)
-from sim.basler.camera.timing import (
     TheatreClock,
     Ticks,
+    Trigger,
     TriggerMoments,
+    TriggerSettings,
+    TriggerSource,
     free_running_period_us,
     readout_us,
     shortest_period_us,
 )
-from sim.basler.camera.trigger_count import TriggerCount
-from sim.basler.faults import NO_FAULTS, CameraFaults
-from sim.basler.message.events import EventKind
-from sim.basler.stream.block import Frame
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.stream_channel import Frame, StreamChannel
 
 IDLE_CHECK_S = 0.5
-FRAMES_UNDER_WAY = 2  # one being drawn or sent, one being exposed
-FRAMES_LATE = 3  # of a free-running camera, before it drops frames
+FRAMES_IN_PROGRESS = 2  # one being drawn or sent, one being exposed
+FRAMES_LATE = 3  # how far a free run may lag before it drops frames
 
 
 @dataclass(frozen=True)
 class _Exposure:
-    """One frame to take: its acquisition, its number within that, its time and settings."""
+    """A frame to take: its acquisition, its number in that, its start and settings."""
 
     acquisition: int
     number: int
@@ -49,8 +45,8 @@ class _Exposure:
 class Acquisition:
     """Takes frames on its own thread and passes them to the stream channel.
 
-    `moments` is shared by the cameras of a pair; `report` is called for every event: kind, block id, theatre
-    time in ns. All public methods may be called from any thread.
+    `moments` is shared by the cameras of a pair; `report` is called for every event: kind, block id (0
+    without a frame), theatre time in ns. All public methods may be called from any thread.
     """
 
     def __init__(
@@ -79,7 +75,7 @@ class Acquisition:
         self._acquisition = 0
         self._running = False
         self._closed = False
-        self._triggers = TriggerCount()
+        self._triggers = TriggerCounter()
         self._free_frames = 0
         self._permitted: int | None = None  # frames until the next AcquisitionStart trigger; None: no limit
         self._ready_ns = 0
@@ -88,7 +84,7 @@ class Acquisition:
         self._thread = threading.Thread(target=self._work, name=f"{name} acquisition", daemon=True)
 
     def open(self) -> None:
-        """Start serving."""
+        """Start the thread."""
         self._thread.start()
 
     def close(self) -> None:
@@ -99,12 +95,12 @@ class Acquisition:
 
     @property
     def running(self) -> bool:
-        """True between AcquisitionStart and the end of the acquisition."""
+        """True from AcquisitionStart to the end of the acquisition."""
         return self._running
 
     @property
     def missed_triggers(self) -> int:
-        """Triggers since AcquisitionStart that arrived while the camera was busy."""
+        """Frame triggers since AcquisitionStart that arrived while the camera was busy."""
         return self._missed_triggers
 
     @property
@@ -119,7 +115,7 @@ class Acquisition:
             )
 
     def start(self) -> None:
-        """AcquisitionStart; no effect while running."""
+        """Execute AcquisitionStart; no effect while running."""
         with self._changed:
             if self._running or self._closed:
                 return
@@ -135,24 +131,24 @@ class Acquisition:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """AcquisitionStop: a frame being sent is completed, no other follows."""
+        """Execute AcquisitionStop: a frame being sent is completed, no other follows."""
         with self._changed:
             self._running = False
             self._acquisition += 1
             self._waiting.clear()
 
     def software_trigger(self) -> None:
-        """TriggerSoftware: fires the trigger selected by TriggerSelector, if its source is software."""
+        """Execute TriggerSoftware: fire the selected trigger, if its source is software."""
         selected = Trigger(self._settings().trigger_selector)
         self._fire(selected, TriggerSource.SOFTWARE)
 
     def action(self) -> None:
-        """An action command for this camera."""
+        """Fire the triggers whose source is the action command."""
         for trigger in Trigger:
             self._fire(trigger, TriggerSource.ACTION_1)
 
     def line(self) -> None:
-        """A pulse on the trigger line."""
+        """Fire the triggers whose source is the trigger line."""
         for trigger in Trigger:
             self._fire(trigger, TriggerSource.LINE_1)
 
@@ -165,11 +161,11 @@ class Acquisition:
             if self._faults.active("miss"):
                 return
             if which is Trigger.ACQUISITION_START:
-                obeyed = self._permitted == 0
-                if obeyed:
+                accepted = self._permitted == 0
+                if accepted:
                     self._permitted = settings.acquisition_frame_count
                     self._changed.notify_all()
-                kind = EventKind.ACQUISITION_START if obeyed else EventKind.ACQUISITION_START_OVERTRIGGER
+                kind = EventKind.ACQUISITION_START if accepted else EventKind.ACQUISITION_START_OVERTRIGGER
                 self._report(kind, 0, self._clock.now_ns())
                 return
             self._fire_frame(settings, trigger)
@@ -181,16 +177,16 @@ class Acquisition:
             return
         late_us = trigger.delay_us + self._faults.amount("late") * 1e3
         moment_ns = self._moments.of(self._name) + round(late_us * 1e3)
-        place = self._source.place()
-        number = self._triggers.next(None if place is None else (settings.frame(), place))
+        position = self._source.place()
+        number = self._triggers.next(None if position is None else (settings.frame(), position))
         self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns), number))
         self._changed.notify_all()
 
     def _busy(self) -> bool:
-        return len(self._waiting) >= FRAMES_UNDER_WAY or self._clock.now_ns() < self._ready_ns
+        return len(self._waiting) >= FRAMES_IN_PROGRESS or self._clock.now_ns() < self._ready_ns
 
     def _exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
-        """The next frame. Ends the acquisition or the permission if it is the last one."""
+        """Schedule a frame; the last one ends the acquisition or the permission."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
@@ -203,7 +199,7 @@ class Acquisition:
     def _work(self) -> None:
         while True:
             with self._changed:
-                while not self._closed and not self._waiting and not self._runs_free():
+                while not self._closed and not self._waiting and not self._is_free_running():
                     self._changed.wait(IDLE_CHECK_S)
                 if self._closed:
                     return
@@ -211,7 +207,7 @@ class Acquisition:
                 exposure = self._waiting[0] if triggered else self._next_free()
             self._take(exposure, triggered)
 
-    def _runs_free(self) -> bool:
+    def _is_free_running(self) -> bool:
         settings = self._settings()
         return (
             self._running
@@ -232,7 +228,7 @@ class Acquisition:
         return self._exposure(settings, start_ns, self._free_frames)
 
     def _take(self, exposure: _Exposure, triggered: bool) -> None:
-        begun_s = time.monotonic()
+        began_s = time.monotonic()
         frame = exposure.frame
         if triggered:
             image = self._source.triggered(frame, exposure.number)
@@ -253,5 +249,32 @@ class Acquisition:
             self._channel.send(block, (read_ns - self._clock.now_ns()) / 1e9)
         if not triggered and not self._clock.paced:
             # A free run in lock-step advances the theatre, but never faster than real time.
-            spare_s = free_running_period_us(self._settings()) * 1e-6 - (time.monotonic() - begun_s)
+            spare_s = free_running_period_us(self._settings()) * 1e-6 - (time.monotonic() - began_s)
             time.sleep(max(0.0, spare_s))
+
+
+class TriggerCounter:
+    """Numbers the triggers since AcquisitionStart, which seed the noise: a retaken image is the same image.
+
+    A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
+    neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
+    its way to the client changes none of those that follow.
+    """
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._view: object = None
+        self._started = False
+
+    def start(self) -> None:
+        """Begin an acquisition."""
+        self._started = False
+
+    def next(self, view: object) -> int:
+        """Number a trigger. `view` is what the image depends on, for comparison; None if unknown."""
+        if self._started:
+            self._number += 1
+        elif view is None or view != self._view:
+            self._number = 1
+        self._started, self._view = True, view
+        return self._number

@@ -1,4 +1,4 @@
-"""The features of a camera: names of the family, limits, and the values behind them.
+"""The features of a camera: names, limits, and the values behind them.
 
 One table serves both the registers and the XML that describes them, so every register named in the XML
 exists. Numbers are 32-bit integers or 32-bit floats.
@@ -12,14 +12,14 @@ from enum import Enum
 from typing import Any, Protocol
 
 from sim.basler.camera.acquisition import Acquisition
-from sim.basler.camera.settings import Settings
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.settings import Settings
+from sim.basler.stream_channel import StreamChannel
 
 Number = int | float
 
 
 class Commands(Protocol):
-    """What features can do or query beyond the settings."""
+    """The camera as its features see it."""
 
     @property
     def settings(self) -> Settings: ...
@@ -39,7 +39,7 @@ class Commands(Protocol):
 
 
 class Kind(Enum):
-    """Kinds of features, by their GenICam node."""
+    """GenICam node of a feature."""
 
     INTEGER = "Integer"
     FLOAT = "Float"
@@ -54,9 +54,9 @@ Setter = Callable[[Commands, Any], None]
 
 @dataclass(frozen=True)
 class Feature:
-    """One feature with its own register.
+    """A feature with its own register.
 
-    Without `write` it is read-only; a command has only `write`. `locked` features cannot be written during
+    Without `write` it is read-only; a command has only `write`. A `locked` feature cannot be written during
     acquisition. `selects` names the features that depend on this selector.
     """
 
@@ -90,46 +90,43 @@ class Feature:
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def of_settings(name: str) -> tuple[Getter, Setter]:
-    """Getter and setter of an attribute of the settings."""
-    return (
-        lambda commands: getattr(commands.settings, name),
-        lambda commands, value: setattr(commands.settings, name, value),
-    )
-
-
-def of_trigger(name: str) -> tuple[Getter, Setter]:
-    """Getter and setter of an attribute of the selected trigger."""
-    return (
-        lambda commands: getattr(commands.settings.selected_trigger, name),
-        lambda commands, value: setattr(commands.settings.selected_trigger, name, value),
-    )
-
-
 def always(value: Number) -> Getter:
-    """A constant value."""
+    """Return a getter of a constant."""
     return lambda _commands: value
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """A feature backed by an attribute of the settings; an integer unless `kind` is given."""
-    read, write = of_settings(attribute)
-    kind = more.pop("kind", Kind.INTEGER)
-    return Feature(name, kind, category, about, read=read, write=write, **more)
+    """Define a feature backed by an attribute of the settings; an integer unless `kind` is given."""
+    return Feature(
+        name,
+        more.pop("kind", Kind.INTEGER),
+        category,
+        about,
+        read=lambda commands: getattr(commands.settings, attribute),
+        write=lambda commands, value: setattr(commands.settings, attribute, value),
+        **more,
+    )
 
 
 def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: Any) -> Feature:
-    """A feature backed by an attribute of the selected trigger."""
-    read, write = of_trigger(attribute)
-    return Feature(name, kind, "AcquisitionTrigger", about, read=read, write=write, **more)
+    """Define a feature backed by an attribute of the selected trigger."""
+    return Feature(
+        name,
+        kind,
+        "AcquisitionTrigger",
+        about,
+        read=lambda commands: getattr(commands.settings.selected_trigger, attribute),
+        write=lambda commands, value: setattr(commands.settings.selected_trigger, attribute, value),
+        **more,
+    )
 
 
 def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
-    """A constant feature; an integer unless `kind` is given."""
+    """Define a constant feature; an integer unless `kind` is given."""
     kind = more.pop("kind", Kind.INTEGER)
     return Feature(name, kind, category, about, read=always(value), **more)
 
 
-def only(entry: str) -> dict[str, Any]:
-    """An enumeration with a single entry: the family's name, with one choice here."""
+def single_entry(entry: str) -> dict[str, Any]:
+    """Return the keywords of an enumeration with a single entry: the family's name, one choice here."""
     return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}

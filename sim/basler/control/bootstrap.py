@@ -1,4 +1,4 @@
-"""The registers that the standard requires of every camera."""
+"""The registers that the standard requires of every camera, including those of the message channel."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from ronna_hw.wire.gige_vision import (
     DEVICE_MODE_BIG_ENDIAN,
     DEVICE_MODE_UTF8,
     GVCP_CONFIGURATION_EXTENDED_STATUS,
+    MCP_PORT_MASK,
     SCP_PORT_MASK,
     SCPS_DO_NOT_FRAGMENT,
     SCPS_FIRE_TEST,
@@ -26,11 +27,12 @@ from ronna_hw.wire.gige_vision import (
     GevStatus,
     GvcpCapability,
 )
-from sim.basler.camera.timing import Ticks
 from sim.basler.control.privilege import Privilege
 from sim.basler.control.registers import Memory, Refusal, RegisterMap, Word
 from sim.basler.control.xml import camera_xml
-from sim.basler.stream.channel import (
+from sim.basler.message_channel import MessageChannel
+from sim.basler.settings import Ticks
+from sim.basler.stream_channel import (
     LARGEST_PACKET_SIZE,
     PACKET_SIZE_STEP,
     SMALLEST_PACKET_SIZE,
@@ -60,10 +62,13 @@ CAPABILITIES = (
     | GvcpCapability.USER_DEFINED_NAME
 )
 
+LONGEST_TIMEOUT_MS = 60_000
+MOST_RETRIES = 100
+
 
 @dataclass
 class Identity:
-    """A camera's identity. `user_name` can be changed by the client."""
+    """Identity of a camera; a client may change `user_name`."""
 
     address: str
     serial: str
@@ -89,7 +94,7 @@ def add_bootstrap(
     ticks: Ticks,
     acquiring: Callable[[], bool],
 ) -> None:
-    """Add the standard's registers of one camera. CCP is written by the control port itself."""
+    """Add the standard's registers of one camera; CCP is written by the control port itself."""
     _add_identity(registers, identity)
     _add_description(registers)
     _add_control(registers, privilege)
@@ -243,7 +248,7 @@ def _constant(value: int) -> Word:
 
 
 class _Stored:
-    """A register that stores what is written, as far as allowed, without any effect."""
+    """A register that stores the allowed bits written to it, without any effect."""
 
     def __init__(self, allowed: int) -> None:
         self._allowed = allowed
@@ -254,3 +259,34 @@ class _Stored:
 
     def write(self, value: int) -> None:
         self._value = value & self._allowed
+
+
+def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:
+    """Add port, destination, time-out, retries and source port of the message channel."""
+
+    def set_port(value: int) -> None:
+        channel.port = value & MCP_PORT_MASK
+
+    def destination() -> int:
+        return int.from_bytes(socket.inet_aton(channel.destination), "big")
+
+    def set_destination(value: int) -> None:
+        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
+
+    def set_timeout(value: int) -> None:
+        channel.timeout_ms = _within(value, LONGEST_TIMEOUT_MS)
+
+    def set_retries(value: int) -> None:
+        channel.retries = _within(value, MOST_RETRIES)
+
+    registers.add(Bootstrap.MCP, Word(lambda: channel.port, set_port))
+    registers.add(Bootstrap.MCDA, Word(destination, set_destination))
+    registers.add(Bootstrap.MCTT_MS, Word(lambda: channel.timeout_ms, set_timeout))
+    registers.add(Bootstrap.MCRC, Word(lambda: channel.retries, set_retries))
+    registers.add(Bootstrap.MCSP, Word(lambda: channel.source_port))
+
+
+def _within(value: int, most: int) -> int:
+    if value > most:
+        raise Refusal(GevStatus.INVALID_PARAMETER)
+    return value

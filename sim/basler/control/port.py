@@ -1,8 +1,9 @@
-"""Executes GVCP commands: one datagram in, at most one out. No sockets."""
+"""GVCP commands of one camera: one datagram in, at most one out, and no sockets."""
 
 from __future__ import annotations
 
 import struct
+from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -35,7 +36,9 @@ from ronna_hw.wire.gige_vision import (
 )
 from sim.basler.control.privilege import Peer, Privilege
 from sim.basler.control.registers import Refusal, RegisterMap
-from sim.basler.control.replay import ReplayCache
+
+PEERS_KEPT = 16
+KEPT_S = 3.0  # clients retry after 0.2 to 0.5 s, up to five times
 
 MAC_BYTES = 6
 ADDRESS_BYTES = 4
@@ -47,16 +50,16 @@ class Ignored(Exception):
 
 @dataclass(frozen=True)
 class Actions:
-    """What commands do beyond registers."""
+    """Effects of commands beyond registers."""
 
     resend: Callable[[int, int, int], None]
     """Block id, first and last packet."""
     act: Callable[[int, int, int], bool]
-    """device key, group key, group mask; True if addressed to this camera"""
+    """Device key, group key, group mask; returns True if addressed to this camera."""
 
 
 class ControlPort:
-    """The control protocol of one camera. `mac` and `address` are its own."""
+    """Control protocol of one camera with this `mac` and IP `address`."""
 
     def __init__(
         self,
@@ -88,7 +91,7 @@ class ControlPort:
         }
 
     def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
-        """The answer to a datagram, or None if it gets none."""
+        """Execute a datagram's command and return the answer, or None."""
         if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
             return None
         _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
@@ -128,7 +131,7 @@ class ControlPort:
         return self._registers.read(0, DISCOVERY_BYTES)
 
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
-        """A simulated camera's address is that of its socket: only its present one is accepted."""
+        """Accept only the present address: it is that of the camera's socket."""
         if len(payload) != FORCEIP_BYTES:
             raise Refusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
@@ -210,6 +213,40 @@ class ControlPort:
     def _check_readable(self, peer: Peer) -> None:
         if not self._privilege.may_read(peer):
             raise Refusal(GevStatus.ACCESS_DENIED)
+
+
+@dataclass(frozen=True)
+class Answered:
+    """A command and its answer, None if it required none."""
+
+    datagram: bytes
+    answer: bytes | None
+    at_s: float
+
+
+class ReplayCache:
+    """Keeps the last modifying command of each application: a repeated one is answered, not executed again.
+
+    `now_s` is the host's monotonic clock.
+    """
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._last: OrderedDict[Peer, Answered] = OrderedDict()
+
+    def find(self, peer: Peer, datagram: bytes) -> Answered | None:
+        """Return the answer to this command, including its request id, if it was the last one."""
+        last = self._last.get(peer)
+        if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
+            return None
+        return last
+
+    def keep(self, peer: Peer, datagram: bytes, answer: bytes | None) -> None:
+        """Store the answer to a command."""
+        self._last[peer] = Answered(datagram, answer, self._now_s())
+        self._last.move_to_end(peer)
+        while len(self._last) > PEERS_KEPT:
+            self._last.popitem(last=False)
 
 
 def _items(layout: str, payload: bytes) -> list[tuple[int, ...]]:

@@ -1,4 +1,4 @@
-"""Control privilege of a camera, and its heartbeat time-out."""
+"""The control channel privilege (CCP) of a camera, and its heartbeat time-out."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ DEFAULT_HEARTBEAT_MS = 3000
 Peer = tuple[str, int]
 """Address and port of an application."""
 
-SOMEBODY_ELSE: Peer = ("0.0.0.0", 0)
-"""An application that is in control because of a fault; it never times out."""
+OTHER_APPLICATION: Peer = ("0.0.0.0", 0)
+"""The application put in control by a fault; it never times out."""
 
 
 class Privilege:
-    """The control channel privilege (CCP) and its heartbeat.
+    """The application in control and its heartbeat, which any of its commands renews.
 
-    Any command of the owner counts as a heartbeat. `released` is called when control ends, by the owner's
-    request or by time-out. `now_s` is the host's monotonic clock.
+    `released` is called when control ends, by request or by time-out; `now_s` is the host's monotonic clock.
     """
 
     def __init__(self, now_s: Callable[[], float], released: Callable[[], None]) -> None:
@@ -54,11 +53,11 @@ class Privilege:
         return self._owner in (None, peer) or not self._value & CCP_EXCLUSIVE
 
     def may_write(self, peer: Peer) -> bool:
-        """Whether this is the owner."""
+        """Whether this application is in control."""
         return self._owner == peer
 
     def request(self, peer: Peer, value: int) -> GevStatus:
-        """Write the CCP register."""
+        """Write the CCP register; returns the status."""
         if self._owner not in (None, peer):
             return GevStatus.ACCESS_DENIED
         if value & ~(CCP_EXCLUSIVE | CCP_CONTROL):
@@ -78,10 +77,10 @@ class Privilege:
 
     def seize(self, wanted: bool) -> None:
         """Put another application in control while `wanted`, whatever the previous state."""
-        if wanted and self._owner != SOMEBODY_ELSE:
+        if wanted and self._owner != OTHER_APPLICATION:
             self.drop()
-            self._owner, self._value = SOMEBODY_ELSE, CCP_CONTROL
-        elif not wanted and self._owner == SOMEBODY_ELSE:
+            self._owner, self._value = OTHER_APPLICATION, CCP_CONTROL
+        elif not wanted and self._owner == OTHER_APPLICATION:
             self.drop()
 
     def drop(self) -> None:
@@ -90,13 +89,13 @@ class Privilege:
             self._release()
 
     def seconds_left(self) -> float | None:
-        """Time until the owner loses control; None without an owner."""
-        if self._owner in (None, SOMEBODY_ELSE):
+        """Return the time until the owner loses control; None without an owner."""
+        if self._owner in (None, OTHER_APPLICATION):
             return None
         return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
 
     def expire(self) -> None:
-        """Release the control of an owner that has timed out."""
+        """End the control of an owner that has timed out."""
         left_s = self.seconds_left()
         if left_s is not None and left_s <= 0.0:
             self._release()

@@ -10,7 +10,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
 class Refusal(Exception):
-    """An access refused with a status code; `written` counts the bytes written before."""
+    """An access refused with a status code; `written` counts what was written before."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
         super().__init__(status.name)
@@ -36,7 +36,7 @@ class Memory:
     write: Callable[[bytes], None] | None = None
 
     def content(self) -> bytes:
-        """The content, padded with zeros."""
+        """Return the content, padded with zeros."""
         return self.read().ljust(self.size, b"\0")[: self.size]
 
 
@@ -62,7 +62,7 @@ class RegisterMap:
         return address in self._words or self._block(address) is not None
 
     def read_word(self, address: int) -> int:
-        """One register; raises Refusal."""
+        """Read one register; raises Refusal."""
         _check_alignment(address)
         word = self._words.get(address)
         if word is not None:
@@ -85,7 +85,7 @@ class RegisterMap:
             word.write(value)
 
     def read(self, address: int, count: int) -> bytes:
-        """`count` bytes, across all registers and blocks they span; raises Refusal."""
+        """Read `count` bytes across the registers and blocks they span; raises Refusal."""
         _check_alignment(address, count)
         content = bytearray()
         while len(content) < count:

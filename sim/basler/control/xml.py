@@ -1,10 +1,10 @@
-"""The GenICam description of the camera, generated from the feature table and the standard registers."""
+"""The GenICam description of the camera, generated from its features, standard registers and events."""
 
 from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from xml.etree import ElementTree
@@ -12,21 +12,93 @@ from xml.etree import ElementTree
 from ronna_hw.wire.gige_vision import (
     ACA2000_50GM_NIR,
     BASLER,
+    EVENT_ITEM_BYTES,
     REGISTER_BYTES,
     TEXT_BYTES,
     TIMESTAMP_LATCH,
     TIMESTAMP_RESET,
     Bootstrap,
 )
-from sim.basler.camera.feature_table import FEATURES
 from sim.basler.camera.features import Feature, Kind
-from sim.basler.control.event_xml import EVENT_DATA, add_event_data
-from sim.basler.control.feature_registers import (
+from sim.basler.control.feature_table import (
+    FEATURES,
     MAXIMUM_OFFSET,
     MINIMUM_OFFSET,
     STEP_OFFSET,
     address_of,
 )
+from sim.basler.settings import EventKind
+
+
+@dataclass(frozen=True)
+class EventData:
+    """One value of one kind of event; `offset` is its position in an item of the message."""
+
+    kind: EventKind
+    what: str
+    offset: int
+    length: int
+    about: str
+
+    @property
+    def name(self) -> str:
+        """Name of the node, as spelled in the family."""
+        return f"{self.kind.feature_name}Event{self.what}"
+
+    @property
+    def category(self) -> str:
+        """Category of the node."""
+        return f"{self.kind.feature_name}EventData"
+
+    @property
+    def port(self) -> str:
+        """Port of this kind of event."""
+        return f"{self.kind.feature_name}EventPort"
+
+
+def _event_data() -> Iterator[EventData]:
+    for kind in EventKind:
+        yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
+        if kind is EventKind.EXPOSURE_END:
+            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
+        yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
+
+
+EVENT_DATA = tuple(_event_data())
+
+
+def add_event_data(root: ElementTree.Element) -> None:
+    """Add nodes, registers and ports of all kinds of events.
+
+    Each kind has a port of its own, which a client fills from messages; addresses are offsets in an item.
+    """
+    for data in EVENT_DATA:
+        node = _node(root, "Integer", data.name)
+        _child(node, "ToolTip", data.about)
+        _child(node, "pValue", f"{data.name}Register")
+        register = _node(root, "IntReg", f"{data.name}Register")
+        for tag, text in (
+            ("Address", f"0x{data.offset:X}"),
+            ("Length", str(data.length)),
+            ("AccessMode", "RO"),
+            ("pPort", data.port),
+            ("Cachable", "NoCache"),
+            ("Sign", "Unsigned"),
+            ("Endianess", "BigEndian"),
+        ):
+            _child(register, tag, text)
+    for kind in EventKind:
+        port = _node(root, "Port", f"{kind.feature_name}EventPort")
+        _child(port, "EventID", f"{kind:x}")
+
+
+def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
+    return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
+
+
+def _child(node: ElementTree.Element, tag: str, text: str) -> None:
+    ElementTree.SubElement(node, tag).text = text
+
 
 NAMESPACE = "http://www.genicam.org/GenApi/Version_1_1"
 SCHEMA = f"{NAMESPACE} http://www.genicam.org/GenApi/GenApiSchema_Version_1_1.xsd"
@@ -36,8 +108,8 @@ LOCK = "TLParamsLocked"
 
 
 @dataclass(frozen=True)
-class Standard:
-    """A feature whose register is defined by the standard; `command` is the value that a command writes."""
+class StandardFeature:
+    """A feature with a register of the standard; `command` is the value that a command writes."""
 
     name: str
     category: str
@@ -49,12 +121,14 @@ class Standard:
     command: int | None = None
 
 
-def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> Standard:
-    return Standard(name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address])
+def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
+    return StandardFeature(
+        name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address]
+    )
 
 
-def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> Standard:
-    return Standard(name, "TransportLayer", "Integer", address, about, access)
+def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> StandardFeature:
+    return StandardFeature(name, "TransportLayer", "Integer", address, about, access)
 
 
 STANDARD_FEATURES = (
@@ -65,7 +139,7 @@ STANDARD_FEATURES = (
     _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
     _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
     _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
-    Standard(
+    StandardFeature(
         "GevHeartbeatTimeout",
         "TransportLayer",
         "Integer",
@@ -73,8 +147,10 @@ STANDARD_FEATURES = (
         "Heartbeat timeout, ms.",
         "RW",
     ),
-    Standard("GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"),
-    Standard(
+    StandardFeature(
+        "GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"
+    ),
+    StandardFeature(
         "GevTimestampTickFrequency",
         "TransportLayer",
         "Integer",
@@ -82,7 +158,7 @@ STANDARD_FEATURES = (
         "Ticks per second.",
         size=8,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampControlLatch",
         "TransportLayer",
         "Command",
@@ -91,7 +167,7 @@ STANDARD_FEATURES = (
         "WO",
         command=TIMESTAMP_LATCH,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampControlReset",
         "TransportLayer",
         "Command",
@@ -100,7 +176,7 @@ STANDARD_FEATURES = (
         "WO",
         command=TIMESTAMP_RESET,
     ),
-    Standard(
+    StandardFeature(
         "GevTimestampValue",
         "TransportLayer",
         "Integer",
@@ -118,7 +194,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """The description; its version depends on its content, so that no client uses an outdated copy."""
+    """Generate the description; its version follows from its content: no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {
@@ -139,11 +215,11 @@ def camera_xml() -> bytes:
             "VersionGuid": VERSION_PLACE,
         },
     )
-    _categories(root)
+    _add_categories(root)
     for standard in STANDARD_FEATURES:
-        _standard(root, standard)
+        _add_standard(root, standard)
     for feature in FEATURES:
-        _feature(root, feature)
+        _add_feature(root, feature)
     add_event_data(root)
     _node(root, "Port", PORT)
     ElementTree.indent(root, space=" ")
@@ -152,12 +228,12 @@ def camera_xml() -> bytes:
     return text.replace(VERSION_PLACE.encode(), str(version).encode())
 
 
-def _categories(root: ElementTree.Element) -> None:
+def _add_categories(root: ElementTree.Element) -> None:
     members: dict[str, list[str]] = {}
-    places = [(each.category, each.name) for each in STANDARD_FEATURES]
-    places += [(feature.category, feature.name) for feature in FEATURES]
-    places += [(data.category, data.name) for data in EVENT_DATA]
-    for category, name in places:
+    named = [(each.category, each.name) for each in STANDARD_FEATURES]
+    named += [(feature.category, feature.name) for feature in FEATURES]
+    named += [(data.category, data.name) for data in EVENT_DATA]
+    for category, name in named:
         members.setdefault(category, []).append(name)
     top = _node(root, "Category", "Root")
     for category in members:
@@ -168,11 +244,11 @@ def _categories(root: ElementTree.Element) -> None:
             _child(node, "pFeature", name)
 
 
-def _standard(root: ElementTree.Element, it: Standard) -> None:
+def _add_standard(root: ElementTree.Element, it: StandardFeature) -> None:
     if it.kind == "StringReg":
         node = _node(root, it.kind, it.name)
         _child(node, "ToolTip", it.about)
-        _place(node, it.address, it.access, it.size)
+        _locate(node, it.address, it.access, it.size)
         return
     node = _node(root, it.kind, it.name)
     _child(node, "ToolTip", it.about)
@@ -182,7 +258,7 @@ def _standard(root: ElementTree.Element, it: Standard) -> None:
     _integer_register(root, f"{it.name}Register", it.address, it.access, it.size)
 
 
-def _feature(root: ElementTree.Element, feature: Feature) -> None:
+def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
     node = _node(root, feature.kind.value, feature.name)
     _child(node, "ToolTip", feature.about)
     if feature.visibility != "Beginner":
@@ -200,7 +276,7 @@ def _feature(root: ElementTree.Element, feature: Feature) -> None:
     if feature.kind is Kind.BOOLEAN:
         _child(node, "OnValue", "1")
         _child(node, "OffValue", "0")
-    _limits(root, node, feature, address)
+    _add_limits(root, node, feature, address)
     if feature.unit:
         _child(node, "Unit", feature.unit)
     if feature.kind is Kind.FLOAT:
@@ -208,10 +284,17 @@ def _feature(root: ElementTree.Element, feature: Feature) -> None:
     for selected in feature.selects:
         _child(node, "pSelected", selected)
     access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
-    _number_register(root, register, feature, address, access, _invalidators(feature.name))
+    _number_register(
+        root,
+        register,
+        feature,
+        address,
+        access,
+        [one.name for one in FEATURES if feature.name in one.selects],
+    )
 
 
-def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
+def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
     if feature.minimum is None or feature.maximum is None:
         return
     limits = [("Min", MINIMUM_OFFSET), ("Max", MAXIMUM_OFFSET)]
@@ -221,10 +304,6 @@ def _limits(root: ElementTree.Element, node: ElementTree.Element, feature: Featu
         name = f"{feature.name}Register{word}"  # WidthMax is the name of a feature
         _child(node, f"p{word}", name)
         _number_register(root, name, feature, address + offset, "RO", ())
-
-
-def _invalidators(name: str) -> Sequence[str]:
-    return [feature.name for feature in FEATURES if name in feature.selects]
 
 
 def _number_register(
@@ -237,7 +316,7 @@ def _number_register(
 ) -> None:
     if feature.kind is Kind.FLOAT:
         node = _node(root, "FloatReg", name)
-        _place(node, address, access, REGISTER_BYTES, invalidators)
+        _locate(node, address, access, REGISTER_BYTES, invalidators)
         _child(node, "Endianess", "BigEndian")
         return
     _integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
@@ -252,27 +331,19 @@ def _integer_register(
     invalidators: Sequence[str] = (),
 ) -> None:
     node = _node(root, "IntReg", name)
-    _place(node, address, access, size, invalidators)
+    _locate(node, address, access, size, invalidators)
     _child(node, "Sign", "Unsigned")
     _child(node, "Endianess", "BigEndian")
 
 
-def _place(
+def _locate(
     node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
 ) -> None:
     _child(node, "Address", f"0x{address:X}")
     _child(node, "Length", str(size))
     _child(node, "AccessMode", access)
     _child(node, "pPort", PORT)
-    # Values change on their own (limits, status, payload size): a client must always read them.
+    # Limits, status and payload size change on their own: a client must always read them.
     _child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
         _child(node, "pInvalidator", invalidator)
-
-
-def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
-    return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
-
-
-def _child(node: ElementTree.Element, tag: str, text: str) -> None:
-    ElementTree.SubElement(node, tag).text = text

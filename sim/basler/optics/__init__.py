@@ -1,1 +1,1 @@
-"""The image of a stereo camera: spheres on posts, light, lens and sensor. No networking here."""
+"""The image of a stereo camera: spheres on posts, light, lens and sensor."""

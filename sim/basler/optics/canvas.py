@@ -1,4 +1,7 @@
-"""The light that arrives on a part of the sensor, before detection."""
+"""The lens, the light that arrives on a part of the sensor behind it, and its blur.
+
+Camera frame: x right, y down, z along the optical axis. Pixels: (0, 0) is the centre of the top-left pixel.
+"""
 
 from __future__ import annotations
 
@@ -8,15 +11,85 @@ from functools import cached_property
 from math import ceil, floor
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sim.basler.optics.lens import Lens
+from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
+from sim.world.scene.model import CameraTruth
+
+Array = NDArray[np.float64]
+
+F_NUMBER = 8.0  # macro work: stopped down for depth of field
+# Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.
+SHARPEST_SIGMA_PX = 0.42 * 0.85 * F_NUMBER * 1.25 / PIXEL_PITCH_UM
+LARGEST_SIGMA_PX = 12.0  # a sphere farther out of focus is drawn with this blur
+DISC_TO_SIGMA = 0.25  # a uniform disc of diameter D has a standard deviation of D / 4 along one axis
+UNDISTORT_STEPS = 8  # each step gains about three digits with the distortion of these lenses
 
 Image = NDArray[np.float32]
 
 OUTLINE_MARGIN_PX = 3  # an outline is given by points, and a rim has a width
 NEAREST_POINT_MM = 30.0  # the lens is longer than that
 BAND_PIXELS = 1 << 16  # processed at a time: intermediate results fit into a processor's cache
+
+KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and faster
+SPREAD_SIGMAS = 3.5  # light from farther away adds less than 0.05 %
+
+
+@dataclass(frozen=True)
+class Lens:
+    """Pinhole with distortion k1 k2 p1 p2 k3, focused at `focus_mm`."""
+
+    focal_px: tuple[float, float]
+    principal_point_px: tuple[float, float]
+    distortion: tuple[float, float, float, float, float]
+    focus_mm: float
+
+    @classmethod
+    def of(cls, camera: CameraTruth) -> Lens:
+        """Return the lens of a camera, focused on the tool centre point."""
+        return cls(
+            camera.focal_px,
+            camera.principal_point_px,
+            camera.distortion,
+            camera.camera_from_tool.translation_mm[2],
+        )
+
+    def project(self, points_mm: ArrayLike) -> Array:
+        """Project points (n, 3) in front of the camera to pixels (n, 2)."""
+        points = np.asarray(points_mm, dtype=float)
+        distorted = self._distort(points[:, :2] / points[:, 2:])
+        return distorted * self.focal_px + self.principal_point_px
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Return x and y of the ray (x, y, 1) of each pixel position (n, 2)."""
+        seen = (np.asarray(pixels, dtype=float) - self.principal_point_px) / self.focal_px
+        straight = seen
+        for _ in range(UNDISTORT_STEPS):
+            straight = straight + (seen - self._distort(straight))
+        return straight
+
+    def blur_sigma_px(self, depth_mm: float) -> float:
+        """Return the standard deviation of the blur at a depth (thin lens, uniform disc)."""
+        aperture_px = (self.focal_px[0] / (1.0 + self.magnification)) / F_NUMBER
+        disc_px = aperture_px * self.magnification * abs(depth_mm - self.focus_mm) / depth_mm
+        return min(float(np.hypot(SHARPEST_SIGMA_PX, DISC_TO_SIGMA * disc_px)), LARGEST_SIGMA_PX)
+
+    @property
+    def magnification(self) -> float:
+        """Image size over object size in the plane of focus."""
+        return self.focal_px[0] * PIXEL_PITCH_UM * 1e-3 / self.focus_mm
+
+    def _distort(self, straight: Array) -> Array:
+        k1, k2, p1, p2, k3 = self.distortion
+        x, y = straight[:, 0], straight[:, 1]
+        r2 = x * x + y * y
+        radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        return np.column_stack(
+            [
+                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -29,11 +102,11 @@ class Area:
     height: int
 
     def grown(self, margin: int) -> Area:
-        """The area extended by a margin on all sides; may exceed the sensor."""
+        """Return the area extended by a margin on all sides, possibly beyond the sensor."""
         return Area(self.x - margin, self.y - margin, self.width + 2 * margin, self.height + 2 * margin)
 
     def common(self, other: Area) -> Area:
-        """The intersection of two areas; width or height are 0 if they do not overlap."""
+        """Return the intersection; width or height are 0 without one."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         right = min(self.x + self.width, other.x + other.width)
         bottom = min(self.y + self.height, other.y + other.height)
@@ -41,12 +114,12 @@ class Area:
 
     @property
     def empty(self) -> bool:
-        """True if it contains no pixel."""
+        """Whether the area has no pixel."""
         return self.width == 0 or self.height == 0
 
 
 def row_bands(height: int, width: int) -> Iterator[slice]:
-    """Rows of an image in bands.
+    """Yield the rows of an image in bands.
 
     An operation on a whole image writes megabytes of fresh memory, which costs more than the arithmetic.
     """
@@ -56,7 +129,7 @@ def row_bands(height: int, width: int) -> Iterator[slice]:
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
-    """Area of the images of points (n, 3), with a margin for the points between; empty behind the lens."""
+    """Return the image area of points (n, 3), with a margin for those between; empty behind the lens."""
     points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
     if not len(points):
         return Area(0, 0, 0, 0)
@@ -74,7 +147,7 @@ class Canvas:
     light: Image
 
     def part(self, area: Area) -> Image:
-        """A view of the light in `area`, which must lie inside."""
+        """Return a view of the light in `area`, which lies inside."""
         top, left = area.y - self.area.y, area.x - self.area.x
         return self.light[top : top + area.height, left : left + area.width]
 
@@ -98,7 +171,7 @@ class Rays:
         self._rows = np.arange(area.height) - (area.height - 1) / 2
 
     def in_rows(self, rows: slice) -> Rays:
-        """The same rays for some rows only."""
+        """Return the rays of some rows only."""
         part = object.__new__(Rays)
         part.area = Area(self.area.x, self.area.y + rows.start, self.area.width, rows.stop - rows.start)
         part._origin, part._per_column, part._per_row = self._origin, self._per_column, self._per_row
@@ -106,7 +179,7 @@ class Rays:
         return part
 
     def dot(self, vector: NDArray[np.float64]) -> Image:
-        """`vector` (3,) dotted with each ray: (height, width)."""
+        """Dot a vector (3,) with each ray: (height, width)."""
         columns = self._columns * (self._per_column @ vector) + self._origin @ vector
         rows = self._rows * (self._per_row @ vector)
         total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]
@@ -121,3 +194,71 @@ class Rays:
         x += y
         x += np.float32(1.0)
         return x
+
+
+def spread_px(sigma_px: float) -> int:
+    """Return how far the blur spreads light."""
+    return ceil(SPREAD_SIGMAS * sigma_px) + 1
+
+
+def blur(patch: Image, sigma_px: float) -> Image:
+    """Convolve a patch (rows, columns) with a Gaussian; its border is extended outwards."""
+    if sigma_px <= KERNEL_LIMIT_PX:
+        spread = spread_px(sigma_px)
+        steps = np.arange(-spread, spread + 1)
+        kernel = np.exp(-0.5 * (steps / sigma_px) ** 2)
+        kernel = (kernel / kernel.sum()).astype(np.float32)
+        return _convolve(patch, kernel)
+    # Variance of a box of w pixels is (w^2 - 1) / 12; three of them add up. Only odd widths stay centred.
+    ideal = (4.0 * sigma_px**2 + 1.0) ** 0.5
+    small = int(ideal) - (1 - int(ideal) % 2)
+    # number of boxes of the smaller width for which the total variance is nearest to the target
+    count = round((12 * sigma_px**2 - 3 * (small * small + 4 * small + 3)) / (-4 * small - 4))
+    for index in range(3):
+        width = small if index < count else small + 2
+        patch = _box_filter(_box_filter(patch, width, 0), width, 1)
+    return patch
+
+
+def _convolve(patch: Image, kernel: Image) -> Image:
+    """Convolve along the columns, then along the rows, a few rows at a time."""
+    spread = len(kernel) // 2
+    padded = _extend_edge(patch, spread, 0)
+    smooth = np.empty_like(patch)
+    for rows in row_bands(*patch.shape):
+        down = _convolve_axis(padded[rows.start : rows.stop + 2 * spread], kernel, 0)
+        smooth[rows] = _convolve_axis(_extend_edge(down, spread, 1), kernel, 1)
+    return smooth
+
+
+def _convolve_axis(padded: Image, kernel: Image, axis: int) -> Image:
+    """Convolve along an axis, which becomes shorter by the kernel's length less one."""
+    spread = len(kernel) // 2
+    length = padded.shape[axis] - 2 * spread
+
+    def shifted(step: int) -> Image:
+        return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
+
+    total: Image = shifted(spread) * kernel[spread]
+    pair = np.empty_like(total)
+    for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
+        np.add(shifted(step), shifted(2 * spread - step), out=pair)
+        pair *= kernel[step]
+        total += pair
+    return total
+
+
+def _box_filter(patch: Image, width: int, axis: int) -> Image:
+    spread = width // 2
+    sums: NDArray[np.float64] = np.cumsum(_extend_edge(patch, spread, axis), axis=axis, dtype=np.float64)
+    first = np.zeros_like(sums[:1] if axis == 0 else sums[:, :1])
+    sums = np.concatenate([first, sums], axis=axis)
+    ends = sums[width:] - sums[:-width] if axis == 0 else sums[:, width:] - sums[:, :-width]
+    mean: Image = (ends / width).astype(np.float32)
+    return mean
+
+
+def _extend_edge(patch: Image, spread: int, axis: int) -> Image:
+    margin = ((spread, spread), (0, 0)) if axis == 0 else ((0, 0), (spread, spread))
+    padded: Image = np.pad(patch, margin, mode="edge")
+    return padded

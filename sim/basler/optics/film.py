@@ -1,7 +1,7 @@
-"""The surface of a sphere: retro-reflective film with its grain and stains.
+"""The surface of a sphere: retro-reflective film with its grain and stains, fixed to the sphere.
 
-Blood and liquid stop the beads from reflecting the light. A stain is a round spot fixed to the sphere, so
-both cameras see the same one, each from its side.
+Blood and liquid stop the beads from reflecting the light. Both cameras see the same stains, each from its
+side.
 """
 
 from __future__ import annotations
@@ -9,50 +9,34 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Image
-from sim.basler.optics.grain import Grain
 from sim.world.noise import noise
 
-STAINED_BRIGHTNESS = 0.3  # of the clean film: light passes the stain twice
+BEAD_MM = 0.05  # beads of retro-reflective film are 40 to 70 um
+CONTRAST = 0.04  # standard deviation of the brightness
+TABLE_SIZE = 1 << 16
+# odd multipliers that spread neighbouring cubes over the table (Fibonacci hashing, one per axis)
+MULTIPLIERS = (np.int32(0x1E3779B1), np.int32(0x05EBCA77), np.int32(0x42B2AE3D))
+
+STAINED_BRIGHTNESS = 0.3  # relative to clean film: light passes the stain twice
 STAIN_EDGE_MM = 0.04  # a drop dries with a soft edge
 SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, from the sphere's centre
 
 
-class Surface(Protocol):
-    """Brightness of each point of a sphere."""
-
-    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Brightness factor of surface points given in the sphere's own frame."""
-        ...
-
-
-@dataclass(frozen=True)
-class Stain:
-    """A round spot: the direction of its centre in the sphere's frame, and half the angle it spans."""
-
-    direction: tuple[float, float, float]
-    half_angle_rad: float
-
-    def may_be_seen(self, to_camera: NDArray[np.float64]) -> bool:
-        """False if it is entirely on the far half; `to_camera` is a unit vector in the sphere's frame."""
-        return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
-
-
 class Film:
-    """The film of one sphere with its stains."""
+    """The film of one sphere: its grain, darkened by its stains."""
 
-    def __init__(self, grain: Grain, stains: Sequence[Stain], radius_mm: float) -> None:
+    def __init__(self, grain: Grain, radius_mm: float, stains: Sequence[Stain] = ()) -> None:
         self._grain = grain
         self._stains = stains
         self._radius_mm = radius_mm
 
     def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Brightness factor, with mean 1 where clean."""
+        """Return the brightness factor, with mean 1 where clean, of surface points in the sphere's frame."""
         light = self._grain.at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
@@ -68,9 +52,21 @@ class Film:
         return light
 
 
+@dataclass(frozen=True)
+class Stain:
+    """A round spot: the direction of its centre in the sphere's frame, and half the angle it spans."""
+
+    direction: tuple[float, float, float]
+    half_angle_rad: float
+
+    def may_be_visible(self, to_camera: NDArray[np.float64]) -> bool:
+        """Return False if it is entirely on the far half; `to_camera` is a unit vector, sphere's frame."""
+        return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
+
+
 @cache
-def drawn_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
-    """Spots at random places on a sphere until their areas make up `share` of its surface; may overlap."""
+def draw_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
+    """Draw spots on a sphere, which may overlap, until their areas add up to `share` of its surface."""
     generator = noise(seed, f"stains of sphere {number}", 0)
     stains: list[Stain] = []
     covered = 0.0
@@ -81,3 +77,27 @@ def drawn_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
         stains.append(Stain((float(x) / length, float(y) / length, float(z) / length), half_angle))
         covered += (1.0 - float(np.cos(half_angle))) / 2.0
     return tuple(stains)
+
+
+class Grain:
+    """Glass beads, each a little brighter or darker than the mean.
+
+    Space is divided into cubes of a bead's size, fixed to the sphere, and a bead's brightness is derived from
+    its cube: the grain moves with the sphere, and the same sphere always looks the same.
+    """
+
+    def __init__(self, seed: int, number: int) -> None:
+        values = noise(seed, f"film of sphere {number}", 0).standard_normal(TABLE_SIZE, dtype=np.float32)
+        self._table: Image = np.float32(1.0) + np.float32(CONTRAST) * values
+
+    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
+        """Return the brightness factor, with mean 1, of surface points in the sphere's frame."""
+        total: NDArray[np.int32] = np.zeros(x_mm.shape, dtype=np.int32)
+        for position, multiplier in zip((x_mm, y_mm, z_mm), MULTIPLIERS, strict=True):
+            cube = np.floor(position * np.float32(1.0 / BEAD_MM)).astype(np.int32)
+            cube *= multiplier  # wraps around, as a hash should
+            total ^= cube
+        total >>= 12
+        total &= TABLE_SIZE - 1
+        grain: Image = self._table.take(total)
+        return grain

@@ -1,31 +1,83 @@
-"""The images of one camera: what is in view, drawn from far to near, blurred by depth, and read out."""
+"""The light on one camera's sensor: spheres from far to near, blurred by depth, and what disturbs them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cache
+from math import cos, pi, sin
+from statistics import NormalDist
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sim.basler.optics import sphere as sphere_image
-from sim.basler.optics import stalk as stalk_image
-from sim.basler.optics.blur import blurred, spread_px
-from sim.basler.optics.canvas import Area, Canvas, Image, bounds_of
-from sim.basler.optics.film import Film, Surface
-from sim.basler.optics.foreground import CLEAR, Disturbance, nearest_to_axis, occlude, shine
-from sim.basler.optics.grain import Grain
-from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
-from sim.basler.optics.light import Lighting
-from sim.basler.optics.sphere import Sphere
-from sim.basler.optics.stalk import StalkImage
+from sim.basler.optics.canvas import (
+    LARGEST_SIGMA_PX,
+    Area,
+    Canvas,
+    Image,
+    Lens,
+    blur,
+    bounds_of,
+    spread_px,
+)
+from sim.basler.optics.film import Film, Grain, Stain
+from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
+from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm
+from sim.world.displacements import NOTHING_MOVED, RoomShift
 from sim.world.scene.model import CameraTruth
+
+Array = NDArray[np.float64]
+
+GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
+GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
+EDGE_SIGMAS = 4.0  # standard deviations beyond which an edge is invisible
+EDGE_STEPS = 400
 
 MARGIN_PX = spread_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
 NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 
+@dataclass(frozen=True)
+class Glare:
+    """A lamp reflected by something wet: a bright disc on the sensor."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """A dark object with a straight edge that hides `rim_share` of a sphere's rim from one camera.
+
+    `direction_rad` is the side it enters the image from. `brightness` is relative to the drapes behind it.
+    """
+
+    rim_share: float
+    direction_rad: float
+    brightness: float = 1.0
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """Disturbances of one camera's view at one moment, comparable and hashable; stains by sphere number."""
+
+    stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
+    occluders: tuple[Occluder, ...] = ()
+    glares: tuple[Glare, ...] = ()
+    twist_rad: float = 0.0  # rotation of the camera in its mount, out of the plane of both cameras
+    room: RoomShift = NOTHING_MOVED  # displacement of the spheres
+
+    def stains_of(self, number: int) -> tuple[Stain, ...]:
+        """Return the stains of a sphere."""
+        return tuple(stain for each, stains in self.stains if each == number for stain in stains)
+
+
+CLEAR = Disturbance()
+
+
 class Optics:
-    """Lens, light and the films seen so far by one camera."""
+    """Lens, lighting and the grains seen so far of one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
         self.lens = Lens.of(camera)
@@ -34,18 +86,18 @@ class Optics:
         self._grains: dict[int, Grain] = {}
 
     def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
-        """Electrons per microsecond (height, width) on an area of the sensor."""
+        """Return electrons per microsecond (height, width) on an area of the sensor."""
         around = area.grown(MARGIN_PX) if spheres else area
         canvas = Canvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
             self._draw(canvas, sphere, disturbance)
-        looked_at = nearest_to_axis([each for each in spheres if _drawable(each)])
-        if looked_at is not None:
-            sigma_px = self.lens.blur_sigma_px(float(looked_at.centre_mm[2]))
+        aimed_at = nearest_to_axis([each for each in spheres if _drawable(each)])
+        if aimed_at is not None:
+            sigma_px = self.lens.blur_sigma_px(float(aimed_at.centre_mm[2]))
             for occluder in disturbance.occluders:
-                occlude(canvas, occluder, looked_at, self.lens, sigma_px)
+                occlude(canvas, occluder, aimed_at, self.lens, sigma_px)
         for glare in disturbance.glares:
-            shine(canvas, glare)
+            add_glare(canvas, glare)
         return canvas.part(area)
 
     def _draw(self, canvas: Canvas, sphere: Sphere, disturbance: Disturbance) -> None:
@@ -53,7 +105,7 @@ class Optics:
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
         sphere_area = bounds_of(self.lens, sphere.outline_mm()).common(canvas.area)
-        stalk_area = bounds_of(self.lens, stalk_image.outline_mm(sphere)).common(canvas.area)
+        stalk_area = bounds_of(self.lens, stalk_outline_mm(sphere)).common(canvas.area)
         parts = [part for part in (sphere_area, stalk_area) if not part.empty]
         if not parts:
             return
@@ -61,21 +113,19 @@ class Optics:
         patch = canvas.part(patch_area)
         drawn = Canvas(patch_area, patch.copy())
         self._paint(drawn, sphere, self._film(sphere, disturbance), sphere_area, stalk_area)
-        patch[:] = blurred(drawn.light, sigma_px)
+        patch[:] = blur(drawn.light, sigma_px)
 
-    def _paint(
-        self, canvas: Canvas, sphere: Sphere, film: Surface, sphere_area: Area, stalk_area: Area
-    ) -> None:
+    def _paint(self, canvas: Canvas, sphere: Sphere, film: Film, sphere_area: Area, stalk_area: Area) -> None:
         # Light falls off with the square of the distance; full strength at the focus distance.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
         stalk = self._stalk(sphere, stalk_area, strength)
         if stalk is not None:
-            _over(canvas.part(stalk_area), stalk.cover, stalk.light)
+            _composite(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
             return
-        drawn = sphere_image.image_of(sphere, self.lens, sphere_area, film)
+        drawn = draw_sphere(sphere, self.lens, sphere_area, film)
         drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
-        _over(canvas.part(sphere_area), drawn.cover, drawn_light)
+        _composite(canvas.part(sphere_area), drawn.cover, drawn_light)
         both = sphere_area.common(stalk_area)
         if stalk is None or both.empty:
             return
@@ -83,29 +133,80 @@ class Optics:
         in_front = stalk_part.part(both) < drawn_part.part(both)
         in_front &= np.isfinite(drawn_part.part(both))
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
-        _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
+        _composite(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
-    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> StalkImage | None:
-        """Post and base as they appear in an area, or None if they do not."""
+    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
+        """Draw the stalk in an area; None if the area is empty."""
         if area.empty:
             return None
-        image = stalk_image.image_of(sphere, self.lens, area)
+        image = draw_stalk(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
-    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Surface:
+    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
         if sphere.number not in self._grains:
             self._grains[sphere.number] = Grain(self._seed, sphere.number)
         grain = self._grains[sphere.number]
         to_camera = -sphere.camera_from_sphere.T @ sphere.centre_mm / sphere.distance_mm
-        stains = [each for each in disturbance.stains_of(sphere.number) if each.may_be_seen(to_camera)]
-        return Film(grain, stains, sphere.radius_mm) if stains else grain
+        stains = [each for each in disturbance.stains_of(sphere.number) if each.may_be_visible(to_camera)]
+        return Film(grain, sphere.radius_mm, stains)
+
+
+def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
+    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
+    outline = lens.project(sphere.outline_mm())
+    middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
+    radius = float(np.ptp(outline, axis=0).mean()) / 2
+    towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
+    # A chord at the cosine of half its arc cuts off that arc.
+    edge = radius * cos(pi * occluder.rim_share)
+    x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
+    y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
+    x -= edge / sigma_px
+    cover = _soft_edge(y.astype(np.float32)[:, None] + x.astype(np.float32)[None, :])
+    dark = np.float32(occluder.brightness * BACKGROUND_ELECTRONS_PER_US)
+    canvas.light[:] += cover * (dark - canvas.light)
+
+
+def add_glare(canvas: Canvas, glare: Glare) -> None:
+    """Add the light of a glare."""
+    sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
+    margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
+    x, y = (round(value) for value in glare.centre_px)
+    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
+    if part.empty:
+        return
+    columns = part.x + np.arange(part.width) - glare.centre_px[0]
+    rows = part.y + np.arange(part.height) - glare.centre_px[1]
+    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
+    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _soft_edge(beyond))
+
+
+def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
+    """Return the sphere that the camera is aimed at; None without any."""
+    return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
+
+
+def _soft_edge(sigmas: Array | Image) -> Image:
+    """Return the coverage by an object with a blurred edge, by the distance from it in its sigmas."""
+    cover: Image = (sigmas > 0.0).astype(np.float32)
+    soft = np.abs(sigmas) < EDGE_SIGMAS  # a thin band: the table is slow
+    cover[soft] = np.interp(sigmas[soft], *_edge_table())
+    return cover
+
+
+@cache
+def _edge_table() -> tuple[Array, Array]:
+    at = np.linspace(-EDGE_SIGMAS, EDGE_SIGMAS, EDGE_STEPS + 1)
+    cover = np.array([NormalDist().cdf(each) for each in at])
+    cover[0], cover[-1] = 0.0, 1.0
+    return at, cover
 
 
 def _drawable(sphere: Sphere) -> bool:
     return bool(sphere.centre_mm[2] - sphere.radius_mm >= NEAREST_MM)
 
 
-def _over(behind: Image, cover: Image, light: Image) -> None:
+def _composite(behind: Image, cover: Image, light: Image) -> None:
     """Composite light over what is behind it, in place."""
     behind += cover * (light - behind)
 

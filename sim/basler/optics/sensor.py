@@ -1,4 +1,4 @@
-"""The sensor: light to electrons, shot and read noise, saturation, gain, black level, 8 or 12 bits."""
+"""From illumination to pixel values: light across the sensor, and its read-out with noise, gain and bits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,43 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire.gige_vision import GAIN_RAW_UNITY
-from sim.basler.optics.canvas import Image, row_bands
+from sim.basler.optics.canvas import Area, Image, row_bands
+from sim.world.noise import noise
+
+# Light returned by the film at the working distance: a sphere reaches 200 of 255 at 4 ms and lowest gain.
+FILM_ELECTRONS_PER_US = 2.0
+BACKGROUND_ELECTRONS_PER_US = 0.04  # drapes and skin between the spheres
+SLOPE = 0.05  # largest change of light from the centre of the sensor to its edge
+BACKGROUND_SLOPE = 0.4
+FALL_OFF = 0.06  # towards the corners
+
+
+class Lighting:
+    """Light of one camera: a gradient of its own, and a fall-off towards the corners."""
+
+    def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
+        self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
+        self._half_width_px = sensor_px[0] / 2
+        slopes = noise(seed, f"light of camera {serial}", 0).uniform(-1.0, 1.0, 4)
+        self._slope = slopes[:2] * SLOPE
+        self._background_slope = slopes[2:] * BACKGROUND_SLOPE
+
+    def on_film(self, area: Area) -> Image:
+        """Return electrons per microsecond (height, width) from a film of unit brightness."""
+        return self._surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
+
+    def on_background(self, area: Area) -> Image:
+        """Return electrons per microsecond (height, width) from an empty background."""
+        return self._surface(area, self._background_slope, 0.0) * np.float32(BACKGROUND_ELECTRONS_PER_US)
+
+    def _surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
+        x = (area.x + np.arange(area.width) - self._centre[0]) / self._half_width_px
+        y = (area.y + np.arange(area.height) - self._centre[1]) / self._half_width_px
+        columns = 1.0 + slope[0] * x - fall_off * x * x
+        rows = slope[1] * y - fall_off * y * y
+        total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]
+        return total
+
 
 DARK_ELECTRONS_PER_US = 125e-6  # 125 e-/s at 25 degrees C
 BLACK_LEVEL_BITS = 10  # BlackLevelRaw is in steps of a 10-bit image
@@ -21,7 +57,7 @@ Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor; at unity gain the full well is full scale."""
+    """A sensor whose full well is full scale at unity gain."""
 
     read_noise_electrons: float
     full_well_electrons: float
@@ -36,10 +72,10 @@ class Sensor:
         bits: int,
         noise: np.random.Generator | None,
     ) -> Pixels:
-        """Pixel values (rows, columns) of `light` in electrons per microsecond; no noise without generator.
+        """Expose to `light`, electrons per microsecond, and return pixel values (rows, columns).
 
         Shot noise is approximated as normal with the variance of the mean: below 20 electrons, where that is
-        wrong, read noise dominates.
+        wrong, read noise dominates. Without a generator there is no noise.
         """
         pixels: Pixels = np.empty(light.shape, np.uint8 if bits == 8 else np.uint16)
         # gain, plus half a step: the conversion to integers truncates
@@ -66,7 +102,7 @@ class Sensor:
 
 
 def _normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
-    """Standard normal numbers, four from each 64-bit word: a third of the time of the usual method."""
+    """Draw normal numbers, four from each 64-bit word, in a third of the time of the usual method."""
     count = rows * columns
     words = generator.integers(0, 2**64 - 1, (count + 3) // 4, dtype=np.uint64, endpoint=True)
     numbers: Image = _normal_table().take(words.view(np.uint16)[:count]).reshape(rows, columns)
@@ -75,7 +111,7 @@ def _normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
 
 @cache
 def _normal_table() -> Image:
-    """Quantiles of the normal distribution in equal steps of probability, scaled to variance 1."""
+    """Tabulate quantiles of the normal distribution in equal steps of probability, scaled to variance 1."""
     inverse = NormalDist().inv_cdf
     half = np.array([inverse((step + 0.5) / NORMAL_STEPS) for step in range(NORMAL_STEPS // 2)])
     table = np.concatenate([half, -half[::-1]])

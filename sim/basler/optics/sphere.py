@@ -1,13 +1,16 @@
-"""The image of one retro-reflective sphere, exact where it matters: at the rim.
+"""The image of one retro-reflective sphere, exact at the rim, and of the stalk that carries it.
 
 Lit from around the lens, the film returns light to the camera from everywhere, a quarter less at the limb.
 Inside, one ray per pixel; in a band along the rim each pixel is sampled by 4 x 4 exact rays, each weighted by
 its distance inside the outline, so the rim is accurate to about 0.001 px.
+
+The stalk extends from below into the sphere. Seen from the side its flange covers part of the rim; seen from
+above it is behind the sphere and its outer edge touches the image of the rim. All of it is darker than film.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -16,9 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Image, Rays, row_bands
-from sim.basler.optics.film import Surface
-from sim.basler.optics.lens import Lens
+from sim.basler.optics.canvas import Area, Canvas, Image, Lens, Rays, bounds_of, row_bands
+from sim.basler.optics.film import Film
 
 Vector = NDArray[np.float64]
 Values = NDArray[np.floating[Any]]
@@ -43,16 +45,16 @@ class Sphere:
 
     @cached_property
     def distance_mm(self) -> float:
-        """From the centre of projection to the centre of the sphere."""
+        """Distance from the centre of projection to the centre of the sphere."""
         return float(np.linalg.norm(self.centre_mm))
 
     @cached_property
     def tangent_mm(self) -> float:
-        """From the centre of projection to the points where rays are tangent to the sphere."""
+        """Distance from the centre of projection to the points of tangency."""
         return float((self.distance_mm**2 - self.radius_mm**2) ** 0.5)
 
     def outline_mm(self) -> Vector:
-        """Points (n, 3) of the circle where rays are tangent to the sphere."""
+        """Return points (n, 3) of the circle where rays are tangent to the sphere."""
         axis = self.centre_mm / self.distance_mm
         across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[0]) > 0.5 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
@@ -64,11 +66,8 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class SphereImage:
-    """Per pixel of `area`: coverage by the sphere, light, depth.
-
-    The depth is infinite where the centre of a pixel misses the sphere.
-    """
+class BodyImage:
+    """Coverage, light and depth per pixel of `area`; depth is infinite where a pixel's centre misses."""
 
     area: Area
     cover: Image
@@ -76,11 +75,11 @@ class SphereImage:
     depth_mm: Image
 
 
-def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereImage:
+def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage:
     """Draw a sphere of unit brightness over `area`."""
     shape = (area.height, area.width)
     whole = Rays(lens, area)
-    image = SphereImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
+    image = BodyImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
     rims = []
     for rows in row_bands(*shape):
         inside_px = _draw_inside(sphere, lens, film, whole.in_rows(rows), image, rows)
@@ -92,12 +91,10 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereIma
     return image
 
 
-def _draw_inside(
-    sphere: Sphere, lens: Lens, film: Surface, rays: Rays, image: SphereImage, rows: slice
-) -> Image:
-    """Some rows of an image, one ray per pixel; returns how far inside the outline each pixel is."""
+def _draw_inside(sphere: Sphere, lens: Lens, film: Film, rays: Rays, image: BodyImage, rows: slice) -> Image:
+    """Draw some rows, one ray per pixel; returns how far inside the outline each pixel is."""
     along = rays.dot(sphere.centre_mm)  # the centre projected on each ray, times the ray's length
-    miss = _miss(rays, sphere)
+    miss = _squared_miss(rays, sphere)
     inside_px: Image = sphere.radius_mm - np.sqrt(miss / rays.squared)
     inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
     # discriminant of the ray's intersections with the sphere; negative outside
@@ -108,8 +105,8 @@ def _draw_inside(
     depth = (along - np.sqrt(discriminant)) / rays.squared
     dots = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
     np.multiply(
-        _limb(discriminant, rays.squared, sphere),
-        film.at(*_surface(sphere, depth, dots)),
+        _limb_brightness(discriminant, rays.squared, sphere),
+        film.at(*_surface_points(sphere, depth, dots)),
         out=image.light[rows],
     )
     depth[outside] = np.inf
@@ -118,8 +115,8 @@ def _draw_inside(
     return inside_px
 
 
-def _miss(rays: Rays, sphere: Sphere) -> Image:
-    """Squared cross product of each ray with the centre: miss distance times ray length, squared.
+def _squared_miss(rays: Rays, sphere: Sphere) -> Image:
+    """Return the squared cross product of each ray with the centre: (miss distance times ray length)^2.
 
     Unlike a difference of large squares it keeps its digits in single precision.
     """
@@ -136,9 +133,9 @@ def _miss(rays: Rays, sphere: Sphere) -> Image:
 def _sample_rim(
     sphere: Sphere,
     lens: Lens,
-    film: Surface,
+    film: Film,
     band: tuple[NDArray[np.intp], ...],
-    image: SphereImage,
+    image: BodyImage,
 ) -> None:
     rows, columns = band
     if not len(rows):
@@ -150,7 +147,7 @@ def _sample_rim(
     probe = lens.rays(here + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     steps = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     covered = np.zeros(len(rows))
-    weighed = np.zeros(len(rows))
+    weighted = np.zeros(len(rows))
     for right, down in product(steps, steps):
         x, y = (middle + right * (probe[1] - probe[0]) + down * (probe[2] - probe[0])).T
         squared = x * x + y * y + 1.0
@@ -161,22 +158,147 @@ def _sample_rim(
         depth = (along - np.sqrt(discriminant)) / squared
         dots = (x * axis[0] + y * axis[1] + axis[2] for axis in sphere.camera_from_sphere.T)
         covered += share
-        weighed += share * _limb(discriminant, squared, sphere) * film.at(*_surface(sphere, depth, dots))
+        weighted += (
+            share
+            * _limb_brightness(discriminant, squared, sphere)
+            * film.at(*_surface_points(sphere, depth, dots))
+        )
     image.cover[rows, columns] = covered / SAMPLES**2
-    image.light[rows, columns] = weighed / np.maximum(covered, np.finfo(float).tiny)
+    image.light[rows, columns] = weighted / np.maximum(covered, np.finfo(float).tiny)
 
 
-def _limb(discriminant: Values, squared: Values, sphere: Sphere) -> Values:
-    """Brightness by the angle of incidence: its squared cosine is discriminant / (radius^2 ray^2)."""
+def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> Values:
+    """Return the brightness by angle of incidence, with cos^2 = discriminant / (radius^2 ray^2)."""
     limb: Values = discriminant / squared
     limb *= LIMB_DARKENING / sphere.radius_mm**2
     limb += 1.0 - LIMB_DARKENING
     return limb
 
 
-def _surface(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
-    """Coordinates of the surface points in the sphere's frame; `dots` are the rays along its axes."""
+def _surface_points(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
+    """Yield x, y, z of the surface points in the sphere's frame; `dots` are the rays along its axes."""
     for axis, dot in zip(sphere.camera_from_sphere.T, dots, strict=True):
         point: Image = (depth * dot).astype(np.float32, copy=False)
         point -= np.float32(axis @ sphere.centre_mm)
         yield point
+
+
+SIDE_DARKENING = 0.6  # a cylinder's edge is this much darker than its middle
+STALK_OUTLINE_POINTS = 16
+SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the axis
+
+
+@dataclass(frozen=True)
+class Section:
+    """A cylinder on the stalk's axis; distances are from the sphere's centre towards the skull."""
+
+    begin_mm: float
+    end_mm: float
+    radius_mm: float
+    brightness: float  # relative to the film
+
+
+SECTIONS = (
+    Section(4.6, 6.6, 3.5, 0.12),  # flange that the sphere sits on
+    Section(6.6, 14.0, 2.0, 0.18),  # post
+    Section(14.0, 16.0, 3.5, 0.10),  # head of the bone screw
+)
+
+
+def stalk_outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
+    """Return points (n, 3) that enclose a sphere's stalk, or some of its sections."""
+    across, over, post = sphere.camera_from_sphere.T
+    angle = np.linspace(0.0, 2 * np.pi, STALK_OUTLINE_POINTS, endpoint=False)[:, None]
+    circle = np.cos(angle) * across + np.sin(angle) * over
+    rings = [
+        sphere.centre_mm - along * post + section.radius_mm * circle
+        for section in sections
+        for along in (section.begin_mm, section.end_mm)
+    ]
+    return np.concatenate(rings)
+
+
+def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
+    """Draw the stalk of a sphere of unit brightness over `area`."""
+    shape = (area.height, area.width)
+    image = BodyImage(
+        area, np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
+    )
+    for section in SECTIONS:
+        part = bounds_of(lens, stalk_outline_mm(sphere, (section,))).common(area)
+        if not part.empty:
+            _draw_section(image, part, sphere, section, lens)
+    return image
+
+
+def _draw_section(image: BodyImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
+    whole = Rays(lens, part)
+    layers = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
+    for rows in row_bands(part.height, part.width):
+        _draw_section_rows([each[rows] for each in layers], whole.in_rows(rows), sphere, section, lens)
+
+
+def _draw_section_rows(
+    layers: Sequence[Image], rays: Rays, sphere: Sphere, section: Section, lens: Lens
+) -> None:
+    """Draw some rows of a section into cover, light and depth."""
+    # From the skull end up to the sphere: seen from above, the axis points to the camera.
+    axis = sphere.camera_from_sphere[:, 2]
+    foot = sphere.centre_mm - section.end_mm * axis
+    length = section.end_mm - section.begin_mm
+    px_per_mm = lens.focal_px[0] / sphere.distance_mm
+    along_axis = rays.dot(axis)
+    cover, light, depth = _side(rays, along_axis, foot, axis, section, px_per_mm)
+    # The end facing the camera covers the side.
+    end_mm = length if foot @ axis + length < 0 else 0.0
+    end_cover, end_light, end_depth = _end(rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm)
+    on_end = end_cover > cover
+    for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
+        np.copyto(whole, end, where=on_end)
+    nearer = (cover > 0.0) & (depth < layers[2])
+    np.copyto(layers[0], np.maximum(cover, layers[0]), where=nearer)
+    np.copyto(layers[1], light, where=nearer)
+    np.copyto(layers[2], depth, where=nearer)
+
+
+def _side(
+    rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Return coverage, light and depth of the curved side."""
+    radius, length = section.radius_mm, section.end_mm - section.begin_mm
+    foot_along = float(foot @ axis)
+    across = rays.squared - along_axis * along_axis  # squared component of the ray perpendicular to the axis
+    np.maximum(across, np.float32(SMALLEST_ACROSS), out=across)
+    towards = rays.dot(foot - foot_along * axis)  # the axis, projected on each ray
+    # squared distance between ray and axis, and half the ray's chord in the cylinder
+    distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
+    np.maximum(distance2, np.float32(0.0), out=distance2)
+    chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
+    depth: Image = (towards / across - chord).astype(np.float32, copy=False)
+    height = depth * along_axis - np.float32(foot_along)
+    cover = _edge_cover(np.float32(radius) - np.sqrt(distance2), px_per_mm)
+    cover *= (height >= 0.0) & (height <= length)
+    light: Image = (np.sqrt(across) * chord).astype(np.float32, copy=False)
+    light *= np.float32(section.brightness * SIDE_DARKENING / radius)
+    light += np.float32(section.brightness * (1 - SIDE_DARKENING))
+    return cover, light, depth
+
+
+def _end(
+    rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
+) -> tuple[Image, Image, Image]:
+    """Return coverage, light and depth of a flat end."""
+    steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
+    depth: Image = (np.float32(centre @ axis) / steep).astype(np.float32, copy=False)
+    off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
+    cover = _edge_cover(np.float32(section.radius_mm) - np.sqrt(np.maximum(off2, np.float32(0.0))), px_per_mm)
+    cover *= depth > 0.0
+    light: Image = (np.abs(along_axis) / np.sqrt(rays.squared)).astype(np.float32, copy=False)
+    light *= np.float32(section.brightness)
+    return cover, light, depth
+
+
+def _edge_cover(inside_mm: Image, px_per_mm: float) -> Image:
+    """Return the coverage of a pixel by how far inside an edge its centre is."""
+    cover: Image = np.clip(np.float32(0.5) + inside_mm * np.float32(px_per_mm), 0.0, 1.0)
+    return cover

@@ -1,4 +1,4 @@
-"""The project's EKI channel: commands, acknowledgements, and the state, which is also sent unsolicited."""
+"""The project's EKI channel: commands, acknowledgements, and the state, also sent unsolicited."""
 
 from __future__ import annotations
 
@@ -23,22 +23,21 @@ from ronna_hw.wire.kuka_eki import (
     StateAttribute,
     StopRequest,
 )
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
-from sim.kuka.eki.acknowledgement import Acknowledgement
-from sim.kuka.eki.attributes import flag, frame, text, whole
-from sim.kuka.eki.move_commands import EkiMoves
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
+from sim.kuka.eki.moves import EkiMoves, escape, flag, frame, integer
 from sim.kuka.eki.server import EkiServer
+from sim.kuka.motion import Acknowledgement
 from sim.world.nominal_arm import status_and_turn
 
 MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)
-UNASKED = "0"  # Id of an unsolicited State
+UNSOLICITED = "0"  # Id of an unsolicited State
 CYCLES_MS = (4, 12)
 LAST_TOOL, LAST_BASE = 16, 32
 
 
 class ProjectChannel:
-    """Serves one client. Losing it ends only the conversation."""
+    """Serves one client; losing it ends only the conversation."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -48,7 +47,7 @@ class ProjectChannel:
         self._idle_until_s = inf  # for a client that has not requested anything yet
         self._sent: tuple[str, ...] = ()
         self._motion_name = self._motion_id = ""
-        moves = EkiMoves(controller, self._motion_ended)
+        moves = EkiMoves(controller, self._report_motion_end)
         self._handlers: dict[str, Callable[[Mapping[str, str]], Acknowledgement]] = {
             CommandName.RSI_START: self._rsi_start,
             CommandName.RSI_STOP: self._rsi_stop,
@@ -67,22 +66,22 @@ class ProjectChannel:
         server.attach(self)
 
     def opened(self) -> None:
-        """A client has connected and is sent the state at once."""
+        """Send the state to a client that has connected."""
         self._sent = ()
         self._idle_until_s = time.monotonic() + self._controller.parameters.first_request_s
         self.tick(time.monotonic())
 
     def closed(self) -> None:
-        """The client has disconnected; a parameter decides whether that ends a running program."""
+        """Handle the loss of the client; a parameter decides whether that ends a running program."""
         self._autostart.arm()
-        self._controller.lose_eki()
+        self._controller.handle_eki_loss()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer one command; anything else is skipped."""
+        """Answer a command; skip anything else."""
         if element.tag != CMD:
             return
         self._idle_until_s = inf
-        identifier, name = element.get("Id", UNASKED), element.get("Name", "")
+        identifier, name = element.get("Id", UNSOLICITED), element.get("Name", "")
         if name == CommandName.STATUS:
             self._server.send(self._state(identifier))
             return
@@ -100,18 +99,18 @@ class ProjectChannel:
         self._acknowledge(identifier, name, answer)
         self.tick(time.monotonic())
 
-    def _motion_ended(self, answer: Acknowledgement) -> None:
-        """A motion is answered twice: when accepted, and when done or aborted."""
+    def _report_motion_end(self, answer: Acknowledgement) -> None:
+        """Acknowledge a motion a second time, now that it is done or aborted."""
         self._acknowledge(self._motion_id, self._motion_name, answer)
 
     def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:
         self._server.send(
-            f'<{ACK} Id="{self._text(identifier)}" Cmd="{self._text(name)}" Code="{answer.code.value}"'
-            f' Text="{self._text(answer.text)}"></{ACK}>'
+            f'<{ACK} Id="{self._escape(identifier)}" Cmd="{self._escape(name)}" Code="{answer.code.value}"'
+            f' Text="{self._escape(answer.text)}"></{ACK}>'
         )
 
     def tick(self, now_s: float) -> float:
-        """Send the state when it has changed or its period is over; returns when to call again."""
+        """Send the state if it has changed or its period is over; returns when to call again."""
         if self._server.connected and now_s > self._idle_until_s and not self._server.silent:
             self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:
@@ -120,7 +119,7 @@ class ProjectChannel:
         if facts != self._sent or now_s >= self._next_state_s:
             self._sent = facts
             self._next_state_s = now_s + STATE_PERIOD_MS / 1000.0
-            self._server.send(self._state(UNASKED))
+            self._server.send(self._state(UNSOLICITED))
         return self._next_state_s
 
     # -- state
@@ -150,7 +149,7 @@ class ProjectChannel:
         )
 
     def _state(self, identifier: str) -> str:
-        values = (self._text(identifier), *self._facts())
+        values = (self._escape(identifier), *self._facts())
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
@@ -162,18 +161,18 @@ class ProjectChannel:
         position = " ".join(f'{name}="{value}"' for name, value in zip(POS_ATTRIBUTES, places, strict=True))
         return f"<{STATE} {head}><{AXIS} {axes}></{AXIS}><{POS} {position}></{POS}></{STATE}>"
 
-    def _text(self, content: str) -> str:
-        return text(content, self._controller.parameters.longest_text)
+    def _escape(self, content: str) -> str:
+        return escape(content, self._controller.parameters.longest_text)
 
     # -- commands
 
     def _rsi_start(self, given: Mapping[str, str]) -> Acknowledgement:
-        cycle_ms = whole(given, "Cycle") if "Cycle" in given else None
+        cycle_ms = integer(given, "Cycle") if "Cycle" in given else None
         if cycle_ms is not None and cycle_ms not in CYCLES_MS:
             raise ValueError("Cycle is 4 or 12")
         relative = Reference(given["Ref"]) is Reference.RELATIVE if "Ref" in given else None
         correction = Correction(given["Corr"]).value if "Corr" in given else None
-        self._autostart.give_way()
+        self._autostart.yield_to_client()
         return self._controller.start(cycle_ms, relative, correction)
 
     def _rsi_stop(self, _: Mapping[str, str]) -> Acknowledgement:
@@ -189,16 +188,16 @@ class ProjectChannel:
         return self._controller.stop(fast=kind is StopRequest.FAST)
 
     def _set_override(self, given: Mapping[str, str]) -> Acknowledgement:
-        return self._controller.set_override(whole(given, "Val"))
+        return self._controller.set_override(integer(given, "Val"))
 
     def _set_tool(self, given: Mapping[str, str]) -> Acknowledgement:
-        number = whole(given, "No")
+        number = integer(given, "No")
         if not 1 <= number <= LAST_TOOL:
             raise ValueError(f"No is 1 to {LAST_TOOL}")
         return self._controller.set_tool(number, frame(given))
 
     def _set_base(self, given: Mapping[str, str]) -> Acknowledgement:
-        number = whole(given, "No")
+        number = integer(given, "No")
         if not 1 <= number <= LAST_BASE:
             raise ValueError(f"No is 1 to {LAST_BASE}")
         return self._controller.set_base(number, frame(given))

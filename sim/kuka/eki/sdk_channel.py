@@ -8,8 +8,8 @@ from math import inf
 from xml.etree import ElementTree
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import SUBMIT_CYCLE_S
 from sim.kuka.eki.server import EkiServer
 
@@ -21,7 +21,7 @@ AXES, EXTERNAL_AXES = 6, 0
 
 
 class Request(IntEnum):
-    """REQTYPE."""
+    """Values of REQTYPE."""
 
     CONNECT = 0
     START = 1
@@ -35,7 +35,7 @@ class Request(IntEnum):
 
 
 class Event(IntEnum):
-    """EventID of a response."""
+    """Values of EventID in a response."""
 
     STARTED = 0
     STOPPED = 1
@@ -86,7 +86,7 @@ OPERATION_MODES = {OperationMode.T1: 1, OperationMode.T2: 2, OperationMode.AUT: 
 
 
 class SdkChannel:
-    """Serves one client. The program's state is reset when it disconnects."""
+    """Serves one client; the program's state is reset when it disconnects."""
 
     def __init__(self, server: EkiServer, controller: Controller, autostart: Autostart) -> None:
         self._server = server
@@ -99,19 +99,19 @@ class SdkChannel:
         server.attach(self)
 
     def opened(self) -> None:
-        """A client has connected; the status follows unsolicited."""
+        """Reset for a client that has connected; the status follows unsolicited."""
         self._reset()
         self._sent = None
         self._first_status_s = time.monotonic() + FIRST_STATUS_LOOPS * SUBMIT_CYCLE_S
 
     def closed(self) -> None:
-        """The client has disconnected."""
+        """Reset after the client has disconnected."""
         self._reset()
         self._autostart.arm()
-        self._controller.lose_eki()
+        self._controller.handle_eki_loss()
 
     def request(self, element: ElementTree.Element) -> None:
-        """Answer one request with one response."""
+        """Answer a request with one response."""
         if element.tag != REQUEST:
             return
         try:
@@ -137,7 +137,7 @@ class SdkChannel:
         # The status reports what has changed one loop later.
 
     def tick(self, now_s: float) -> float:
-        """Send the status when it has changed; returns when to call again."""
+        """Send the status if it has changed; returns when to call again."""
         if not self._server.connected:
             return inf
         again_s = now_s + SUBMIT_CYCLE_S
@@ -175,7 +175,7 @@ class SdkChannel:
         controller = self._controller
         if correction is None or controller.interlocks.mode is not OperationMode.EXT:
             return Event.ERROR
-        self._autostart.give_way()
+        self._autostart.yield_to_client()
         if controller.run is None and controller.program_state is not ProState.FREE:
             controller.acknowledge()
         if controller.start(CYCLES_MS[self._cycle], False, correction).code is not AckCode.OK:

@@ -1,8 +1,8 @@
-"""One EKI channel: a TCP server for a single client. Extracts requests from the stream, writes whole answers.
+"""One EKI channel: a TCP server for a single client that cuts requests from a stream.
 
 The stream has no framing: a request ends with its root element. Anything before a root (NUL padding, line
-ends, leftovers) is skipped; requests may arrive split or merged. The program reads them once per loop of the
-submit interpreter; unread ones wait in a buffer, and an overflow ends the connection.
+ends, leftovers) is skipped; requests may arrive split or merged. The program reads one per loop of the submit
+interpreter; unread ones wait in a buffer, and an overflow ends the connection.
 """
 
 from __future__ import annotations
@@ -37,20 +37,20 @@ _OPENING = re.compile(rb"<[A-Za-z_]")
 
 
 class Peer(Protocol):
-    """The other end of a channel."""
+    """The program behind a channel."""
 
     def opened(self) -> None:
-        """A client has connected."""
+        """Called when a client has connected."""
 
     def request(self, element: ElementTree.Element) -> None:
-        """A complete request has arrived."""
+        """Called with each complete request."""
 
     def closed(self) -> None:
-        """The client has disconnected."""
+        """Called when the client has disconnected."""
 
 
 class EkiServer:
-    """Non-blocking: the owner selects on `sockets` and calls `serve`, and `flush` when `due_s` has come.
+    """Non-blocking server: the owner selects on `sockets`, calls `serve`, and `flush` when `due_s` has come.
 
     `spacing_s` is the program's loop time: at most one telegram is read and one written per loop.
     """
@@ -66,8 +66,8 @@ class EkiServer:
         self._next_s = 0.0
         self._next_read_s = 0.0
         self.silent = False  # the program neither reads nor writes
-        self.taken = False  # another client occupies the channel: new ones are refused
-        self._spoils: Callable[[bytes], bytes] | None = None  # corrupts the next telegram
+        self.occupied = False  # fault: another client seems to hold the channel, new ones are refused
+        self._corrupt: Callable[[bytes], bytes] | None = None  # corrupts the next telegram
         self._full = False
 
     def attach(self, peer: Peer) -> None:
@@ -76,7 +76,7 @@ class EkiServer:
 
     @property
     def endpoint(self) -> str:
-        """Where clients connect, with the actual port when port 0 was requested."""
+        """Endpoint for clients, with the actual port when port 0 was requested."""
         host, port = self._listener.getsockname()[:2]
         return f"tcp://{host}:{port}"
 
@@ -103,12 +103,12 @@ class EkiServer:
         """Whether anything is queued for writing."""
         return bool(self._outgoing)
 
-    def spoil_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Corrupt the next telegram to the present client with `half`, `after_garbage` or `padded`."""
-        self._spoils = how if self.connected else None
+    def corrupt_next(self, how: Callable[[bytes], bytes]) -> None:
+        """Apply `half`, `with_garbage` or `padded` to the next telegram of the present client."""
+        self._corrupt = how if self.connected else None
 
-    def overflow(self) -> None:
-        """Fill the channel's buffer: the present client's next request does not fit."""
+    def fill_buffer(self) -> None:
+        """Fill the buffer, so that the present client's next request does not fit."""
         self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
@@ -119,26 +119,26 @@ class EkiServer:
             self._read()
 
     def send(self, text: str) -> None:
-        """Write one telegram, at once or as soon as the spacing allows."""
+        """Queue one telegram, written as soon as the spacing allows."""
         if self._client is not None and not self.silent:
             self._outgoing.append(text.encode("utf-8"))
             self._write()
 
     def flush(self) -> None:
         """Read and write what is due."""
-        self._hand_over()
+        self._dispatch()
         self._write()
 
     def _write(self) -> None:
-        """One write per telegram."""
+        """Write what is due, one system call per telegram."""
         while self._outgoing and self._client is not None:
             now_s = time.monotonic()
             if now_s < self._next_s:
                 return
             telegram = self._outgoing.popleft()
             self._next_s = now_s + self._spacing_s
-            if self._spoils is not None:
-                telegram, self._spoils = self._spoils(telegram), None
+            if self._corrupt is not None:
+                telegram, self._corrupt = self._corrupt(telegram), None
             try:
                 if self._client.send(telegram) != len(telegram):
                     self.drop()  # the client does not read; half a telegram would break its framing
@@ -151,7 +151,7 @@ class EkiServer:
         self._received = b""
         self._outgoing.clear()
         self._unread.clear()
-        self._spoils, self._full = None, False
+        self._corrupt, self._full = None, False
         if client is not None:
             client.close()
             if self._peer is not None:
@@ -165,11 +165,11 @@ class EkiServer:
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             client, _ = self._listener.accept()
-            if self.taken:
+            if self.occupied:
                 client.close()
                 return
             while self._client is not None:
-                if not self._waiting(self._client):
+                if not self._is_readable(self._client):
                     client.close()  # one client per channel
                     return
                 self._read()  # the previous client's last data, and its disconnection
@@ -181,7 +181,7 @@ class EkiServer:
                 self._peer.opened()
 
     @staticmethod
-    def _waiting(client: socket.socket) -> bool:
+    def _is_readable(client: socket.socket) -> bool:
         """Whether a client has sent something or disconnected."""
         try:
             client.recv(1, socket.MSG_PEEK)
@@ -202,16 +202,16 @@ class EkiServer:
         if not data:
             self.drop()
             return
-        requests, self._received = cut_requests(self._received + data)
+        requests, self._received = split_requests(self._received + data)
         self._unread.extend(requests)
         overflow = len(self._unread) > UNREAD_LIMIT or (self._full and bool(requests))
         if overflow or len(self._received) > BUFFER_LIMIT_BYTES:
             self.drop()  # buffered data are lost with the connection
             return
-        self._hand_over()
+        self._dispatch()
 
-    def _hand_over(self) -> None:
-        """Let the program read: everything pending, or one request per loop."""
+    def _dispatch(self) -> None:
+        """Pass pending requests to the program, one per loop."""
         while self._unread and self._client is not None and not self.silent:
             now_s = time.monotonic()
             if now_s < self._next_read_s:
@@ -227,22 +227,22 @@ class EkiServer:
 
 
 def half(telegram: bytes) -> bytes:
-    """The first half of a telegram."""
+    """Return the first half of a telegram."""
     return telegram[: len(telegram) // 2]
 
 
-def after_garbage(telegram: bytes) -> bytes:
-    """A telegram preceded by garbage."""
+def with_garbage(telegram: bytes) -> bytes:
+    """Return a telegram preceded by garbage."""
     return GARBAGE + telegram
 
 
 def padded(telegram: bytes) -> bytes:
-    """A telegram padded with NUL on both sides."""
+    """Return a telegram padded with NUL on both sides."""
     return PADDING + telegram + PADDING
 
 
-def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:
-    """Complete root elements in a stream, and the remainder that may still become one."""
+def split_requests(stream: bytes) -> tuple[list[bytes], bytes]:
+    """Split a stream into complete root elements and a remainder that may still become one."""
     requests: list[bytes] = []
     position = 0
     while True:

@@ -1,1 +1,1 @@
-"""RSI over UDP: telegrams, replies, signal flow, corrections."""
+"""RSI over UDP: telegrams, signal flow, and one run of the program."""

@@ -1,4 +1,4 @@
-"""Reads KUKA's Ethernet file: the telegram's layout, and the client's address.
+"""KUKA's Ethernet file: layout of the telegrams, and address of the client.
 
 The file does not say what the channels feed. That is in the RSI context; without one it is inferred from
 the commonly used tags.
@@ -34,7 +34,7 @@ _TAG = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*(\.[A-Za-z0-9_-]+)?")
 
 
 def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int) -> RsiContext:
-    """The effective context: layout from the file, the rest from `context` or inferred from the tags.
+    """Return the effective context: layout from the file, the rest from `context` or inferred from the tags.
 
     Raises KRC-001 with every mistake, and for a name of more than `longest_name` characters.
     """
@@ -42,8 +42,11 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
         raise EthernetFileInvalid(
             f"the name {path.name} is too long", limit=f"{longest_name} characters", got=f"{len(path.stem)}"
         )
-    root = _root(path)
-    config = {name: _text(root, name) for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")}
+    root = _read_root(path)
+    config = {
+        name: (root.findtext(f"CONFIG/{name}") or "").strip()
+        for name in ("IP_NUMBER", "PORT", "SENTYPE", "ONLYSEND")
+    }
     protocol = (root.findtext("CONFIG/PROTOCOL") or "UDP").strip().upper()
     if protocol != "UDP":
         raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not supported", expected="UDP")
@@ -55,9 +58,9 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
         {
             "schema": 1,
             "name": "foreign",
-            "program": _program(),
-            "wiring": _inferred(elements["RECEIVE"]),
-            "feedback": _inferred_feedback(elements["SEND"]),
+            "program": {"cycle_ms": 4, "corrections": "absolute", "variant": "kr6_r900_sixx"},
+            "wiring": _infer_wiring(elements["RECEIVE"]),
+            "feedback": _infer_feedback(elements["SEND"]),
         }
         if context is None
         else {**context.model_dump(by_alias=True)}
@@ -89,7 +92,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
         ) from None
 
 
-def _root(path: Path) -> ElementTree.Element:
+def _read_root(path: Path) -> ElementTree.Element:
     try:
         root = parse_xml(read_bounded(path, LARGEST_FILE_BYTES), LARGEST_FILE_BYTES)
     except OSError as error:
@@ -101,10 +104,6 @@ def _root(path: Path) -> ElementTree.Element:
     if root.tag != "ROOT" or root.find("CONFIG") is None:
         raise EthernetFileInvalid(f"{path.name} is not an Ethernet file", expected="ROOT > CONFIG")
     return root
-
-
-def _text(root: ElementTree.Element, name: str) -> str:
-    return (root.findtext(f"CONFIG/{name}") or "").strip()
 
 
 def _element(element: ElementTree.Element, path: Path, section: str) -> dict[str, Any]:
@@ -127,11 +126,7 @@ def _integer(text: str, path: Path, what: str) -> int:
         raise EthernetFileInvalid(f"{path.name}: {what} is {text!r}", expected="an integer") from None
 
 
-def _program() -> dict[str, Any]:
-    return {"cycle_ms": 4, "corrections": "absolute", "variant": "kr6_r900_sixx"}
-
-
-def _inferred(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+def _infer_wiring(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     wires: dict[tuple[str, str], dict[str, Any]] = {}
     for element in receive:
         group, _, attribute = element["tag"].partition(".")
@@ -148,7 +143,7 @@ def _inferred(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     return tuple(wires.values())
 
 
-def _inferred_feedback(send: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
+def _infer_feedback(send: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     return tuple(
         {"indx": element["indx"], "object": STAT_TAGS[element["tag"]]}
         for element in send

@@ -1,80 +1,60 @@
 """One run of the RSI program, from RSI_ON to RSI_OFF: telegram out, reply in, command for the drives.
 
-No sockets and no clock here: the caller sends what `telegram` returns, passes every datagram to `read`, and
-ends each cycle with `finish`.
+It has neither socket nor clock: the caller sends what `telegram` returns, passes every datagram to `read`,
+and ends each cycle with `finish`.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import RsiState
-from sim.kuka.controller.drive_supervision import Supervision
-from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.kuka.rsi.axis_correction import ACTIVE_BIT, AxisCorrector
-from sim.kuka.rsi.position_correction import PositionCorrector
-from sim.kuka.rsi.rejected_replies import RejectedReplies
-from sim.kuka.rsi.reply_reader import Reply, ReplyReader
-from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
-from sim.kuka.rsi.telegram_writer import TelegramWriter
-from sim.world.nominal_arm import RobotDescription
+from sim.kuka.drives import Supervision
+from sim.kuka.manipulator import Manipulator
+from sim.kuka.pendant import Message, rsi_bad, rsi_timeout
+from sim.kuka.rsi.signal_flow import (
+    ACTIVE_BIT,
+    AxisCorrector,
+    EthernetOutputs,
+    PositionCorrector,
+    SignalFlow,
+    resolve_inputs,
+)
+from sim.kuka.rsi.telegrams import RejectedReplies, Reply, ReplyReader, TelegramWriter
 
-Matrix = NDArray[np.float64]
-
-IPOC_OF_RUN = 2_654_435_761  # steps through the range irregularly: a new run may begin higher or lower
+IPOC_STEP = 2_654_435_761  # from run to run, modulo the range: a new run may begin higher or lower
 EXIT_MOVE_CORR = "ExitMoveCorr"
 INFO_MESSAGE = "InfoMessage"
 PATH_FAST = "PathFast"
 
 
 def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters) -> int:
-    """Time stamp of a run's first telegram, a multiple of the cycle; runs are numbered from 1."""
-    stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_OF_RUN) % (1 << parameters.ipoc_bits)
+    """Return the IPOC of a run's first telegram, a multiple of the cycle; runs are numbered from 1."""
+    stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_STEP) % (1 << parameters.ipoc_bits)
     return stamp - stamp % cycle_ms
 
 
 @dataclass(frozen=True)
 class RunSettings:
-    """How a run was requested."""
+    """Settings of a run, as requested."""
 
     context: RsiContext
     cycle_ms: int
     relative: bool
     number: int
     counts_from_first_reply: bool  # an autostarted program waits for its first client
-    needs_confirmation: bool = False  # in T1 and T2 someone must confirm that corrections become active
+    needs_confirmation: bool = False  # in T1 and T2 the operator confirms that corrections become active
     correction_share: float = 1.0  # share of a correction that takes effect, if the override scales it
 
 
-@dataclass(frozen=True)
-class StartPose:
-    """The arm at RSI_ON: axes (deg), the reported frame, and TCP and BASE in $ROBROOT."""
-
-    axes_deg: list[float]
-    reported_deg: Sequence[float]
-    reported_frame: Sequence[float]  # X Y Z (mm) A B C (deg) in BASE
-    tool_point: Matrix
-    base: Matrix
-
-
 class RsiRun:
-    """The state of one run. Once it is `over`, `message` is the reason; None if the client requested it."""
+    """State of one run. Once `over`, `message` is the reason; None if the client requested the end."""
 
-    def __init__(
-        self,
-        settings: RunSettings,
-        arm: RobotDescription,
-        start: StartPose,
-        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
-        parameters: ControllerParameters,
-    ) -> None:
+    def __init__(self, settings: RunSettings, arm: Manipulator, parameters: ControllerParameters) -> None:
         context = settings.context
         self.settings = settings
         self.state = RsiState.ON
@@ -84,7 +64,7 @@ class RsiRun:
         self.over = False
         self.message: Message | None = None
         self.notice = ""  # last EStr
-        self._heard_once = self._sent_once = self._held = False
+        self._sent_once = self._held = False
         self._confirmed = not settings.needs_confirmation
         self._late_in_a_row = 0
         self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
@@ -98,35 +78,35 @@ class RsiRun:
         self._writer = TelegramWriter(
             context.send,
             context.ethernet.precision,
-            start.reported_deg,
-            start.reported_frame,
+            arm.reported_deg,
+            arm.reported_frame,
             context.feedback,
         )
         self.rejected = RejectedReplies(context.ethernet.sentype)
         self._reader = ReplyReader(context.receive, context.ethernet.sentype, parameters)
         self._outputs = EthernetOutputs(context, parameters.missing_element)
-        inputs = inputs_of(context)
+        inputs = resolve_inputs(context)
         self._supervision = Supervision(
-            arm, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
+            arm.description, settings.cycle_ms / 1000.0, parameters, cartesian=inputs.frame is not None
         )
-        relative = settings.relative
-        self._flow = SignalFlow(
-            inputs,
-            start.axes_deg,
-            lambda: AxisCorrector(
-                arm, start.axes_deg, context.axis_correction, context.axis_monitor, relative=relative
-            ),
-            lambda: PositionCorrector(
-                start.tool_point,
-                start.base[:3, :3],
-                start.axes_deg,
-                inverse,
+        start_deg, relative = arm.axes_deg, settings.relative
+        axis = position = None
+        if inputs.axes:
+            axis = AxisCorrector(
+                arm.description, start_deg, context.axis_correction, context.axis_monitor, relative=relative
+            )
+        if inputs.frame:
+            position = PositionCorrector(
+                arm.tool_point(),
+                arm.base[:3, :3],
+                start_deg,
+                arm.joints_for,
                 context.position_correction,
                 context.position_monitor,
                 relative=relative,
-            ),
-            relative=relative,
-            share=settings.correction_share,
+            )
+        self._flow = SignalFlow(
+            inputs, start_deg, axis, position, relative=relative, share=settings.correction_share
         )
 
     @property
@@ -136,23 +116,18 @@ class RsiRun:
 
     @property
     def correction_stats(self) -> tuple[int, int]:
-        """Stat outputs of AXISCORR and POSCORR: whether they are active, and which limits clamp."""
+        """Stat outputs of AXISCORR and POSCORR: whether active, and which limits clamp."""
         axis, position = self._flow.stats
         if not self._parameters.stat_tells_limits:
             return axis & ACTIVE_BIT, position & ACTIVE_BIT
         return axis, position
 
-    @property
-    def heard(self) -> bool:
-        """Whether a client has answered at least once."""
-        return self._heard_once
-
     def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
-        """The telegram of this cycle."""
+        """Return the telegram of this cycle."""
         return self._writer.write(frame, axes_deg, self._delays[0], self.ipoc, self.correction_stats)
 
     @property
-    def begins(self) -> bool:
+    def is_first_telegram(self) -> bool:
         """True until the cycle of the first telegram has ended."""
         return not self._sent_once
 
@@ -162,20 +137,20 @@ class RsiRun:
         return self._sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
-        """A nearly empty telegram, like the first one of an RSI before 3.0."""
+        """Return a nearly empty telegram, like the first one of an RSI before 3.0."""
         return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
 
     def with_other_stamp(self, telegram: bytes) -> bytes:
-        """The telegram as another arm's controller might write it."""
+        """Return the telegram as another arm's controller might write it."""
         other = (self.ipoc + self._ipoc_range // 2) % self._ipoc_range
         return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
-        """A reply to this cycle's telegram; None for a broken, foreign or outdated one."""
+        """Parse the reply to this cycle's telegram; None for a broken, foreign or outdated one."""
         reply = self._reader.read(data)
         if reply is not None and reply.ipoc == self.ipoc:
             return reply
-        self.rejected.note(data, self.ipoc)
+        self.rejected.record(data, self.ipoc)
         return None
 
     def finish(self, reply: Reply | None) -> None:
@@ -194,12 +169,12 @@ class RsiRun:
                 return
         else:
             self._late_in_a_row = 0
-            self._counting = self._heard_once = True
+            self._counting = True
             if reply.message:
                 self.notice = reply.message
         self._delays.append(self._delay())
-        values = self._outputs.take(reply.values if reply is not None else None)
-        if self._flow.stop_rises(values) and not self._stop_asked():
+        values = self._outputs.update(reply.values if reply is not None else None)
+        if self._flow.stop_rises(values) and not self._handle_stop():
             return
         acts = self.state is RsiState.MOVECORR
         if acts or (self._acts_early and not self._held):
@@ -208,21 +183,21 @@ class RsiRun:
             self._enter_movecorr()
 
     def hold(self) -> None:
-        """The program is stopped but not cancelled: it keeps streaming, corrections are ignored."""
+        """Keep streaming but ignore corrections: the program is stopped, not cancelled."""
         self._held = True
         self.state = RsiState.ON
 
     def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections to this distance from their present values; None removes the clamp."""
+        """Clamp the axis corrections this close to their present values; None removes the clamp."""
         self._flow.narrow(within_deg)
 
     @property
     def awaits_confirmation(self) -> bool:
-        """True until an operator confirms that corrections become active."""
+        """True while an operator must confirm that corrections become active."""
         return not self._confirmed and self._cycles >= self._parameters.movecorr_after_cycles
 
     def confirm(self) -> None:
-        """Corrections may become active."""
+        """Let corrections become active."""
         self._confirmed = True
 
     @property
@@ -256,8 +231,8 @@ class RsiRun:
             self._flow.command_deg = before
             self._end(message)
 
-    def _stop_asked(self) -> bool:
-        """Handle a rising edge at STOP; True if the run continues."""
+    def _handle_stop(self) -> bool:
+        """Handle a rising edge at STOP; returns True if the run continues."""
         if self._stop_mode == INFO_MESSAGE:
             self.notice = "STOP1: stop requested"
             return True

@@ -1,55 +1,235 @@
-"""The RSI signal flow: from the ETHERNET object's inputs, through the wiring, to a joint command."""
+"""The RSI signal flow: from the ETHERNET object through wiring and corrections to a joint command."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import degrees
 from typing import Literal
 
-from ronna_hw.wire.kuka_context import INTERNAL, RsiContext
-from sim.kuka.controller.messages import Message
-from sim.kuka.rsi.axis_correction import AxisCorrector
-from sim.kuka.rsi.position_correction import PositionCorrector
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.kuka_context import (
+    AXISCORR_DEFAULT_LIMIT_DEG,
+    AXISCORRMON_DEFAULT_MAX_DEG,
+    INTERNAL,
+    POSCORRMON_DEFAULT_MAX_ROTATION_DEG,
+    POSCORRMON_DEFAULT_MAX_TRANSLATION_MM,
+    SOFTWARE_END_SWITCHES,
+    AxisCorrection,
+    AxisMonitor,
+    PositionCorrection,
+    PositionMonitor,
+    RsiContext,
+)
+from sim.kuka.pendant import Message, near_singularity, out_of_range
+from sim.world.nominal_arm import AXES, RobotDescription, pose_of_frame
+from sim.world.rigid import rotation_from_vector
+
+Matrix = NDArray[np.float64]
+
+# Stat of AXISCORR: bit n for axis n at a limit; of POSCORR: bits 1 to 3 for X, Y, Z, bit 4 for the rotation.
+ACTIVE_BIT = 1
+ROTATION_BIT = 16
+TOOL_REFERENCE = "Tool"
 
 AXIS_INPUTS = ("A1", "A2", "A3", "A4", "A5", "A6")
 FRAME_INPUTS = ("X", "Y", "Z", "A", "B", "C")
 TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 
 
-class EthernetOutputs:
-    """Outputs of the ETHERNET object: the last values, kept or reset to zero according to HOLDON."""
+class AxisCorrector:
+    """AXISCORR and AXISCORRMON of one run: axis corrections, degrees from RSI_ON, clamped and monitored."""
 
-    def __init__(self, context: RsiContext, lacking: Literal["holdon", "kept", "zero"] = "holdon") -> None:
-        """`lacking` determines what happens to an element missing from a reply."""
+    def __init__(
+        self,
+        arm: RobotDescription,
+        base_deg: Sequence[float],
+        correction: AxisCorrection | None,
+        monitor: AxisMonitor | None,
+        *,
+        relative: bool,
+    ) -> None:
+        down = [joint.lower_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        up = [joint.upper_deg - base for joint, base in zip(arm.joints, base_deg, strict=True)]
+        widest = [max(abs(low), abs(high)) for low, high in zip(down, up, strict=True)]
+        self._lower_deg: Sequence[float] = (-AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        self._upper_deg: Sequence[float] = (AXISCORR_DEFAULT_LIMIT_DEG,) * AXES
+        if correction is not None:
+            explicit = correction.limits != SOFTWARE_END_SWITCHES
+            self._lower_deg = correction.lower_deg if explicit else down
+            self._upper_deg = correction.upper_deg if explicit else up
+        self._largest_deg: Sequence[float] = (AXISCORRMON_DEFAULT_MAX_DEG,) * AXES
+        if monitor is not None:
+            self._largest_deg = widest if monitor.limits == SOFTWARE_END_SWITCHES else monitor.max_deg
+        self._limits = (self._lower_deg, self._upper_deg)
+        self._within_deg: float | None = None
+        self._axes = [joint.name for joint in arm.joints]
+        self._relative = relative
+        self.totals_deg: list[float] = [0.0] * AXES
+        self.stat = 0
+
+    def narrow(self, within_deg: float | None) -> bool:
+        """Clamp this close to the present totals, None: by the context only; returns True if changed."""
+        if within_deg == self._within_deg:
+            return False
+        self._within_deg = within_deg
+        self._lower_deg, self._upper_deg = self._limits
+        if within_deg is not None:
+            self._lower_deg = [
+                max(low, total - within_deg)
+                for low, total in zip(self._lower_deg, self.totals_deg, strict=True)
+            ]
+            self._upper_deg = [
+                min(high, total + within_deg)
+                for high, total in zip(self._upper_deg, self.totals_deg, strict=True)
+            ]
+        return True
+
+    def apply(self, inputs_deg: Sequence[float]) -> Message | None:
+        """Add one cycle's inputs; returns the monitor's message if a total exceeds its limit."""
+        wanted = (
+            [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
+            if self._relative
+            else list(inputs_deg)
+        )
+        self.stat = ACTIVE_BIT
+        beyond = None
+        for axis, (value, lower, upper, largest) in enumerate(
+            zip(wanted, self._lower_deg, self._upper_deg, self._largest_deg, strict=True)
+        ):
+            clamped = value
+            if value < lower or value > upper:
+                clamped = wanted[axis] = lower if value < lower else upper
+                self.stat |= ACTIVE_BIT << (axis + 1)
+            if (clamped > largest or clamped < -largest) and beyond is None:
+                beyond = out_of_range("AXISCORRMON", self._axes[axis], clamped, largest)
+        self.totals_deg = wanted
+        return beyond
+
+
+class PositionCorrector:
+    """POSCORR and POSCORRMON of one run: corrections of the tool's pose, clamped and monitored.
+
+    `start` is the pose (4, 4) of the tool centre point at RSI_ON and `reference` the rotation (3, 3) of the
+    correction system, both in $ROBROOT. `inverse` finds joints (deg) for a pose, near given joints.
+    """
+
+    def __init__(
+        self,
+        start: Matrix,
+        reference: Matrix,
+        base_deg: Sequence[float],
+        inverse: Callable[[Matrix, Sequence[float]], list[float] | None],
+        correction: PositionCorrection | None,
+        monitor: PositionMonitor | None,
+        *,
+        relative: bool,
+    ) -> None:
+        self._limits = correction or PositionCorrection()
+        self._largest_mm = monitor.max_translation_mm if monitor else POSCORRMON_DEFAULT_MAX_TRANSLATION_MM
+        self._largest_deg = monitor.max_rotation_deg if monitor else POSCORRMON_DEFAULT_MAX_ROTATION_DEG
+        self._start = start
+        self._reference = start[:3, :3] if self._limits.reference == TOOL_REFERENCE else reference
+        self._inverse = inverse
+        self._relative = relative
+        self._shift_mm = np.zeros(3)
+        self._turn = np.eye(3)
+        self._base_deg = list(base_deg)
+        self.joints_deg: list[float] = self._base_deg
+        self.stat = 0
+
+    def apply(self, inputs: Sequence[float]) -> Message | None:
+        """Apply one cycle's X Y Z (mm) A B C (deg); returns the message of a stop, or None."""
+        step = pose_of_frame(inputs)
+        shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
+        turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
+        self._shift_mm = np.clip(shift_mm, self._limits.lower_mm, self._limits.upper_mm)
+        self._turn = self._limited(turn)
+        self.stat = ACTIVE_BIT
+        for number in range(3):
+            if self._shift_mm[number] != shift_mm[number]:
+                self.stat |= 2 << number
+        if self._turn is not turn:
+            self.stat |= ROTATION_BIT
+        distance_mm = float(np.linalg.norm(self._shift_mm))
+        if distance_mm > self._largest_mm:
+            return out_of_range("POSCORRMON", "translation", distance_mm, self._largest_mm)
+        angle_deg = degrees(_angle(self._turn))
+        if angle_deg > self._largest_deg:
+            return out_of_range("POSCORRMON", "rotation", angle_deg, self._largest_deg)
+        if distance_mm == 0.0 and angle_deg == 0.0:
+            self.joints_deg = self._base_deg  # exact, unlike the result of an iteration
+            return None
+        goal = self._start.copy()
+        goal[:3, 3] += self._reference @ self._shift_mm
+        goal[:3, :3] = self._reference @ self._turn @ self._reference.T @ goal[:3, :3]
+        joints = self._inverse(goal, self.joints_deg)
+        if joints is None:
+            return near_singularity()
+        self.joints_deg = joints
+        return None
+
+    def _limited(self, turn: Matrix) -> Matrix:
+        angle_deg = degrees(_angle(turn))
+        if angle_deg <= self._limits.max_rotation_deg:
+            return turn
+        vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        unit = vector / np.linalg.norm(vector)
+        return rotation_from_vector(unit * np.radians(self._limits.max_rotation_deg))
+
+
+def _angle(rotation: Matrix) -> float:
+    """Return the angle of a rotation matrix in rad, exact near zero as well."""
+    vector = np.array(
+        [
+            rotation[2, 1] - rotation[1, 2],
+            rotation[0, 2] - rotation[2, 0],
+            rotation[1, 0] - rotation[0, 1],
+        ]
+    )
+    return float(np.arctan2(np.linalg.norm(vector), np.trace(rotation) - 1.0))
+
+
+class EthernetOutputs:
+    """Outputs of the ETHERNET object: the last values, held or reset to zero by HOLDON."""
+
+    def __init__(
+        self, context: RsiContext, missing_element: Literal["holdon", "kept", "zero"] = "holdon"
+    ) -> None:
+        """`missing_element` is the treatment of an element that a reply lacks."""
         self._hold = [bool(element.holdon) for element in context.receive]
-        self._keep = self._hold if lacking == "holdon" else [lacking == "kept"] * len(self._hold)
+        self._keep = (
+            self._hold if missing_element == "holdon" else [missing_element == "kept"] * len(self._hold)
+        )
         self.values: list[float] = [0.0] * len(self._hold)
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
-    def take(self, values: Sequence[float | None] | None) -> list[float]:
+    def update(self, values: Sequence[float | None] | None) -> list[float]:
         """Apply a reply's values, or None for a cycle without a reply."""
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
-        taken, holds = (self._all_missing, self._hold) if values is None else (values, self._keep)
+        received, holds = (self._all_missing, self._hold) if values is None else (values, self._keep)
         self.values = [
             new if new is not None else (old if hold else 0.0)
-            for new, old, hold in zip(taken, self.values, holds, strict=True)
+            for new, old, hold in zip(received, self.values, holds, strict=True)
         ]
         return self.values
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """Positions in the list of received elements that feed an object; None if nothing does."""
+    """Positions, among the received elements, of the inputs of each object; None for an unwired one."""
 
     axes: tuple[int | None, ...] | None
     frame: tuple[int | None, ...] | None
     stop: int | None
 
 
-def inputs_of(context: RsiContext) -> Inputs:
-    """Resolve a context's wiring to positions."""
+def resolve_inputs(context: RsiContext) -> Inputs:
+    """Resolve a context's wiring to positions among the received elements."""
     position = {element.indx: n for n, element in enumerate(context.receive) if element.indx != INTERNAL}
     fed: dict[tuple[str, str], int] = {
         (wire.object, wire.input): position[wire.indx] for wire in context.wiring
@@ -63,31 +243,31 @@ def inputs_of(context: RsiContext) -> Inputs:
 
 
 class SignalFlow:
-    """One run's flow from outputs to the commanded joint angles (deg)."""
+    """Signal flow of one run, from the outputs of ETHERNET to the commanded joint angles (deg)."""
 
     def __init__(
         self,
         inputs: Inputs,
         base_deg: list[float],
-        axis: Callable[[], AxisCorrector],
-        position: Callable[[], PositionCorrector],
+        axis: AxisCorrector | None,
+        position: PositionCorrector | None,
         *,
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """`share` is the part of a correction that takes effect: less than all if the override scales it."""
+        """`share` of a correction takes effect; below 1 if the override scales it."""
         self._inputs = inputs
         self._relative = relative
         self._share = share
-        self._axis = axis() if inputs.axes else None
-        self._position = position() if inputs.frame else None
+        self._axis = axis
+        self._position = position
         self._last: list[float] | None = None
         self._stop_before = False
         self.command_deg: list[float] = base_deg  # the drives' own list: an arm at rest stays at rest
         self._base_deg = self.command_deg
 
     def stop_rises(self, values: list[float]) -> bool:
-        """True in the cycle in which STOP's input becomes true."""
+        """Return True in the cycle in which STOP's input becomes true."""
         place = self._inputs.stop
         if place is None:
             return False
@@ -97,7 +277,7 @@ class SignalFlow:
         return rises
 
     def correct(self, values: list[float]) -> Message | None:
-        """One cycle in RSI_MOVECORR; `command_deg` stays the same object if nothing changes."""
+        """Correct for one cycle; `command_deg` stays the same object if nothing changes."""
         if values == self._last and not self._relative:
             return None
         self._last = values
@@ -106,7 +286,7 @@ class SignalFlow:
             given = self._pick(values, self._inputs.frame)
             if any(given) or not self._relative:
                 changed = True
-                message = self._position.take(given)
+                message = self._position.apply(given)
                 if message is not None:
                     return message
             joints_deg = self._position.joints_deg
@@ -114,7 +294,7 @@ class SignalFlow:
             given = self._pick(values, self._inputs.axes)
             if any(given) or not self._relative:
                 changed = True
-                message = self._axis.take(given)
+                message = self._axis.apply(given)
                 if message is not None:
                     return message
             joints_deg = [a + b for a, b in zip(joints_deg, self._axis.totals_deg, strict=True)]
@@ -123,13 +303,13 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """As for `AxisCorrector`, if there is one; the present values are judged again."""
+        """Clamp the axis corrections this close to their present values; None removes the clamp."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 
     @property
     def stats(self) -> tuple[int, int]:
-        """Stat of AXISCORR and of POSCORR."""
+        """Stat outputs of AXISCORR and POSCORR."""
         return (
             self._axis.stat if self._axis is not None else 0,
             self._position.stat if self._position is not None else 0,

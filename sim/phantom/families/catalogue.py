@@ -8,15 +8,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from math import cos, pi, sin
 
+import numpy as np
+
+from sim.phantom.head.anatomy import Marker, shifted
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
+from sim.phantom.head.painting import Band
 from sim.world.scene.model import CtProtocol
 
 Range = tuple[float, float]
 
+PAIR_DISTANCE_MM = 14.0
+
+PROTOCOLS: dict[str, CtProtocol] = {
+    "good": CtProtocol(),
+    "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
+    "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
+}
+
+PASSING_MM = 40.0  # half the length of a band that passes a sphere
+RAY_MM = 25.0  # half the length of a band that starts at metal
+
 
 class Purpose(StrEnum):
-    """What a family may be used for."""
+    """Permitted use of a family."""
 
     TUNING = "tuning"
     JUDGING = "judging"
@@ -40,8 +56,25 @@ class PostStreaks:
 
 
 @dataclass(frozen=True)
+class MarkerBands:
+    """Bright or dark straight streaks: how many near each marker, and where.
+
+    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise they pass the
+    sphere.
+    """
+
+    count: tuple[int, int]
+    hu: Range
+    width_mm: Range
+    height_mm: Range
+    beside_mm: Range
+    below_mm: Range  # the sphere's centre
+    from_metal: bool = False
+
+
+@dataclass(frozen=True)
 class Family:
-    """What scans of one family contain. Values are drawn uniformly from the ranges, once per scan."""
+    """Contents of the scans of one family. Values are drawn uniformly from the ranges, once per scan."""
 
     name: str
     purpose: Purpose
@@ -64,28 +97,8 @@ class Family:
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # polymer balls and cylinders, this many of each
     look_alikes: tuple[Draw, ...] = ()  # objects that are not spheres, two of each kind
-    bare: bool = False  # spheres without film and post
+    bare: bool = False  # spheres have neither film nor post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
-
-
-@dataclass(frozen=True)
-class MarkerBands:
-    """Bright or dark straight streaks: how many near each marker, and their position.
-
-    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise
-    they pass the sphere.
-    """
-
-    count: tuple[int, int]
-    hu: Range
-    width_mm: Range
-    height_mm: Range
-    beside_mm: Range
-    below_mm: Range  # the sphere's centre
-    from_metal: bool = False
-
-
-PAIR_DISTANCE_MM = 14.0
 
 
 def _beside_objects(name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]) -> Family:
@@ -216,8 +229,36 @@ FAMILIES: dict[str, Family] = {
     )
 }
 
-PROTOCOLS: dict[str, CtProtocol] = {
-    "good": CtProtocol(),
-    "usual": CtProtocol(pixel_mm=0.6, slice_mm=1.25, columns=426, rows=426, slices=160, noise_HU=35.0),
-    "poor": CtProtocol(pixel_mm=0.7, slice_mm=2.0, columns=366, rows=366, slices=100, noise_HU=50.0),
-}
+
+def draw_bands(
+    kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
+) -> tuple[Band, ...]:
+    """Draw the bands of each marker; none if the family has none."""
+    if kind is None:
+        return ()
+    return tuple(
+        _band(kind, marker, generator)
+        for marker in markers
+        for _ in range(int(generator.integers(kind.count[0], kind.count[1] + 1)))
+    )
+
+
+def _band(kind: MarkerBands, marker: Marker, generator: np.random.Generator) -> Band:
+    angle = float(generator.uniform(0.0, 2.0 * pi))
+    sign = float(generator.choice((-1.0, 1.0)))
+    below = float(generator.uniform(*kind.below_mm))
+    beside = float(generator.uniform(*kind.beside_mm))
+    fiducial = marker.fiducial
+    if kind.from_metal:
+        middle = shifted(fiducial.centre_ct_mm, fiducial.post_ct, -below)
+        middle = shifted(middle, (cos(angle), sin(angle), 0.0), RAY_MM)
+    else:
+        middle = shifted(fiducial.centre_ct_mm, (0.0, 0.0, -1.0), below)
+    return Band(
+        shifted(middle, (-sin(angle), cos(angle), 0.0), beside),
+        sign * float(generator.uniform(*kind.hu)),
+        angle,
+        float(generator.uniform(*kind.width_mm)),
+        float(generator.uniform(*kind.height_mm)),
+        RAY_MM if kind.from_metal else PASSING_MM,
+    )

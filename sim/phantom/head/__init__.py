@@ -1,1 +1,1 @@
-"""What is scanned: the head in layers, its anatomy, the markers and what lies around them."""
+"""The head to scan: its layers, anatomy and markers, and the objects around it."""

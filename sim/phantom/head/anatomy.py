@@ -1,18 +1,36 @@
-"""Anatomy beyond the layers, and objects: ventricles, sinuses, teeth, fillings, headrest, cable, markers."""
+"""The head: its layers by depth below the skin, the anatomy beyond them, headrest, cable and markers."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, radians, sin
+from math import cos, radians, sin, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim.errors import BadScene
-from sim.phantom.head.layers import AIR_HU, SCALP_MM
-from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
-from sim.phantom.head.streaks import Band, Streak
+from sim.phantom.head.painting import Band, Streak
+from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough, Values, ellipsoid_depth
 from sim.world.noise import noise
 from sim.world.scene.model import Fiducial, Head, Scene
+
+AIR_HU = -1000.0
+# thickness in mm and HU, from the skin inwards; the last one fills the rest
+LAYERS = (
+    (1.6, 35.0),  # skin
+    (2.6, -80.0),  # fat
+    (1.5, 50.0),  # galea and muscle
+    (1.8, 1450.0),  # outer table of the skull
+    (3.2, 650.0),  # diploe
+    (1.8, 1450.0),  # inner table
+    (2.0, 10.0),  # cerebrospinal fluid
+    (4.5, 38.0),  # grey matter
+    (0.0, 29.0),  # white matter
+)
+SCALP_MM = sum(thickness for thickness, _ in LAYERS[:3])
+STEP_MM = 0.05
+OUTSIDE_MM = 4.0
+BLUR_MARGIN = 4.0  # of the blur's sigma
 
 CSF_HU = 8.0
 ENAMEL_HU = 2100.0
@@ -57,6 +75,45 @@ FLANGE_MM = 1.5
 SCREW_IN_BONE_MM = 5.0
 
 
+class HeadLayers:
+    """Intensity of the head's layers by depth, with edges blurred by `blur_mm` (standard deviation)."""
+
+    def __init__(self, centre: Point, semi_axes: Point, blur_mm: float) -> None:
+        self.centre = centre
+        self.semi_axes = semi_axes
+        inside_mm = sum(thickness for thickness, _ in LAYERS) + OUTSIDE_MM
+        depths = np.arange(-OUTSIDE_MM, inside_mm, STEP_MM)
+        table = np.full(len(depths), AIR_HU)
+        top = 0.0
+        for thickness, hu in LAYERS:
+            table[depths >= top] = hu
+            top += thickness
+        self._table = _blurred_table(table, blur_mm / STEP_MM).astype(np.float32)
+
+    def at(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the HU at these points; air outside the head."""
+        depth = ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
+        place = (depth + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
+        last = np.float32(len(self._table) - 1)
+        hu: Values = self._table[np.clip(place, np.float32(0.0), last).astype(np.int32)]
+        return hu
+
+    def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
+        """Return half extents in x and y of the head's section at `z_mm`, with a margin; None without one."""
+        a, b, c = (axis + margin_mm for axis in self.semi_axes)
+        squared = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
+        return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
+
+
+def _blurred_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    if sigma <= 0.0:
+        return table
+    margin = int(np.ceil(BLUR_MARGIN * sigma))
+    kernel = np.exp(-0.5 * (np.arange(-margin, margin + 1) / sigma) ** 2)
+    padded = np.pad(table, margin, mode="edge")
+    return np.convolve(padded, kernel / kernel.sum(), mode="valid")
+
+
 @dataclass(frozen=True)
 class Marker:
     """A sphere on its post, as painted; `post` is the material."""
@@ -77,11 +134,11 @@ class Anatomy:
     fillings: tuple[Ball, ...]
     streaks: tuple[Streak, ...] = ()  # from metal other than fillings
     bands: tuple[Band, ...] = ()
-    deceiving: tuple[Point, ...] = ()  # where bodies that are not markers are painted as precisely as markers
+    deceiving: tuple[Point, ...] = ()  # places of look-alikes, painted as precisely as markers
 
     @property
     def places(self) -> tuple[Point, ...]:
-        """Where the scan is painted finely: the markers, then potential look-alikes."""
+        """Places to paint finely: the markers, then the look-alikes."""
         return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
@@ -95,7 +152,7 @@ class Anatomy:
 
 
 def draw_anatomy(scene: Scene) -> Anatomy:
-    """The anatomy of a scene; its seed draws the details. Raises SIM-001 for a post that is off the head."""
+    """Draw the anatomy of a scene from its seed. Raises SIM-001 for a post that is off the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
     teeth, fillings = jaw_teeth(head, generator)
@@ -137,7 +194,7 @@ def marker_on_foot(
 
 
 def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
-    """From the sphere's centre along its post to the skin, mm."""
+    """Return the distance in mm from the sphere's centre along its post to the skin."""
     axes = np.array(head.semi_axes_mm)
     start = (np.array(fiducial.centre_ct_mm) - head.centre_ct_mm) / axes
     along = -np.array(fiducial.post_ct) / axes
@@ -171,7 +228,7 @@ def side_cable(head: Head) -> tuple[Shape, ...]:
 
 def ventricles(head: Head) -> tuple[Shape, ...]:
     return tuple(
-        Ellipsoid(CSF_HU, placed(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
+        Ellipsoid(CSF_HU, at_share(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
     )
 
 
@@ -180,14 +237,14 @@ def sinuses(head: Head) -> tuple[Shape, ...]:
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
-    return tuple(Ellipsoid(AIR_HU, placed(head, place), size) for place, size in places)
+    return tuple(Ellipsoid(AIR_HU, at_share(head, place), size) for place, size in places)
 
 
 def jaw_teeth(
     head: Head, generator: np.random.Generator, count: int = FILLINGS
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
     """An arch of teeth in a jaw; some of them have metal fillings."""
-    middle = placed(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    middle = at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
     crowns = [
@@ -206,8 +263,8 @@ def jaw_teeth(
     return (*jaw, *teeth), fillings
 
 
-def placed(head: Head, relative: Point) -> Point:
-    """A point given in the head's semi-axes from its centre."""
+def at_share(head: Head, relative: Point) -> Point:
+    """Return a point given in semi-axes of the head from its centre."""
     x, y, z = (
         centre + axis * part
         for centre, axis, part in zip(head.centre_ct_mm, head.semi_axes_mm, relative, strict=True)

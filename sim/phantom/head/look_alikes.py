@@ -1,7 +1,7 @@
 """Objects of the markers' polymer and about their size that are not whole spheres.
 
-Each function draws one object around a centre next to the head, or on the skin, and returns the points at
-which a localizer may mistake it for a sphere: these are painted as precisely as markers.
+Each function draws one object next to the head or on the skin, with the points at which a localizer may
+mistake it for a sphere: these are painted as precisely as markers.
 """
 
 from __future__ import annotations
@@ -12,10 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.anatomy import METAL_HU
-from sim.phantom.head.layers import AIR_HU
-from sim.phantom.head.round_shapes import Barrel, Capsule, Dome, Egg, Ring
-from sim.phantom.head.shapes import Ball, Point, Rod, Shape
+from sim.phantom.head.anatomy import AIR_HU, METAL_HU
+from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Point, Ring, Rod, Shape, rounded_point
 
 Vector = NDArray[np.float64]
 
@@ -28,7 +26,7 @@ STEEPEST = 0.5  # slope of a body's own direction towards the skin, so that it d
 
 @dataclass(frozen=True)
 class LookAlike:
-    """Its name, its bodies in painting order, and where it might deceive."""
+    """Kind of the object, its bodies in painting order, and the points that may deceive a localizer."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -37,7 +35,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Where an object goes: a point on the skin, the outward normal there, and the generator for the rest."""
+    """Place of an object: a point on the skin, the outward normal there, and the generator for the rest."""
 
     skin: Vector
     normal: Vector
@@ -50,20 +48,20 @@ class Seat:
         return self.between(*POLYMER_HU)
 
     def middle(self) -> Vector:
-        """A point next to the head."""
+        """Draw a point next to the head."""
         return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
 
     def along(self) -> Vector:
-        """A direction that does not lead into the head."""
+        """Draw a direction that does not lead into the head."""
         along = self.random.standard_normal(3)
         along -= (along @ self.normal) * self.normal
         along = along / np.linalg.norm(along) + self.between(-STEEPEST, STEEPEST) * self.normal
         return np.asarray(along / np.linalg.norm(along))
 
     def axes(self) -> tuple[Point, Point, Point]:
-        """Three random perpendicular directions."""
+        """Draw three perpendicular directions."""
         turned, _ = np.linalg.qr(self.random.standard_normal((3, 3)))
-        first, second, third = (_point(row) for row in turned)
+        first, second, third = (rounded_point(row) for row in turned)
         return first, second, third
 
 
@@ -71,24 +69,30 @@ Draw = Callable[[Seat], LookAlike]
 
 
 def capsule(seat: Seat) -> LookAlike:
-    """Round at both ends, 2 to 24 mm longer than wide."""
+    """A rod round at both ends, 2 to 24 mm longer than wide."""
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
-    body = Capsule(seat.polymer(), _point(middle - half), _point(middle + half), seat.between(5.5, 6.0))
-    return LookAlike("capsule", (body,), (_point(middle - half), _point(middle), _point(middle + half)))
+    body = Capsule(
+        seat.polymer(), rounded_point(middle - half), rounded_point(middle + half), seat.between(5.5, 6.0)
+    )
+    return LookAlike(
+        "capsule",
+        (body,),
+        (rounded_point(middle - half), rounded_point(middle), rounded_point(middle + half)),
+    )
 
 
 def round_ended_rod(seat: Seat) -> LookAlike:
-    """One end round, the other flat."""
+    """A rod with one end round, the other flat."""
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
-    rod = Rod(hu, _point(end), _point(along), seat.between(12.0, 30.0), radius)
-    return LookAlike("round-ended rod", (Ball(hu, _point(end), radius), rod), (_point(end),))
+    rod = Rod(hu, rounded_point(end), rounded_point(along), seat.between(12.0, 30.0), radius)
+    return LookAlike("round-ended rod", (Ball(hu, rounded_point(end), radius), rod), (rounded_point(end),))
 
 
 def egg(seat: Seat) -> LookAlike:
     """An ellipsoid a quarter to a seventh longer than wide."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     longer = seat.between(0.07, 0.2)
     semi_axes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
     return LookAlike("egg", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
@@ -99,17 +103,19 @@ def beads(seat: Seat) -> LookAlike:
     count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
     first, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius = seat.between(5.6, 5.9)
-    places = [_point(first + along * spacing * (k - 0.5 * (count - 1))) for k in range(count)]
-    string = Rod(hu, places[0], _point(along), spacing * (count - 1), seat.between(0.5, 1.0))
+    places = [rounded_point(first + along * spacing * (k - 0.5 * (count - 1))) for k in range(count)]
+    string = Rod(hu, places[0], rounded_point(along), spacing * (count - 1), seat.between(0.5, 1.0))
     return LookAlike("beads", (string, *(Ball(hu, place, radius) for place in places)), tuple(places))
 
 
 def knob(seat: Seat) -> LookAlike:
     """A ball at the end of a rod that is much thicker than a post."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
-    rod = Rod(hu, _point(middle), _point(along), seat.between(16.0, 26.0), seat.between(3.6, 5.0))
-    ball = Ball(hu, _point(middle), seat.between(5.6, 5.9))
-    return LookAlike("knob", (rod, ball), (_point(middle),))
+    rod = Rod(
+        hu, rounded_point(middle), rounded_point(along), seat.between(16.0, 26.0), seat.between(3.6, 5.0)
+    )
+    ball = Ball(hu, rounded_point(middle), seat.between(5.6, 5.9))
+    return LookAlike("knob", (rod, ball), (rounded_point(middle),))
 
 
 def elbow(seat: Seat) -> LookAlike:
@@ -117,10 +123,10 @@ def elbow(seat: Seat) -> LookAlike:
     joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
     one, other = seat.along(), seat.along()
     arms = tuple(
-        Capsule(hu, _point(joint), _point(joint + way * seat.between(8.0, 22.0)), radius)
+        Capsule(hu, rounded_point(joint), rounded_point(joint + way * seat.between(8.0, 22.0)), radius)
         for way in (one, other)
     )
-    return LookAlike("elbow", arms, (_point(joint), *(arm.end for arm in arms)))
+    return LookAlike("elbow", arms, (rounded_point(joint), *(arm.end for arm in arms)))
 
 
 def thumb(seat: Seat) -> LookAlike:
@@ -128,41 +134,51 @@ def thumb(seat: Seat) -> LookAlike:
     end, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
     balls = [
-        Ball(hu, _point(end + along * step), radius + opening * step) for step in np.arange(0.0, 16.0, 1.0)
+        Ball(hu, rounded_point(end + along * step), radius + opening * step)
+        for step in np.arange(0.0, 16.0, 1.0)
     ]
-    return LookAlike("thumb", tuple(balls), (_point(end),))
+    return LookAlike("thumb", tuple(balls), (rounded_point(end),))
 
 
 def dome(seat: Seat) -> LookAlike:
     """Half a ball on the skin, a little more or less."""
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
-    ball = Dome(seat.polymer(), _point(centre), _point(seat.normal), radius, -seat.between(0.0, 2.0))
-    return LookAlike("dome", (ball,), (_point(centre),))
+    ball = Dome(
+        seat.polymer(), rounded_point(centre), rounded_point(seat.normal), radius, -seat.between(0.0, 2.0)
+    )
+    return LookAlike("dome", (ball,), (rounded_point(centre),))
 
 
 def mushroom(seat: Seat) -> LookAlike:
     """A cap on a stem: two thirds to nine tenths of a ball's height, flat below."""
     middle, hu = seat.middle(), seat.polymer()
     inward = -seat.normal
-    cap = Dome(hu, _point(middle), _point(seat.normal), RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
-    stem = Rod(METAL_HU, _point(middle + 2.5 * inward), _point(inward), 24.0, 1.5)
-    return LookAlike("mushroom", (cap, stem), (_point(middle),))
+    cap = Dome(
+        hu, rounded_point(middle), rounded_point(seat.normal), RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75)
+    )
+    stem = Rod(METAL_HU, rounded_point(middle + 2.5 * inward), rounded_point(inward), 24.0, 1.5)
+    return LookAlike("mushroom", (cap, stem), (rounded_point(middle),))
 
 
 def barrel(seat: Seat) -> LookAlike:
     """A cylinder as high as wide, with rounded edges."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     radius = seat.between(5.2, 5.9)
     body = Barrel(
-        seat.polymer(), middle, _point(seat.along()), seat.between(10.5, 12.5), radius, seat.between(2.0, 4.2)
+        seat.polymer(),
+        middle,
+        rounded_point(seat.along()),
+        seat.between(10.5, 12.5),
+        radius,
+        seat.between(2.0, 4.2),
     )
     return LookAlike("barrel", (body,), (middle,))
 
 
 def button(seat: Seat) -> LookAlike:
     """A lens: an ellipsoid flattened by a fifth to a half."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     width = seat.between(5.75, 6.6)
     semi_axes = (width, width, width * seat.between(0.5, 0.8))
     return LookAlike("button", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
@@ -170,14 +186,14 @@ def button(seat: Seat) -> LookAlike:
 
 def hollow_ball(seat: Seat) -> LookAlike:
     """A ball of a marker's size with air inside."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     core = Ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
     return LookAlike("hollow ball", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
 
 
 def other_ball(seat: Seat) -> LookAlike:
     """A whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
     return LookAlike("other ball", (Ball(seat.polymer(), middle, radius),), (middle,))
@@ -185,7 +201,7 @@ def other_ball(seat: Seat) -> LookAlike:
 
 def near_ball(seat: Seat) -> LookAlike:
     """A whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     return LookAlike("near ball", (Ball(seat.polymer(), middle, seat.between(5.3, 5.6)),), (middle,))
 
 
@@ -196,15 +212,17 @@ def gel(seat: Seat) -> LookAlike:
     for _ in range(int(seat.random.integers(2, 5))):
         way = seat.random.standard_normal(3)
         place = middle + way / np.linalg.norm(way) * seat.between(1.5, 5.0)
-        bubbles.append(Ball(AIR_HU, _point(place), seat.between(1.5, 3.0)))
+        bubbles.append(Ball(AIR_HU, rounded_point(place), seat.between(1.5, 3.0)))
     return LookAlike(
-        "gel with bubbles", (Ball(hu, _point(middle), seat.between(5.6, 6.6)), *bubbles), (_point(middle),)
+        "gel with bubbles",
+        (Ball(hu, rounded_point(middle), seat.between(5.6, 6.6)), *bubbles),
+        (rounded_point(middle),),
     )
 
 
 def ring(seat: Seat) -> LookAlike:
     """A thick ring."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     tube = seat.between(2.4, 3.2)
     body = Ring(seat.polymer(), middle, seat.axes()[0], seat.between(2.6, 3.4), tube)
     return LookAlike("ring", (body,), (middle,))
@@ -213,7 +231,7 @@ def ring(seat: Seat) -> LookAlike:
 def acrylic_teeth(seat: Seat) -> LookAlike:
     """Three artificial teeth in a row."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
-    places = [_point(middle + along * 9.0 * k) for k in (-1, 0, 1)]
+    places = [rounded_point(middle + along * 9.0 * k) for k in (-1, 0, 1)]
     bodies = tuple(
         Egg(hu, place, (seat.between(4.6, 5.4), seat.between(5.0, 5.8), seat.between(5.6, 7.0)), seat.axes())
         for place in places
@@ -223,7 +241,7 @@ def acrylic_teeth(seat: Seat) -> LookAlike:
 
 def pearl(seat: Seat) -> LookAlike:
     """A ball of polymer around a metal core."""
-    middle = _point(seat.middle())
+    middle = rounded_point(seat.middle())
     core = Ball(METAL_HU, middle, seat.between(1.0, 2.2))
     return LookAlike("pearl", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
 
@@ -231,9 +249,13 @@ def pearl(seat: Seat) -> LookAlike:
 def threaded_ball(seat: Seat) -> LookAlike:
     """A ball with a pin all the way through it."""
     middle, along = seat.middle(), seat.along()
-    pin = Rod(METAL_HU, _point(middle - 12.0 * along), _point(along), 24.0, seat.between(0.8, 1.6))
+    pin = Rod(
+        METAL_HU, rounded_point(middle - 12.0 * along), rounded_point(along), 24.0, seat.between(0.8, 1.6)
+    )
     return LookAlike(
-        "threaded ball", (Ball(seat.polymer(), _point(middle), RADIUS_MM), pin), (_point(middle),)
+        "threaded ball",
+        (Ball(seat.polymer(), rounded_point(middle), RADIUS_MM), pin),
+        (rounded_point(middle),),
     )
 
 
@@ -242,11 +264,15 @@ def plated_dome(seat: Seat) -> LookAlike:
     middle, hu = seat.middle(), seat.polymer()
     inward = -seat.normal
     below = seat.between(0.0, 3.5)
-    cap = Dome(hu, _point(middle), _point(seat.normal), RADIUS_MM, -below)
+    cap = Dome(hu, rounded_point(middle), rounded_point(seat.normal), RADIUS_MM, -below)
     plate = Rod(
-        hu, _point(middle + below * inward), _point(inward), seat.between(1.5, 3.0), seat.between(6.5, 10.0)
+        hu,
+        rounded_point(middle + below * inward),
+        rounded_point(inward),
+        seat.between(1.5, 3.0),
+        seat.between(6.5, 10.0),
     )
-    return LookAlike("plated dome", (cap, plate), (_point(middle),))
+    return LookAlike("plated dome", (cap, plate), (rounded_point(middle),))
 
 
 def peanut(seat: Seat) -> LookAlike:
@@ -254,19 +280,19 @@ def peanut(seat: Seat) -> LookAlike:
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
     balls = (
-        Ball(hu, _point(middle), seat.between(5.5, 5.9)),
-        Ball(hu, _point(middle + apart), seat.between(4.5, 5.9)),
+        Ball(hu, rounded_point(middle), seat.between(5.5, 5.9)),
+        Ball(hu, rounded_point(middle + apart), seat.between(4.5, 5.9)),
     )
-    return LookAlike("peanut", balls, (_point(middle), _point(middle + 0.5 * apart)))
+    return LookAlike("peanut", balls, (rounded_point(middle), rounded_point(middle + 0.5 * apart)))
 
 
 def cup_electrode(seat: Seat) -> LookAlike:
     """A dome of polymer over a metal disc on the skin."""
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
-    cap = Dome(seat.polymer(), _point(centre), _point(seat.normal), seat.between(5.6, 6.0), 0.0)
-    start = _point(centre - 1.5 * seat.normal)
-    disc = Rod(METAL_HU, start, _point(seat.normal), 1.5, seat.between(3.0, 5.0))
-    return LookAlike("cup electrode", (disc, cap), (_point(centre),))
+    cap = Dome(seat.polymer(), rounded_point(centre), rounded_point(seat.normal), seat.between(5.6, 6.0), 0.0)
+    start = rounded_point(centre - 1.5 * seat.normal)
+    disc = Rod(METAL_HU, start, rounded_point(seat.normal), 1.5, seat.between(3.0, 5.0))
+    return LookAlike("cup electrode", (disc, cap), (rounded_point(centre),))
 
 
 ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)
@@ -277,8 +303,3 @@ CAPS: tuple[Draw, ...] = (dome, mushroom, barrel, button)
 HOLLOW: tuple[Draw, ...] = (hollow_ball, other_ball, gel, ring)
 PLATES: tuple[Draw, ...] = (plated_dome, peanut, cup_electrode)
 FITTINGS: tuple[Draw, ...] = (acrylic_teeth, pearl, threaded_ball)
-
-
-def _point(vector: Vector) -> Point:
-    x, y, z = (round(float(value), 6) for value in vector)
-    return x, y, z

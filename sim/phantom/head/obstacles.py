@@ -1,17 +1,38 @@
-"""Objects around the head in the families: cushion, clamp, electrodes, bolts, bandage, distractors."""
+"""Objects on and around the head: cushion, clamp, electrodes, bolts, bandage, distractors, x-shaped frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import pi
+from math import pi, radians
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.anatomy import FOAM_HU, METAL_HU, SHELL_HU, shifted
-from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab
-from sim.phantom.head.streaks import Streak
-from sim.world.scene.model import Head
+from ronna_hw.x_frame import (
+    BAR_BELOW_MM,
+    BAR_RADIUS_MM,
+    BARS,
+    CLOSE_SPHERE_CENTRES_MM,
+    FOOT_RADIUS_MM,
+    SPHERE_CENTRES_MM,
+    STANDOFF_MM,
+)
+from sim.errors import BadScene
+from sim.phantom.head.anatomy import (
+    FLANGE_MM,
+    FOAM_HU,
+    METAL_HU,
+    SHELL_HU,
+    Marker,
+    marker_on_foot,
+    marker_on_post,
+    shifted,
+)
+from sim.phantom.head.painting import Streak
+from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab, as_point
+from sim.world.rigid import rotation_towards
+from sim.world.scene.head import CAP_AXIS_CT
+from sim.world.scene.model import Fiducial, Head
 
 Vector = NDArray[np.float64]
 
@@ -28,10 +49,19 @@ CUP_RADIUS_MM, CUP_MM, CUP_HU = 5.0, 2.0, 3500.0
 LEAD_RADIUS_MM, LEAD_MM = 0.6, 60.0
 BOLT_RADIUS_MM, BOLT_MM, BOLT_IN_SKULL_MM = 1.4, 30.0, 10.0
 
-DISTRACTOR_HU = (100.0, 150.0)  # that of the markers
+DISTRACTOR_HU = (100.0, 150.0)  # polymer, like the markers
 DISTRACTOR_BALL_MM, DISTRACTOR_CYLINDER_MM = 16.0, 12.0  # diameters
 CYLINDER_LENGTH_MM = (24.0, 40.0)
 DISTRACTOR_STANDOFF_MM = (22.0, 32.0)
+
+FREE, XFRAME, XFRAME_CLOSE = "free", "xframe", "xframe-close"
+FRAMES = {XFRAME: SPHERE_CENTRES_MM, XFRAME_CLOSE: CLOSE_SPHERE_CENTRES_MM}
+SPHERES = 4
+
+TILT_RAD = radians(20.0)  # largest tilt of the foot from the middle of the cap
+BAR_HU = (260.0, 2500.0)  # plastic or aluminium
+FOOT_HU, FOOT_IN_SKULL_MM = 3500.0, 10.0
+ATTEMPTS = 200
 
 
 @dataclass(frozen=True)
@@ -46,7 +76,7 @@ class Obstacles:
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
-    """Point on the skin in a direction from the head's centre, CT frame, and the outward normal there."""
+    """Return the skin point in a direction from the head's centre, CT frame, and the outward normal there."""
     axes = np.array(head.semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2
@@ -73,8 +103,8 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
     for azimuth in PIN_AZIMUTHS_RAD[:count]:
         turn = azimuth + generator.uniform(-0.2, 0.2)
         skin, normal = skin_point(head, np.array([np.cos(turn), np.sin(turn), -PIN_HEIGHT]))
-        outward = _three(normal)
-        tip = shifted(_three(skin), outward, -PIN_IN_SKULL_MM)
+        outward = as_point(normal)
+        tip = shifted(as_point(skin), outward, -PIN_IN_SKULL_MM)
         shapes.append(Rod(METAL_HU, tip, outward, PIN_MM, PIN_RADIUS_MM))
         holder = shifted(tip, outward, PIN_MM)
         shapes.append(Rod(HOLDER_HU, holder, outward, HOLDER_MM, HOLDER_RADIUS_MM))
@@ -89,14 +119,14 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
 def electrode(head: Head, direction: Vector) -> Obstacles:
     """A metal cup on the skin with its lead, which runs towards the feet."""
     skin, normal = skin_point(head, direction)
-    outward = _three(normal)
+    outward = as_point(normal)
     downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
     downwards /= np.linalg.norm(downwards)
-    start = shifted(_three(skin), outward, CUP_MM)
+    start = shifted(as_point(skin), outward, CUP_MM)
     return Obstacles(
         (
-            Rod(CUP_HU, _three(skin), outward, CUP_MM, CUP_RADIUS_MM),
-            Rod(METAL_HU, start, _three(downwards), LEAD_MM, LEAD_RADIUS_MM),
+            Rod(CUP_HU, as_point(skin), outward, CUP_MM, CUP_RADIUS_MM),
+            Rod(METAL_HU, start, as_point(downwards), LEAD_MM, LEAD_RADIUS_MM),
         )
     )
 
@@ -104,8 +134,8 @@ def electrode(head: Head, direction: Vector) -> Obstacles:
 def bolt(head: Head, direction: Vector) -> Obstacles:
     """The bolt of a depth electrode."""
     skin, normal = skin_point(head, direction)
-    outward = _three(normal)
-    start = shifted(_three(skin), outward, -BOLT_IN_SKULL_MM)
+    outward = as_point(normal)
+    start = shifted(as_point(skin), outward, -BOLT_IN_SKULL_MM)
     return Obstacles((Rod(CUP_HU, start, outward, BOLT_IN_SKULL_MM + BOLT_MM, BOLT_RADIUS_MM),))
 
 
@@ -119,7 +149,7 @@ def distractor(
 ) -> tuple[Shape, Point]:
     """A ball or a cylinder of polymer next to the head, and its centre."""
     skin, normal = skin_point(head, direction)
-    middle = _three(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
+    middle = as_point(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
     hu = float(generator.uniform(*DISTRACTOR_HU))
     if not cylinder:
         return Ball(hu, middle, DISTRACTOR_BALL_MM / 2), middle
@@ -129,10 +159,52 @@ def distractor(
     along = along / np.linalg.norm(along) + generator.uniform(-0.5, 0.5) * normal
     along /= np.linalg.norm(along)
     length = float(generator.uniform(*CYLINDER_LENGTH_MM))
-    start = shifted(middle, _three(along), -length / 2)
-    return Rod(hu, start, _three(along), length, DISTRACTOR_CYLINDER_MM / 2), middle
+    start = shifted(middle, as_point(along), -length / 2)
+    return Rod(hu, start, as_point(along), length, DISTRACTOR_CYLINDER_MM / 2), middle
 
 
-def _three(vector: Vector) -> Point:
-    x, y, z = (float(value) for value in vector)
-    return x, y, z
+def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> tuple[Fiducial, ...]:
+    """Place the frame's spheres; raises SIM-001 if the frame is not clear of the head."""
+    in_frame = np.array(FRAMES[frame])
+    axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
+    for _ in range(ATTEMPTS):
+        direction = axis + np.tan(TILT_RAD) * generator.uniform(-1.0, 1.0, 3)
+        skin, normal = skin_point(head, direction)
+        turn = generator.uniform(0.0, 2.0 * pi)
+        hint = np.array([np.cos(turn), np.sin(turn), np.sin(turn)])
+        rotation = rotation_towards(normal, hint)
+        centres = in_frame @ rotation.T + skin + STANDOFF_MM * normal
+        if all(_is_outside(head, centre) for centre in centres):
+            return tuple(
+                Fiducial(number=k + 1, centre_ct_mm=as_point(centre), post_ct=as_point(normal))
+                for k, centre in enumerate(centres)
+            )
+    raise BadScene("the x-shaped frame is not clear of the head")
+
+
+def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
+    """Put the frame's spheres on short posts that end in the bars, any others on screws of their own."""
+    flange_mm = BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM
+    on_frame = [marker_on_foot(one, flange_mm, BAR_BELOW_MM, generator) for one in head.fiducials[:SPHERES]]
+    return (*on_frame, *(marker_on_post(one, head, generator) for one in head.fiducials[SPHERES:]))
+
+
+def frame_shapes(head: Head, frame: str, generator: np.random.Generator) -> tuple[Shape, ...]:
+    """Return the two crossed bars and the foot of the frame."""
+    first_x, third_x = FRAMES[frame][0][0], FRAMES[frame][2][0]
+    hu = float(generator.choice(BAR_HU))
+    down = as_point(-np.array(head.fiducials[0].post_ct))
+    ends = [np.array(shifted(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials[:SPHERES]]
+    bars: list[Shape] = []
+    for first, second in BARS:
+        length = float(np.linalg.norm(ends[second] - ends[first]))
+        along = as_point((ends[second] - ends[first]) / length)
+        bars.append(Rod(hu, as_point(ends[first]), along, length, BAR_RADIUS_MM))
+    crossing = ends[0] + first_x / (first_x - third_x) * (ends[2] - ends[0])
+    depth = STANDOFF_MM - BAR_BELOW_MM + FOOT_IN_SKULL_MM
+    return (*bars, Rod(FOOT_HU, as_point(crossing), down, depth, FOOT_RADIUS_MM))
+
+
+def _is_outside(head: Head, centre: Vector) -> bool:
+    axes = np.array(head.semi_axes_mm) + BAR_BELOW_MM + BAR_RADIUS_MM
+    return bool(np.linalg.norm((centre - head.centre_ct_mm) / axes) > 1.0)

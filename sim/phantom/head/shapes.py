@@ -1,6 +1,6 @@
 """Solid bodies by their signed depth: millimetres below the surface, negative outside.
 
-Depth is exact for balls, rods and arcs, and first-order near the surface of ellipsoids. Coordinates are CT
+Depth is exact except for ellipsoids and cables, where it is first-order near the surface. Coordinates are CT
 LPS mm; x, y and z may be any arrays that broadcast together.
 """
 
@@ -23,15 +23,15 @@ class Shape(Protocol):
 
     @property
     def hu(self) -> float:
-        """Its intensity."""
+        """Intensity."""
         ...
 
     def bounds(self) -> Bounds:
-        """A bounding box."""
+        """Return a bounding box."""
         ...
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        """Signed depth in mm."""
+        """Return the signed depth in mm."""
         ...
 
 
@@ -47,7 +47,7 @@ class Ball:
         return _around(self.centre, (self.radius,) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, cz = _single(self.centre)
+        cx, cy, cz = _as_float32(self.centre)
         distance: Values = np.sqrt((x - cx) ** 2 + (y - cy) ** 2 + (z - cz) ** 2)
         return np.float32(self.radius) - distance
 
@@ -103,8 +103,8 @@ class Rod:
         return (low[0], low[1], low[2]), (high[0], high[1], high[2])
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        sx, sy, sz = _single(self.start)
-        ax, ay, az = _single(self.along)
+        sx, sy, sz = _as_float32(self.start)
+        ax, ay, az = _as_float32(self.along)
         dx, dy, dz = x - sx, y - sy, z - sz
         height = dx * ax + dy * ay + dz * az
         across: Values = np.sqrt(np.maximum(dx * dx + dy * dy + dz * dz - height * height, np.float32(0.0)))
@@ -127,7 +127,7 @@ class Trough:
         return _around(self.centre, (self.outer, self.outer, inf))
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, _ = _single(self.centre)
+        cx, cy, _ = _as_float32(self.centre)
         dx, dy = x - cx, y - cy
         distance: Values = np.sqrt(dx * dx + dy * dy) + np.float32(0.0) * z
         wall = np.minimum(distance - np.float32(self.inner), np.float32(self.outer) - distance)
@@ -169,7 +169,7 @@ class Cable:
         return _around(self.centre, half_sides)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
-        cx, cy, cz = _single(self.centre)
+        cx, cy, cz = _as_float32(self.centre)
         turn = (z - cz) * np.float32(2.0 * np.pi / self.wave_length)
         dx = x - cx - np.float32(self.swing[0]) * np.sin(turn)
         dy = y - cy - np.float32(self.swing[1]) * np.cos(turn)
@@ -179,9 +179,24 @@ class Cable:
         return np.float32(self.radius) - distance / np.float32(slope)
 
 
+def as_point(values: NDArray[np.float64]) -> Point:
+    """Convert an array (3,) to a point."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def rounded_point(values: NDArray[np.float64]) -> Point:
+    """Convert an array (3,) to a point of six decimals."""
+    x, y, z = (round(float(value), 6) for value in values)
+    return x, y, z
+
+
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
-    """Depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad|, f the scaled radius."""
-    (cx, cy, cz), (a, b, c) = _single(centre), _single(semi_axes)
+    """Return the depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad f|.
+
+    f is the radius in semi-axes.
+    """
+    (cx, cy, cz), (a, b, c) = _as_float32(centre), _as_float32(semi_axes)
     u, v, w = ((x - cx) / a) ** 2, ((y - cy) / b) ** 2, ((z - cz) / c) ** 2
     squared = u + v + w
     gradient = np.sqrt(u / (a * a) + v / (b * b) + w / (c * c) + np.float32(1e-12))
@@ -189,7 +204,7 @@ def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: P
     return depth
 
 
-def _single(point: Point) -> tuple[np.float32, np.float32, np.float32]:
+def _as_float32(point: Point) -> tuple[np.float32, np.float32, np.float32]:
     x, y, z = point
     return np.float32(x), np.float32(y), np.float32(z)
 
@@ -198,3 +213,141 @@ def _around(centre: Point, half_sides: tuple[float, ...]) -> Bounds:
     low = [value - size for value, size in zip(centre, half_sides, strict=True)]
     high = [value + size for value, size in zip(centre, half_sides, strict=True)]
     return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """A rod with round ends: everything within `radius` of the line from `start` to `end`."""
+
+    hu: float
+    start: Point
+    end: Point
+    radius: float
+
+    def bounds(self) -> Bounds:
+        return _box(np.minimum(self.start, self.end), np.maximum(self.start, self.end), self.radius)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        line = np.subtract(self.end, self.start)
+        place = _along(x, y, z, self.start, line) / np.float32(max(float(line @ line), 1e-12))
+        place = np.clip(place, np.float32(0.0), np.float32(1.0))
+        offsets = [
+            value - np.float32(start) - place * np.float32(step)
+            for value, start, step in zip((x, y, z), self.start, line, strict=True)
+        ]
+        depth: Values = np.float32(self.radius) - np.sqrt(sum(offset**2 for offset in offsets))
+        return depth
+
+
+@dataclass(frozen=True)
+class Egg:
+    """An ellipsoid with semi-axes along the rows of `axes`; depth is first-order near its surface."""
+
+    hu: float
+    centre: Point
+    semi_axes: Point
+    axes: tuple[Point, Point, Point]
+
+    def bounds(self) -> Bounds:
+        return _box(np.array(self.centre), np.array(self.centre), max(self.semi_axes))
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        scaled = [
+            _along(x, y, z, self.centre, np.array(axis)) / np.float32(semi)
+            for axis, semi in zip(self.axes, self.semi_axes, strict=True)
+        ]
+        squared = sum(part**2 for part in scaled)
+        gradient = sum(
+            (part / np.float32(semi)) ** 2 for part, semi in zip(scaled, self.semi_axes, strict=True)
+        )
+        return np.asarray(
+            (np.sqrt(squared) - squared) / np.sqrt(gradient + np.float32(1e-12)), dtype=np.float32
+        )
+
+
+@dataclass(frozen=True)
+class Barrel:
+    """A cylinder around `centre` with edges rounded by the radius `edge`."""
+
+    hu: float
+    centre: Point
+    along: Point
+    length: float
+    radius: float
+    edge: float
+
+    def bounds(self) -> Bounds:
+        half_side = float(np.hypot(self.radius, 0.5 * self.length))
+        return _box(np.array(self.centre), np.array(self.centre), half_side)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        height, across = _height_and_distance(x, y, z, self.centre, self.along)
+        beside = across - np.float32(self.radius - self.edge)
+        above = np.abs(height) - np.float32(0.5 * self.length - self.edge)
+        zero = np.float32(0.0)
+        outer = np.hypot(np.maximum(beside, zero), np.maximum(above, zero))
+        depth: Values = np.float32(self.edge) - outer - np.minimum(np.maximum(beside, above), zero)
+        return depth
+
+
+@dataclass(frozen=True)
+class Dome:
+    """The part of a ball beyond a plane: `height` mm above its centre, along `outward`."""
+
+    hu: float
+    centre: Point
+    outward: Point
+    radius: float
+    height: float = 0.0
+
+    def bounds(self) -> Bounds:
+        return _box(np.array(self.centre), np.array(self.centre), self.radius)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        height, across = _height_and_distance(x, y, z, self.centre, self.outward)
+        ball = np.float32(self.radius) - np.hypot(height, across)
+        depth: Values = np.minimum(ball, height - np.float32(self.height))
+        return depth
+
+
+@dataclass(frozen=True)
+class Ring:
+    """A torus around an axis: `radius` to the middle of the tube, whose radius is `tube`."""
+
+    hu: float
+    centre: Point
+    axis: Point
+    radius: float
+    tube: float
+
+    def bounds(self) -> Bounds:
+        return _box(np.array(self.centre), np.array(self.centre), self.radius + self.tube)
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        height, across = _height_and_distance(x, y, z, self.centre, self.axis)
+        depth: Values = np.float32(self.tube) - np.hypot(across - np.float32(self.radius), height)
+        return depth
+
+
+def _along(x: Values, y: Values, z: Values, origin: Point, direction: np.ndarray) -> Values:
+    parts = [
+        (value - np.float32(start)) * np.float32(part)
+        for value, start, part in zip((x, y, z), origin, direction, strict=True)
+    ]
+    along: Values = parts[0] + parts[1] + parts[2]
+    return along
+
+
+def _height_and_distance(
+    x: Values, y: Values, z: Values, origin: Point, axis: Point
+) -> tuple[Values, Values]:
+    """Return the height along a unit axis through `origin`, and the distance from it."""
+    height = _along(x, y, z, origin, np.array(axis))
+    squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
+    across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))
+    return height, across
+
+
+def _box(low: np.ndarray, high: np.ndarray, half_side: float) -> Bounds:
+    (a, b, c), (d, e, f) = (low - half_side).tolist(), (high + half_side).tolist()
+    return (a, b, c), (d, e, f)

@@ -29,12 +29,12 @@ SCAN_DATE = "20180601"  # a fixed day: the date must not change the bytes
 UID_PREFIX = "2.25."  # UIDs based on a 128-bit number
 UID_BITS = 128
 COORDINATE_DIGITS = 4
-DIRECTION_DIGITS = 10  # of a cosine: four would displace the last row of a tilted slice by 0.01 mm
+DIRECTION_DIGITS = 10  # of a direction cosine: four would displace the last row of a tilted slice by 0.01 mm
 FILE_PATTERN = "slice-*.dcm"
 
 
 class DicomSeries:
-    """One series in a folder. UIDs are a hash of the whole scene, and of the occasion for a later scan."""
+    """One series in a folder. UIDs hash the whole scene, and the occasion of a later scan."""
 
     def __init__(
         self,
@@ -61,7 +61,7 @@ class DicomSeries:
         self._frame_uid = self._uid("frame of reference")
 
     def prepare(self) -> None:
-        """Create the folder, and remove what an earlier series of this kind left in it."""
+        """Create the folder, and remove the slices of an earlier series."""
         self._folder.mkdir(parents=True, exist_ok=True)
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()
@@ -84,7 +84,7 @@ class DicomSeries:
         write_whole(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
-        """For a slice tilted about its middle row."""
+        """Return the position of the first pixel of a slice tilted about its middle row."""
         grid, half_mm = self._grid, 0.5 * (self._grid.rows - 1) * self._grid.pixel_mm
         x, y, z = grid.origin_mm
         y += half_mm * (1.0 - cos(self._tilt_rad))
@@ -92,7 +92,7 @@ class DicomSeries:
 
     @cached_property
     def _header(self) -> FileDataset:
-        """The attributes that all slices share."""
+        """Attributes that all slices share."""
         from pydicom.dataset import FileDataset, FileMetaDataset
         from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
@@ -144,11 +144,11 @@ class DicomSeries:
 
 
 def stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
-    """HU as 12 bits, or as many as `largest` has; values beyond saturate, as on a scanner."""
+    """Convert HU to stored values up to `largest`; values beyond saturate, as on a scanner."""
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 
 def _decimal(value: float, digits: int = COORDINATE_DIGITS) -> str:
-    """A DICOM decimal string: at most 16 characters."""
+    """Format a DICOM decimal string of at most 16 characters."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text

@@ -1,11 +1,11 @@
-"""The voxel grid of the scan, placed so that every marker and trajectory is entirely inside.
+"""The voxel grid of a scan, placed so that every marker and trajectory is entirely inside.
 
 CT frame: DICOM LPS, mm. Columns run along x, rows along y, slices along z; coordinates are voxel centres.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ Vector = NDArray[np.float64]
 MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
 TARGET_ROOM_MM = 3.0
 ORIGIN_DIGITS = 4  # the grid is exactly what the headers can express
+
+WHOLE_MM = (6.3, 9.0)  # from the highest sphere's centre to the end of the field: the sphere is whole
+CUT_MM = (1.5, 4.5)  # from the leftmost sphere's centre: part of it is missing
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class CtGrid:
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
-        """The voxels along x, y or z (0, 1, 2) with centres between two coordinates."""
+        """Return the voxels along x, y or z (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
         count = (self.columns, self.rows, self.slices)[axis]
         first = int(np.ceil((low_mm - self.origin_mm[axis]) / spacing))
@@ -73,15 +76,46 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     if (high - low > field).any():
         raise BadScene(
             "markers and trajectories do not fit in the CT's field of view",
-            expected=f"a field of {_three(high - low)} mm",
-            got=f"{_three(field)} mm",
+            expected=f"a field of {_dimensions(high - low)} mm",
+            got=f"{_dimensions(field)} mm",
         )
     middle = 0.5 * (np.minimum(low, centre - semi_axes) + np.maximum(high, centre + semi_axes))
-    middle = np.clip(middle, high - field / 2, low + field / 2)
-    x, y, z = (round(float(value), ORIGIN_DIGITS) for value in middle - (counts - 1) * spacing / 2)
+    return centred_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
+
+
+def centred_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:
+    """Return the protocol's field, centred on a point."""
+    counts = np.array([protocol.columns, protocol.rows, protocol.slices])
+    spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
+    x, y, z = (round(float(value), ORIGIN_DIGITS) for value in middle_mm - (counts - 1) * spacing / 2)
     return CtGrid(
         (x, y, z), protocol.pixel_mm, protocol.slice_mm, protocol.columns, protocol.rows, protocol.slices
     )
+
+
+def grid_ending_at_spheres(
+    grid: CtGrid, head: Head, generator: np.random.Generator
+) -> tuple[CtGrid, dict[int, float]]:
+    """Shift the grid to end close to one sphere and cut another.
+
+    Returns it, and for each cut sphere the share of its surface that remains.
+    """
+    high_mm, left_mm = float(generator.uniform(*WHOLE_MM)), float(generator.uniform(*CUT_MM))
+    spheres = sorted(head.fiducials, key=lambda fiducial: fiducial.centre_ct_mm[2])
+    leftmost = max(head.fiducials, key=lambda fiducial: fiducial.centre_ct_mm[0])
+    top_mm = spheres[-1].centre_ct_mm[2] + high_mm
+    x_mm = leftmost.centre_ct_mm[0] + left_mm
+    x, y, z = grid.origin_mm
+    x += x_mm - (grid.x_mm[-1] + 0.5 * grid.pixel_mm)
+    z += top_mm - (grid.z_mm[-1] + 0.5 * grid.slice_mm)
+    origin = (round(float(x), ORIGIN_DIGITS), y, round(float(z), ORIGIN_DIGITS))
+    shares = {}
+    for fiducial in head.fiducials:
+        centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
+        beyond = max(centre[0] + radius - x_mm, centre[2] + radius - top_mm, 0.0)
+        if beyond > 0.0:
+            shares[fiducial.number] = round(1.0 - beyond / (2.0 * radius), 3)  # of a cap, by its height
+    return replace(grid, origin_mm=origin), shares
 
 
 def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
@@ -89,5 +123,5 @@ def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
     return positions
 
 
-def _three(values: Vector) -> str:
+def _dimensions(values: Vector) -> str:
     return " x ".join(f"{value:.0f}" for value in values)

@@ -17,15 +17,14 @@ from conformance.report import CaseResult, run_case
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
-from sim.basler.camera.device import Camera
 from sim.basler.control.bootstrap import XML_ADDRESS
-from sim.basler.control.feature_registers import address_of
+from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
 from sim.basler.control.registers import Memory, Refusal, Word
+from sim.basler.device import Camera
 from sim.basler.faults import NoFaults
-from sim.basler.pair import CameraPair
-from sim.basler.stream.block import Block
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.server import CameraPair
+from sim.basler.stream_channel import Block, StreamChannel
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

@@ -90,7 +90,7 @@ from ronna_hw.records import Record, read_record, write_record
 from ronna_hw.wire import kuka_context, polaris
 from ronna_hw.wire.kuka_context import load_context
 from sim.kuka.rsi.ethernet_file import read_ethernet_file
-from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.kuka.rsi.telegrams import ReplyReader
 from sim.theatre.theatre_file import theatre_content
 from sim.world.faults import parse_faults
 from sim.world.scene.model import read_scene

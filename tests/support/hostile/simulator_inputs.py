@@ -27,18 +27,17 @@ from ronna_hw.wire.gige_vision import (
 )
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.polaris import BX_START, crc16
-from sim.basler.camera.device import Camera
-from sim.basler.camera.settings import FrameSettings
-from sim.basler.camera.timing import TriggerMoments
 from sim.basler.control.bootstrap import Identity
-from sim.basler.control.feature_registers import address_of
-from sim.kuka.arm.manipulator import Manipulator
-from sim.kuka.controller.autostart import Autostart
-from sim.kuka.controller.controller import Controller
+from sim.basler.control.feature_table import address_of
+from sim.basler.device import Camera
+from sim.basler.settings import FrameSettings, TriggerMoments
+from sim.kuka.autostart import Autostart
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
-from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, cut_requests
+from sim.kuka.eki.server import BUFFER_LIMIT_BYTES, EkiServer, split_requests
+from sim.kuka.manipulator import Manipulator
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.framing import LineBuffer
@@ -123,7 +122,7 @@ def _channel(kind: type[ProjectChannel] | type[SdkChannel]) -> Take:
     server = _Told()
 
     def take(data: bytes) -> None:
-        requests, rest = cut_requests(data)
+        requests, rest = split_requests(data)
         assert sum(map(len, requests)) + len(rest) <= len(data)
         arm = Manipulator(scene.arm, scene.seed, lambda _state: None, parameters)
         controller = Controller(context, arm, lambda: 1, parameters)

@@ -16,11 +16,9 @@ from captured import Datagram, wireshark_reads, write_capture
 
 from drivers.basler_stereo.control import gvcp
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
-from sim.basler.camera.settings import RampImage, Settings
-from sim.basler.message.channel import MessageChannel
-from sim.basler.message.events import Event, EventKind
-from sim.basler.stream.block import Frame
-from sim.basler.stream.channel import StreamChannel
+from sim.basler.message_channel import Event, MessageChannel
+from sim.basler.settings import EventKind, RampImage, Settings
+from sim.basler.stream_channel import Frame, StreamChannel
 
 pytestmark = pytest.mark.skipif(
     shutil.which("tshark") is None,
@@ -55,9 +53,9 @@ def receiver() -> Iterator[Receiver]:
 def test_wireshark_reads_events_and_their_acknowledges(receiver: Receiver, tmp_path: Path) -> None:
     channel = MessageChannel("127.0.0.1", lambda: "127.0.0.1", lambda: 0.0)
     channel.port = receiver.address[1]
-    channel.tell(Event(EventKind.EXPOSURE_END, 7, TICKS, struct.pack(">I", 7)))
-    channel.tell(Event(EventKind.FRAME_START_OVERTRIGGER, 0, TICKS + 1))
-    channel.tell(Event(EventKind.FRAME_START, 0, TICKS + 2))
+    channel.report(Event(EventKind.EXPOSURE_END, 7, TICKS, struct.pack(">I", 7)))
+    channel.report(Event(EventKind.FRAME_START_OVERTRIGGER, 0, TICKS + 1))
+    channel.report(Event(EventKind.FRAME_START, 0, TICKS + 2))
     seen: list[Datagram] = []
     for _ in range(2):  # what waits goes together as soon as the first is acknowledged
         seen.append(receiver.next())

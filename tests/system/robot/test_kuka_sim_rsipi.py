@@ -133,7 +133,7 @@ def test_every_context_that_rsipi_ships_is_understood(name: str) -> None:
     from RSIPI import context
 
     from sim.kuka.rsi.ethernet_file import read_ethernet_file
-    from sim.kuka.rsi.telegram_writer import TelegramWriter
+    from sim.kuka.rsi.telegrams import TelegramWriter
 
     path = Path(context("joints")).with_name(f"RSI_EthernetConfig_{name}.xml")
     said = read_ethernet_file(path, None, 255)

@@ -1,5 +1,7 @@
 """The calibrated arm against the simulator's own, a chain in Pinocchio written independently."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +14,7 @@ from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
-from sim.theatre.arm_record import arm_values
+from sim.theatre.records import arm_values
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual
 from sim.world.true_arm import TrueArm

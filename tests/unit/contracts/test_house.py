@@ -25,7 +25,7 @@ LIGHT = (
         for name in ("procedure", "sim", "ct", "plan", "conformance", "rom", "stereo")
     ),
     "sim.polaris.line.server: scipy cv2 pydicom pinocchio",
-    "sim.kuka.controller.cycle_loop: scipy cv2 pydicom",
+    "sim.kuka.cycle_loop: scipy cv2 pydicom",
     "sim.basler.server: scipy cv2 pydicom",
 )
 

@@ -25,8 +25,7 @@ from procedures.postoperative.errors import (
     SeriesSwapped,
 )
 from procedures.postoperative.summary import summary_of
-from sim.phantom.postoperative.instruments import Instrument, Kind
-from sim.phantom.postoperative.scan import draw_scan
+from sim.phantom.postoperative_scan import Instrument, Kind, draw_scan
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT, named_scene
 

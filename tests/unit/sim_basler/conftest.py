@@ -12,11 +12,10 @@ from dataclasses import dataclass, field
 import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap
-from sim.basler.camera.device import Camera
-from sim.basler.camera.settings import FrameSettings
-from sim.basler.camera.timing import TriggerMoments
 from sim.basler.control.bootstrap import Identity
-from sim.basler.control.feature_registers import address_of
+from sim.basler.control.feature_table import address_of
+from sim.basler.device import Camera
+from sim.basler.settings import FrameSettings, TriggerMoments
 
 CLIENT = ("127.0.0.1", 40001)
 OTHER = ("127.0.0.1", 40002)

@@ -11,7 +11,7 @@ from hostile_clients import camera_commands
 
 from ronna_hw.wire.gige_vision import Bootstrap, PixelFormat
 from sim.basler.control.bootstrap import CAPABILITIES, XML_ADDRESS
-from sim.basler.control.feature_registers import address_of
+from sim.basler.control.feature_table import address_of
 
 CLIENT, OTHER = ("127.0.0.1", 40001), ("127.0.0.1", 40002)
 READREG, WRITEREG, READMEM, WRITEMEM, DISCOVERY, FORCEIP = 0x80, 0x82, 0x84, 0x86, 0x02, 0x04

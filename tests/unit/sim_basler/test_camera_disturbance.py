@@ -7,15 +7,13 @@ import pytest
 from numpy.typing import NDArray
 
 from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.settings import FrameSettings, Settings
-from sim.basler.disturbance import Disturbances
+from sim.basler.camera.view import Disturbances, View
 from sim.basler.optics.canvas import Area
-from sim.basler.optics.film import STAINED_BRIGHTNESS, Stain, drawn_stains
-from sim.basler.optics.foreground import Disturbance, Glare, Occluder
-from sim.basler.optics.picture import Optics
+from sim.basler.optics.film import STAINED_BRIGHTNESS, Stain, draw_stains
+from sim.basler.optics.picture import Disturbance, Glare, Occluder, Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
-from sim.basler.view import View
+from sim.basler.settings import FrameSettings, Settings
 from sim.errors import BadFaultScript
 from sim.world.displacements import spheres_in_theatre
 from sim.world.faults import check_faults, parse_faults
@@ -76,9 +74,9 @@ def test_a_stain_has_its_projected_place_and_size(tilt_rad: float) -> None:
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
 def test_drawn_stains_cover_the_requested_share(share: float) -> None:
-    areas = [(1.0 - np.cos(stain.half_angle_rad)) / 2.0 for stain in drawn_stains(3, 2, share)]
+    areas = [(1.0 - np.cos(stain.half_angle_rad)) / 2.0 for stain in draw_stains(3, 2, share)]
     assert share <= sum(areas) < share + 0.006
-    assert drawn_stains(3, 2, share) == drawn_stains(3, 2, share) != drawn_stains(3, 1, share)
+    assert draw_stains(3, 2, share) == draw_stains(3, 2, share) != draw_stains(3, 1, share)
 
 
 @pytest.mark.parametrize(("share", "direction"), [(0.1, 0.3), (0.3, 2.0), (0.45, -1.2)])
@@ -112,7 +110,7 @@ def test_a_glare_saturates_its_own_place_and_nothing_else() -> None:
 
 def test_a_disturbed_area_of_interest_shows_its_part_of_the_full_image() -> None:
     disturbance = Disturbance(
-        stains=((1, drawn_stains(1, 1, 0.05)),),
+        stains=((1, draw_stains(1, 1, 0.05)),),
         occluders=(Occluder(0.2, 1.0),),
         glares=(Glare((1200.0, 400.0), 90.0),),
     )

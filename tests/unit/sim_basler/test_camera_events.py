@@ -11,8 +11,8 @@ import pytest
 
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 from sim.basler.faults import NoFaults
-from sim.basler.message.channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, MessageChannel
-from sim.basler.message.events import Event, EventKind
+from sim.basler.message_channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, Event, MessageChannel
+from sim.basler.settings import EventKind
 
 OK, INVALID_PARAMETER, ACCESS_DENIED = 0, 0x8002, 0x8006
 OTHER = ("127.0.0.1", 40002)
@@ -205,7 +205,7 @@ def test_nothing_is_sent_after_control_is_released(bench: Any, listener: Listene
     subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.camera.messages.receiver is None
-    assert bench.camera.messages.tell(Event(EventKind.FRAME_START, 0, 1))
+    assert bench.camera.messages.report(Event(EventKind.FRAME_START, 0, 1))
     assert listener.nothing()
 
 
@@ -222,7 +222,7 @@ class Channel:
         self.channel.timeout_ms, self.channel.retries = TIMEOUT_MS, 2
 
     def tell(self, kind: EventKind = EventKind.FRAME_START, block: int = 0, data: bytes = b"") -> bool:
-        return self.channel.tell(Event(kind, block, 8, data))
+        return self.channel.report(Event(kind, block, 8, data))
 
     def later(self, seconds: float) -> None:
         self.now_s += seconds

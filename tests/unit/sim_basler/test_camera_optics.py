@@ -10,14 +10,11 @@ from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 from scipy.special import ndtr
 
-from sim.basler.optics import sphere as sphere_image
-from sim.basler.optics.blur import blurred
-from sim.basler.optics.canvas import Area
-from sim.basler.optics.grain import CONTRAST, Grain
-from sim.basler.optics.lens import Lens
-from sim.basler.optics.light import Lighting
+from sim.basler.optics.canvas import Area, Lens, blur
+from sim.basler.optics.film import CONTRAST, Film, Grain
 from sim.basler.optics.picture import Optics
-from sim.basler.optics.sphere import Sphere
+from sim.basler.optics.sensor import Lighting
+from sim.basler.optics.sphere import Sphere, draw_sphere
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import CameraTruth
@@ -30,6 +27,7 @@ PRINCIPAL_PX = (1020.0, 540.0)
 STRAIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)
 RADIUS_MM = 5.75
 FULL = Area(0, 0, 2048, 1088)
+PLAIN_FILM = Film(Grain(0, 1), RADIUS_MM)
 
 
 def lens(distortion: tuple[float, float, float, float, float] = STRAIGHT) -> Lens:
@@ -78,7 +76,7 @@ PLACES = [(0.0, 0.0, 250.0), (3.0, -2.0, 251.0), (10.0, 4.0, 246.0), (-12.0, -4.
 
 @pytest.mark.parametrize("place", PLACES)
 def test_the_covered_area_is_the_ellipse_predicted_by_projection(place: tuple[float, float, float]) -> None:
-    image = sphere_image.image_of(ball(place), lens(), FULL, Grain(0, 1))
+    image = draw_sphere(ball(place), lens(), FULL, PLAIN_FILM)
     centre, axes = moments(image.cover)
     wanted_centre, wanted_axes = expected_ellipse(place)
     assert np.abs(centre - wanted_centre).max() < 0.002
@@ -89,7 +87,7 @@ def test_the_covered_area_is_the_ellipse_predicted_by_projection(place: tuple[fl
 def test_the_ellipse_centre_lies_outside_the_projected_centre_by_the_known_bias(
     place: tuple[float, float, float],
 ) -> None:
-    image = sphere_image.image_of(ball(place), lens(), FULL, Grain(0, 1))
+    image = draw_sphere(ball(place), lens(), FULL, PLAIN_FILM)
     centre, _ = moments(image.cover)
     c = np.array(place)
     off_axis = np.arctan2(np.hypot(c[0], c[1]), c[2])
@@ -104,7 +102,7 @@ def test_the_ellipse_centre_lies_outside_the_projected_centre_by_the_known_bias(
 def test_a_distorting_lens_moves_the_outline_as_computed() -> None:
     k1, k2, p1, p2, k3 = distortion = (0.06, -0.4, 2e-4, -1e-4, 0.1)
     place = (10.0, 3.0, 248.0)
-    image = sphere_image.image_of(ball(place), lens(distortion), FULL, Grain(0, 1))
+    image = draw_sphere(ball(place), lens(distortion), FULL, PLAIN_FILM)
     c = np.array(place)
     share = 1 - RADIUS_MM**2 / (c @ c)
     first = np.cross(c, [0.0, 1.0, 0.0])
@@ -242,7 +240,7 @@ def test_the_brightness_of_a_sphere_follows_the_light_at_its_place() -> None:
 
 
 def test_the_limb_is_a_quarter_darker_than_the_middle() -> None:
-    image = sphere_image.image_of(ball((0.0, 0.0, 250.0)), lens(), FULL, Grain(0, 1))
+    image = draw_sphere(ball((0.0, 0.0, 250.0)), lens(), FULL, PLAIN_FILM)
     full = image.light[image.cover > 0.999]
     rows, columns = np.indices(image.cover.shape)
     distance = np.hypot(columns - PRINCIPAL_PX[0], rows - PRINCIPAL_PX[1])
@@ -263,8 +261,8 @@ def test_the_grain_is_fixed_to_the_sphere() -> None:
     assert abs(np.corrcoef(values, Grain(3, 1).at(*points))[0, 1]) < 0.05
     # A sphere that turns shows other beads in the same place of the image, and the same beads elsewhere.
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    still = sphere_image.image_of(ball((0, 0, 250.0), np.eye(3)), lens(), FULL, grain).light
-    moved = sphere_image.image_of(ball((0, 0, 250.0), turned), lens(), FULL, grain).light
+    still = draw_sphere(ball((0, 0, 250.0), np.eye(3)), lens(), FULL, Film(grain, RADIUS_MM)).light
+    moved = draw_sphere(ball((0, 0, 250.0), turned), lens(), FULL, Film(grain, RADIUS_MM)).light
     middle = (slice(440, 641), slice(920, 1121))  # square, around the principal point
     assert abs(np.corrcoef(still[middle].ravel(), moved[middle].ravel())[0, 1]) < 0.3
     back = np.corrcoef(still[middle].ravel(), np.rot90(moved[middle], 1).ravel())[0, 1]
@@ -318,7 +316,7 @@ def test_an_area_of_interest_shows_its_part_of_the_full_image() -> None:
 def test_blur_has_its_width_and_preserves_the_light(sigma: float) -> None:
     patch = np.zeros((161, 161), np.float32)
     patch[80, 80] = 1.0
-    spread = blurred(patch, sigma)
+    spread = blur(patch, sigma)
     rows, columns = np.indices(patch.shape) - 80
     assert spread.sum() == pytest.approx(1.0, abs=1e-3)
     assert np.sqrt((spread * rows**2).sum()) == pytest.approx(sigma, rel=0.05)

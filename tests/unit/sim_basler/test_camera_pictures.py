@@ -7,13 +7,12 @@ import pytest
 from numpy.typing import NDArray
 
 from ronna_hw.wire.gige_vision import PixelFormat
-from sim.basler.camera.photographer import Photographer
-from sim.basler.camera.pixels import ramp_image as ramp
-from sim.basler.camera.pixels import to_wire
-from sim.basler.camera.settings import FrameSettings, RampImage, Settings
+from sim.basler.camera.photographer import Photographer, to_wire
+from sim.basler.camera.photographer import ramp_image as ramp
+from sim.basler.camera.view import View
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
-from sim.basler.view import View
+from sim.basler.settings import FrameSettings, RampImage, Settings
 from sim.world.displacements import spheres_in_theatre
 from sim.world.noise import noise
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
@@ -172,3 +171,20 @@ def test_a_prepared_picture_carries_the_settings_it_was_taken_with() -> None:
     assert len(image) == settings.payload_bytes == 64 * 32
     settings, image = camera.running(frame(width=64, height=32, pixel_format=PixelFormat.MONO12), 1)
     assert len(image) == settings.payload_bytes == 64 * 32 * 2
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_picture_is_rendered_wherever_the_head_is_over_a_sphere(seed: int) -> None:
+    scene = named_scene("default", seed=seed)
+    world = World.create(scene, paced=False)
+    photographer = Photographer(world, scene.left)
+    generator = np.random.default_rng(seed)
+    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
+    frame = Settings().frame()
+    for number in range(12):
+        axis = generator.normal(0.0, 0.4, 3) - (0.0, 0.0, 1.0)
+        tool = matrix_from(centre + generator.normal(0.0, 12.0, 3), rotation_towards(axis, (1.0, 0.0, 0.0)))
+        flange = tool @ inverse(matrix_of(scene.mount.flange_from_tool_true))
+        world.publish_arm(ArmState((0.0,) * 6, flange, 1, True))
+        image = photographer.triggered(frame, number)
+        assert len(image) == frame.payload_bytes

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
-from sim.kuka.arm.manipulator import Manipulator
-from sim.kuka.controller.controller import Controller
+from sim.kuka.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.manipulator import Manipulator
 from sim.world.scene.model import ArmTruth, LinkError
 from sim.world.world import ArmState
 

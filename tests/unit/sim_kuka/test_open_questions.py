@@ -15,11 +15,11 @@ from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+from sim.kuka.autostart import Autostart
 from sim.kuka.command import kuka
-from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
-from sim.kuka.rsi.reply_reader import ReplyReader
+from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
 
@@ -273,7 +273,7 @@ def test_the_override_may_scale_corrections(
 def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], cancels: bool) -> None:
     bench = bench_with(eki_loss_cancels=cancels)
     bench.enter_movecorr()
-    bench.controller.lose_eki()
+    bench.controller.handle_eki_loss()
     assert (bench.controller.run is None) is cancels
 
 

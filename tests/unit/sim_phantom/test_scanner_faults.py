@@ -17,10 +17,9 @@ from procedures.imaging.errors import GantryTilted
 from sim.errors import BadScene
 from sim.phantom.case import write_case
 from sim.phantom.head.anatomy import draw_anatomy
-from sim.phantom.scan import Scan
+from sim.phantom.scan import Planes, Scan
 from sim.phantom.scanner.faults import ScannerFaults
 from sim.phantom.scanner.grid import place_grid
-from sim.phantom.scanner.planes import Planes
 from sim.world.scene.model import Scene
 
 

@@ -10,9 +10,9 @@ import pytest
 
 from ronna_hw.marker_template import read_marker_template
 from sim.errors import BadScene
-from sim.phantom.case import _plan
+from sim.phantom.case import plan_toml
 from sim.phantom.scan import plain_scan
-from sim.theatre.scene_command import scene
+from sim.theatre.command import scene
 from sim.world.scene.head import JIG_MM
 from sim.world.scene.model import read_scene
 from sim.world.scene.named_scenes import named_scene
@@ -54,7 +54,7 @@ def test_a_template_places_the_spheres_and_enters_the_plan(
     centres = np.array([one.centre_ct_mm for one in head.fiducials])
     assert 0.0 < np.abs(centres - wanted).max() < 5.0 * JIG_MM
     assert head.template_mm == read_marker_template(template).centres_mm
-    planned = tomllib.loads(_plan(plain_scan(read_scene(file)), "1.2.3"))
+    planned = tomllib.loads(plan_toml(plain_scan(read_scene(file)), "1.2.3"))
     assert planned["template_mm"] == wanted.tolist()
 
 

@@ -11,7 +11,7 @@ from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import ProcedureSettings, parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
-from sim.theatre.calibration_files import CALIBRATION_FILE, read_calibrations
+from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of

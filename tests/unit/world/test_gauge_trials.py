@@ -12,7 +12,7 @@ from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, compared
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
-from sim.theatre.tool_records import gauge_read
+from sim.theatre.records import gauge_readings
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene
 from sim.world.staff import Staff
@@ -43,7 +43,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
     scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
     world = World.create(scene, paced=False)
     arm, hands = TrueArm(scene.arm, seed), Staff(world, None)
-    recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_read(scene), strict=False)
+    recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_readings(scene), strict=False)
     for mounting in range(MOUNTINGS):
         world.mount_tool(scene.mount.tool_number_guide)
         read = []

@@ -1,5 +1,7 @@
 """A saved world, continued by another theatre."""
 
+from __future__ import annotations
+
 from math import degrees
 from pathlib import Path
 
@@ -7,8 +9,8 @@ import numpy as np
 import pytest
 
 from sim.errors import BadSavedWorld, TheatreRunning
-from sim.kuka.arm.manipulator import Manipulator
 from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.manipulator import Manipulator
 from sim.world import saved_world
 from sim.world.displacements import RoomShift, ShiftedRoom
 from sim.world.faults import FaultBoard

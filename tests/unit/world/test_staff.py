@@ -9,7 +9,7 @@ import pytest
 
 from ronna_hw.frames import Frame
 from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN, TOUCH
-from sim.basler.view import View
+from sim.basler.camera.view import View
 from sim.errors import BadFaultScript, StandNotReady
 from sim.world.control_port import Room
 from sim.world.displacements import ShiftedRoom

@@ -12,7 +12,7 @@ from conformance.case import Outcome
 from conformance.gige.protocol import PROTOCOL
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 from sim.basler.control.bootstrap import XML_ADDRESS
-from sim.basler.control.feature_registers import address_of
+from sim.basler.control.feature_table import address_of
 from sim.basler.control.port import Actions
 
 FRAME_LIMIT_S = 0.5  # for an image that a spoilt camera never sends
@@ -149,7 +149,7 @@ def test_good_cameras_pass_every_case(make_stand: Callable[[], Stand], monkeypat
 
 
 def test_cameras_that_ignore_broadcasts_fail(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
-    monkeypatch.setattr("sim.basler.pair.bind_broadcast", list)
+    monkeypatch.setattr("sim.basler.server.bind_broadcast", list)
     assert make_stand().run("G01").outcome is Outcome.FAIL
 
 

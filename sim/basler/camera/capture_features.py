@@ -1,0 +1,323 @@
+"""Features that govern how frames are taken: image format, acquisition, triggers, exposure, gain."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ronna_hw.wire.gige_vision import AREA_STEP_X_PX as STEP_X
+from ronna_hw.wire.gige_vision import (
+    EXPOSURE_MAXIMUM_US,
+    EXPOSURE_MINIMUM_US,
+    GAIN_RAW_MAXIMUM,
+    GAIN_RAW_MINIMUM,
+    SENSOR_HEIGHT_PX,
+    SENSOR_WIDTH_PX,
+    PixelFormat,
+)
+from sim.basler.camera.features import (
+    Commands,
+    Feature,
+    Kind,
+    always,
+    constant,
+    setting,
+    single_entry,
+    trigger_setting,
+)
+from sim.basler.settings import (
+    AcquisitionMode,
+    RampImage,
+    Trigger,
+    TriggerSource,
+    bits_per_pixel,
+    free_running_period_us,
+    readout_us,
+)
+
+PIXEL_SIZES = {"Bpp8": 8, "Bpp12": 12, "Bpp16": 16}
+IMAGE = "ImageFormat"
+IMAGE_FEATURES: tuple[Feature, ...] = (
+    constant("SensorWidth", IMAGE, "Width of the sensor.", SENSOR_WIDTH_PX, unit="px"),
+    constant("SensorHeight", IMAGE, "Height of the sensor.", SENSOR_HEIGHT_PX, unit="px"),
+    constant("WidthMax", IMAGE, "Largest width.", SENSOR_WIDTH_PX, unit="px"),
+    constant("HeightMax", IMAGE, "Largest height.", SENSOR_HEIGHT_PX, unit="px"),
+    setting(
+        "Width",
+        IMAGE,
+        "Width of the area of interest.",
+        "width",
+        minimum=always(STEP_X),
+        maximum=lambda commands: SENSOR_WIDTH_PX - commands.settings.offset_x,
+        step=STEP_X,
+        unit="px",
+        locked=True,
+    ),
+    setting(
+        "Height",
+        IMAGE,
+        "Height of the area of interest.",
+        "height",
+        minimum=always(1),
+        maximum=lambda commands: SENSOR_HEIGHT_PX - commands.settings.offset_y,
+        unit="px",
+        locked=True,
+    ),
+    setting(
+        "OffsetX",
+        IMAGE,
+        "Column of the area's left edge; may change during an acquisition.",
+        "offset_x",
+        minimum=always(0),
+        maximum=lambda commands: SENSOR_WIDTH_PX - commands.settings.width,
+        step=STEP_X,
+        unit="px",
+    ),
+    setting(
+        "OffsetY",
+        IMAGE,
+        "Row of the area's upper edge; may change during an acquisition.",
+        "offset_y",
+        minimum=always(0),
+        maximum=lambda commands: SENSOR_HEIGHT_PX - commands.settings.height,
+        unit="px",
+    ),
+    setting(
+        "PixelFormat",
+        IMAGE,
+        "Format of the pixels on the wire.",
+        "pixel_format",
+        kind=Kind.ENUMERATION,
+        entries={
+            "Mono8": PixelFormat.MONO8,
+            "Mono12": PixelFormat.MONO12,
+            "Mono12Packed": PixelFormat.MONO12_PACKED,
+        },
+        locked=True,
+    ),
+    Feature(
+        "PixelSize",
+        Kind.ENUMERATION,
+        IMAGE,
+        "Bits of a pixel on the wire.",
+        read=lambda commands: bits_per_pixel(PixelFormat(commands.settings.pixel_format)),
+        entries=PIXEL_SIZES,
+    ),
+    setting(
+        "TestImageSelector",
+        IMAGE,
+        "A ramp instead of the sensor's image.",
+        "test_image",
+        kind=Kind.ENUMERATION,
+        entries={"Off": RampImage.OFF, "Testimage1": RampImage.FIXED, "Testimage2": RampImage.MOVING},
+    ),
+)
+
+
+FRAME_RATE_RANGE_HZ = (0.1, 1000.0)
+LONGEST_TRIGGER_DELAY_US = 1_000_000.0
+MOST_FRAMES_PER_ACQUISITION = 255
+OFF_ON = {"Off": 0, "On": 1}
+FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
+
+
+def _status(commands: Commands) -> int:
+    if commands.settings.status_selector == FRAME_TRIGGER_WAIT:
+        return int(commands.acquisition.awaits_trigger)
+    return int(commands.acquiring)
+
+
+def _start(commands: Commands, _value: int) -> None:
+    commands.acquisition.start()
+
+
+def _stop(commands: Commands, _value: int) -> None:
+    commands.acquisition.stop()
+
+
+CONTROL = "AcquisitionTrigger"
+ACQUISITION_FEATURES: tuple[Feature, ...] = (
+    setting(
+        "AcquisitionMode",
+        CONTROL,
+        "Acquisition mode.",
+        "acquisition_mode",
+        kind=Kind.ENUMERATION,
+        entries={"SingleFrame": AcquisitionMode.SINGLE_FRAME, "Continuous": AcquisitionMode.CONTINUOUS},
+        locked=True,
+    ),
+    Feature("AcquisitionStart", Kind.COMMAND, CONTROL, "Start the acquisition of frames.", write=_start),
+    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Stop the acquisition of frames.", write=_stop),
+    Feature(
+        "AcquisitionAbort", Kind.COMMAND, CONTROL, "Stop the acquisition of frames at once.", write=_stop
+    ),
+    setting(
+        "AcquisitionFrameCount",
+        CONTROL,
+        "Frames that one AcquisitionStart trigger permits.",
+        "acquisition_frame_count",
+        minimum=always(1),
+        maximum=always(MOST_FRAMES_PER_ACQUISITION),
+    ),
+    setting(
+        "AcquisitionFrameRateEnable",
+        CONTROL,
+        "Limit the rate of the free-running camera.",
+        "frame_rate_enabled",
+        kind=Kind.BOOLEAN,
+    ),
+    setting(
+        "AcquisitionFrameRateAbs",
+        CONTROL,
+        "Requested rate of the free-running camera.",
+        "frame_rate_hz",
+        kind=Kind.FLOAT,
+        minimum=always(FRAME_RATE_RANGE_HZ[0]),
+        maximum=always(FRAME_RATE_RANGE_HZ[1]),
+        unit="Hz",
+    ),
+    Feature(
+        "ResultingFrameRateAbs",
+        Kind.FLOAT,
+        CONTROL,
+        "Rate allowed by exposure, read-out, link and requested rate.",
+        read=lambda commands: 1e6 / free_running_period_us(commands.settings),
+        unit="Hz",
+    ),
+    setting(
+        "AcquisitionStatusSelector",
+        CONTROL,
+        "Status shown by AcquisitionStatus.",
+        "status_selector",
+        kind=Kind.ENUMERATION,
+        entries={"FrameTriggerWait": FRAME_TRIGGER_WAIT, "AcquisitionActive": ACQUISITION_ACTIVE},
+        selects=("AcquisitionStatus",),
+    ),
+    Feature("AcquisitionStatus", Kind.BOOLEAN, CONTROL, "The selected status.", read=_status),
+    setting(
+        "TriggerSelector",
+        CONTROL,
+        "Trigger to which the following features apply.",
+        "trigger_selector",
+        kind=Kind.ENUMERATION,
+        entries={"AcquisitionStart": Trigger.ACQUISITION_START, "FrameStart": Trigger.FRAME_START},
+        selects=("TriggerMode", "TriggerSource", "TriggerActivation", "TriggerDelayAbs", "TriggerSoftware"),
+    ),
+    trigger_setting(
+        "TriggerMode", "Wait for the selected trigger.", "mode", Kind.ENUMERATION, entries=OFF_ON
+    ),
+    trigger_setting(
+        "TriggerSource",
+        "Source of the selected trigger.",
+        "source",
+        Kind.ENUMERATION,
+        entries={
+            "Software": TriggerSource.SOFTWARE,
+            "Line1": TriggerSource.LINE_1,
+            "Action1": TriggerSource.ACTION_1,
+        },
+    ),
+    trigger_setting(
+        "TriggerActivation",
+        "Edge of a line's signal.",
+        "activation",
+        Kind.ENUMERATION,
+        entries={"RisingEdge": 0, "FallingEdge": 1},
+    ),
+    trigger_setting(
+        "TriggerDelayAbs",
+        "Time from the trigger to the exposure.",
+        "delay_us",
+        Kind.FLOAT,
+        minimum=always(0.0),
+        maximum=always(LONGEST_TRIGGER_DELAY_US),
+        unit="us",
+    ),
+    Feature(
+        "TriggerSoftware",
+        Kind.COMMAND,
+        CONTROL,
+        "Fire the selected trigger.",
+        write=lambda it, _: it.acquisition.software_trigger(),
+    ),
+    Feature(
+        "OvertriggerCount",
+        Kind.INTEGER,
+        CONTROL,
+        "Frame triggers missed since AcquisitionStart because the camera was busy.",
+        read=lambda commands: commands.acquisition.missed_triggers,
+        visibility="Guru",
+    ),
+)
+
+
+BLACK_LEVEL_RAW_MAXIMUM = 255
+
+
+def _set_exposure(commands: Commands, value: float) -> None:
+    commands.settings.exposure_us = round(value)
+
+
+EXPOSURE_LIMITS: dict[str, Any] = {
+    "minimum": always(EXPOSURE_MINIMUM_US),
+    "maximum": always(EXPOSURE_MAXIMUM_US),
+}
+ANALOG = "AnalogControls"
+INSIDE_C = 45.0  # a camera warmed up on its mount; constant here
+EXPOSURE_FEATURES: tuple[Feature, ...] = (
+    constant("ExposureMode", CONTROL, "Exposure mode.", 0, **single_entry("Timed")),
+    constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **single_entry("Off")),
+    Feature(
+        "ExposureTimeAbs",
+        Kind.FLOAT,
+        CONTROL,
+        "Exposure time.",
+        read=lambda commands: commands.settings.exposure_us,
+        write=_set_exposure,
+        unit="us",
+        **EXPOSURE_LIMITS,
+    ),
+    setting("ExposureTimeRaw", CONTROL, "Exposure time in time bases.", "exposure_us", **EXPOSURE_LIMITS),
+    constant("ExposureTimeBaseAbs", CONTROL, "Step of the exposure time.", 1.0, kind=Kind.FLOAT, unit="us"),
+    Feature(
+        "ReadoutTimeAbs",
+        Kind.FLOAT,
+        CONTROL,
+        "Read-out time of the current area.",
+        read=lambda commands: readout_us(commands.settings.frame()),
+        unit="us",
+    ),
+    constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
+    constant("GainAuto", ANALOG, "Automatic gain.", 0, **single_entry("Off")),
+    constant(
+        "GainSelector",
+        ANALOG,
+        "Signal to which the gain applies.",
+        0,
+        selects=("GainRaw",),
+        **single_entry("All"),
+    ),
+    setting(
+        "GainRaw",
+        ANALOG,
+        "Gain; 20 log10(value / 32) dB.",
+        "gain_raw",
+        minimum=always(GAIN_RAW_MINIMUM),
+        maximum=always(GAIN_RAW_MAXIMUM),
+    ),
+    constant(
+        "BlackLevelSelector",
+        ANALOG,
+        "Signal to which the black level applies.",
+        0,
+        selects=("BlackLevelRaw",),
+        **single_entry("All"),
+    ),
+    setting(
+        "BlackLevelRaw",
+        ANALOG,
+        "Value of a dark pixel, on a 10-bit scale.",
+        "black_level_raw",
+        minimum=always(0),
+        maximum=always(BLACK_LEVEL_RAW_MAXIMUM),
+    ),
+)

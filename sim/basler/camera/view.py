@@ -1,0 +1,186 @@
+"""The view of one camera: the spheres in front of it, and the disturbances of its image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import pi, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.basler.optics.film import draw_stains
+from sim.basler.optics.picture import CLEAR, Disturbance, Glare, Occluder
+from sim.basler.optics.sphere import Sphere
+from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, spheres_in_theatre
+from sim.world.faults import Fault, FaultBoard
+from sim.world.noise import noise
+from sim.world.options import OnStand
+from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
+from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
+from sim.world.world import World
+
+FURTHEST_MM = 1000.0  # beyond this, a sphere is a faint spot far out of focus
+
+Pose = NDArray[np.float64]
+
+PERCENT = 0.01
+SECONDS_PER_MINUTE = 60.0
+
+
+class View:
+    """The spheres in front of one camera.
+
+    In the scene `bench`, until an arm moves the head, the first fiducial is at the tool centre point with its
+    post along the tool's z axis, so that any client sees a sphere in both images.
+    """
+
+    def __init__(self, world: World, camera: CameraTruth) -> None:
+        self._world = world
+        self._camera_from_tool = matrix_of(camera.camera_from_tool)
+        head = world.scene.head
+        self._fiducials = (*spheres_in_theatre(world.scene), *_target_balls(head))
+        self._numbers = [each.number for each in self._fiducials]
+        self._robot_from_ct = matrix_of(head.robot_from_ct)
+        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._fiducials])
+        self._stand_mm = np.array(world.scene.stand.ball_mm)
+        self._stand_number = 1 + max((each.number for each in self._fiducials), default=0)
+
+    def pose(self) -> Pose | None:
+        """Return the true pose (4, 4) of the head in the robot frame; None until an arm has published it."""
+        pose = self._world.robot_from_tool()
+        return pose if np.any(pose[:3, :3]) else None
+
+    @property
+    def head_mounted(self) -> bool:
+        """Whether the stereo head is mounted."""
+        return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
+
+    @property
+    def stand_has_ball(self) -> bool:
+        """Whether the ball is on the calibration stand."""
+        return self._world.on_stand() is OnStand.BALL
+
+    def spheres(
+        self, robot_from_tool: Pose | None, twist_rad: float = 0.0, room: RoomShift = NOTHING_MOVED
+    ) -> tuple[Sphere, ...]:
+        """Return the spheres in front of the camera, camera frame, for a pose that `pose` returned.
+
+        `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
+        plane of both cameras: the tool's x axis. `room` is the displacement of the spheres.
+        """
+        if not self.head_mounted:
+            return ()  # on its stand the head sees nothing
+        if robot_from_tool is None:
+            return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
+        camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
+        centres = apply(camera_from_robot, room.moved_spheres_mm(self._centres_mm, self._numbers))
+        rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
+        seen = [
+            Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
+            for each, centre in zip(self._fiducials, centres, strict=True)
+        ]
+        if self.stand_has_ball:
+            centre = apply(camera_from_robot, self._stand_mm)
+            upright = camera_from_robot[:3, :3] @ _upright((0.0, 0.0, 1.0))
+            seen.append(Sphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
+        return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
+
+    def _twisted(self, angle_rad: float) -> Pose:
+        across = self._camera_from_tool[:3, 0]  # the tool's x axis in the camera's frame
+        turn = matrix_from((0.0, 0.0, 0.0), rotation_from_vector(angle_rad * across))
+        return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
+
+    def _bench(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
+        first = self._fiducials[0]
+        rotation = camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
+        return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
+
+
+@dataclass(frozen=True)
+class Disturbances:
+    """The optical disturbances of one camera, from the fault script and the scene."""
+
+    world: World
+    board: FaultBoard
+    camera: CameraTruth
+    room: ShiftedRoom
+
+    @classmethod
+    def of(cls, world: World, camera: CameraTruth) -> Disturbances:
+        """Build the disturbances of one camera."""
+        return cls(world, FaultBoard(world, "camera"), camera, ShiftedRoom(world))
+
+    @property
+    def side(self) -> str:
+        """Name of the camera in a fault script."""
+        return "left" if self.camera.serial == self.world.scene.left.serial else "right"
+
+    @cached_property
+    def worn(self) -> Disturbance:
+        """Permanent defects: spots of worn film, as dark as a stain."""
+        scene = self.world.scene
+        spots = tuple(
+            (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))
+            for one in spheres_in_theatre(scene)
+            if one.worn_percent
+        )
+        return Disturbance(stains=spots) if spots else CLEAR
+
+    def now(self) -> Disturbance:
+        """Return the active disturbances; costs one query when there are no faults."""
+        room = self.room.now()
+        if self.board.empty:
+            return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
+        seed = self.world.scene.seed
+        return Disturbance(
+            stains=self.worn.stains
+            + tuple(
+                (number, draw_stains(seed, number, float(share) * PERCENT))
+                for number, share in (
+                    (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
+                )
+            ),
+            occluders=tuple(
+                self._occluder(float(fault.arguments[1])) for fault in self._own_faults("occluder")
+            ),
+            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._own_faults("glare")),
+            twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._own_faults("twist"))
+            + sum(self._creep_rad(fault) for fault in self._own_faults("creep")),
+            room=room,
+        )
+
+    def _own_faults(self, kind: str) -> list[Fault]:
+        return [fault for fault in self.board.active(kind) if fault.argument == self.side]
+
+    def _creep_rad(self, fault: Fault) -> float:
+        """Return how far a drift has progressed since it began, or since its step was entered."""
+        begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
+        acting_s = self.world.clock.now_s() - begun_s
+        return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
+
+    def _occluder(self, share_percent: float) -> Occluder:
+        direction = noise(self.world.scene.seed, f"occluder of camera {self.camera.serial}", 0)
+        return Occluder(share_percent * PERCENT, float(direction.uniform(0.0, 2.0 * pi)))
+
+    def _glare(self, radius_px: float) -> Glare:
+        place = noise(self.world.scene.seed, f"glare of camera {self.camera.serial}", 0)
+        columns, rows = self.camera.sensor_px
+        return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)
+
+
+def _target_balls(head: Head) -> tuple[Fiducial, ...]:
+    """Return the balls at the targets, on posts along the trajectories."""
+    if not head.target_balls:
+        return ()
+    first = 1 + max(each.number for each in head.fiducials)
+    return tuple(
+        Fiducial(number=number, centre_ct_mm=each.target_ct_mm, post_ct=each.outwards_ct)
+        for number, each in enumerate(head.targets, first)
+    )
+
+
+def _upright(post: tuple[float, float, float]) -> Pose:
+    """Return a rotation (3, 3) whose third column is the post; the turn about it is arbitrary but fixed."""
+    hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
+    return rotation_towards(post, hint)

@@ -1,0 +1,202 @@
+"""All features in the order of their registers, and the registers of each: value, minimum, maximum, step.
+
+Names are those of the camera family (SFNC 1.x). Features of transport, actions, user sets and events are
+defined here, those of frames in `capture_features`.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+
+from ronna_hw.wire.gige_vision import GevStatus
+from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
+from sim.basler.camera.features import Commands, Feature, Kind, Number, always, constant, setting
+from sim.basler.control.registers import Refusal, RegisterMap, Word
+from sim.basler.settings import EventKind, UserSet
+from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
+
+
+def _set_packet_size(commands: Commands, value: int) -> None:
+    commands.channel.packet_size = value
+
+
+TRANSPORT = "TransportLayer"
+ACTION = "ActionControl"
+SETS = "UserSets"
+TRANSPORT_FEATURES: tuple[Feature, ...] = (
+    Feature(
+        "PayloadSize",
+        Kind.INTEGER,
+        TRANSPORT,
+        "Image data of one frame.",
+        read=lambda commands: commands.settings.frame().payload_bytes,
+        unit="B",
+    ),
+    constant("GevVersionMajor", TRANSPORT, "Version of the standard.", 1, visibility="Expert"),
+    constant("GevVersionMinor", TRANSPORT, "Version of the standard.", 2, visibility="Expert"),
+    Feature(
+        "GevSCPSPacketSize",
+        Kind.INTEGER,
+        TRANSPORT,
+        "Size of a stream packet with its IP and UDP headers.",
+        read=lambda commands: commands.channel.packet_size,
+        write=_set_packet_size,
+        minimum=always(SMALLEST_PACKET_SIZE),
+        maximum=always(LARGEST_PACKET_SIZE),
+        step=PACKET_SIZE_STEP,
+        unit="B",
+        locked=True,
+    ),
+    setting(
+        "TLParamsLocked",
+        TRANSPORT,
+        "1 while the client grabs: the format is locked.",
+        "parameters_locked",
+        minimum=always(0),
+        maximum=always(1),
+        visibility="Invisible",
+    ),
+    setting("ActionDeviceKey", ACTION, "Device key of accepted action commands.", "action_device_key"),
+    setting(
+        "ActionSelector",
+        ACTION,
+        "Action to which the following features apply.",
+        "action_selector",
+        minimum=always(1),
+        maximum=always(1),
+        selects=("ActionGroupKey", "ActionGroupMask"),
+    ),
+    setting("ActionGroupKey", ACTION, "Group of the selected action.", "action_group_key"),
+    setting("ActionGroupMask", ACTION, "Mask of the group.", "action_group_mask"),
+    setting(
+        "UserSetSelector",
+        SETS,
+        "User set to load or save.",
+        "user_set_selector",
+        kind=Kind.ENUMERATION,
+        entries={
+            "Default": UserSet.DEFAULT,
+            "UserSet1": UserSet.FIRST,
+            "UserSet2": UserSet.SECOND,
+            "UserSet3": UserSet.THIRD,
+        },
+        selects=("UserSetLoad", "UserSetSave"),
+    ),
+    Feature(
+        "UserSetLoad",
+        Kind.COMMAND,
+        SETS,
+        "Load the selected user set.",
+        write=lambda it, _: it.load_user_set(),
+        locked=True,
+    ),
+    Feature(
+        "UserSetSave",
+        Kind.COMMAND,
+        SETS,
+        "Save the current settings as the selected user set; Default is read-only.",
+        write=lambda it, _: it.save_user_set(),
+    ),
+)
+
+
+EVENTS = "EventsGeneration"
+OFF, ON = 0, 1
+
+
+def _is_notified(commands: Commands) -> int:
+    return int(commands.settings.event_selector in commands.settings.events_notified)
+
+
+def _set_notified(commands: Commands, value: int) -> None:
+    settings = commands.settings
+    others = settings.events_notified - {settings.event_selector}
+    settings.events_notified = others | {settings.event_selector} if value == ON else others
+
+
+EVENT_FEATURES: tuple[Feature, ...] = (
+    setting(
+        "EventSelector",
+        EVENTS,
+        "Event to which EventNotification applies.",
+        "event_selector",
+        kind=Kind.ENUMERATION,
+        entries={kind.feature_name: int(kind) for kind in EventKind},
+        selects=("EventNotification",),
+    ),
+    Feature(
+        "EventNotification",
+        Kind.ENUMERATION,
+        EVENTS,
+        "Report the selected event on the message channel.",
+        read=_is_notified,
+        write=_set_notified,
+        entries={"Off": OFF, "On": ON},
+    ),
+)
+
+FEATURES: tuple[Feature, ...] = (
+    IMAGE_FEATURES + ACQUISITION_FEATURES + EXPOSURE_FEATURES + TRANSPORT_FEATURES + EVENT_FEATURES
+)
+
+
+FEATURES_ADDRESS = 0x20000  # the standard's own addresses end below 0xA000
+BYTES_PER_FEATURE = 16
+ADDRESSES = {
+    feature.name: FEATURES_ADDRESS + number * BYTES_PER_FEATURE for number, feature in enumerate(FEATURES)
+}
+MINIMUM_OFFSET, MAXIMUM_OFFSET, STEP_OFFSET = 4, 8, 12
+
+
+def address_of(name: str) -> int:
+    """Return the address of a feature's value."""
+    return ADDRESSES[name]
+
+
+def add_features(registers: RegisterMap, commands: Commands) -> None:
+    """Add the registers of all features."""
+    for feature in FEATURES:
+        address = address_of(feature.name)
+        registers.add(address, _value_register(feature, commands))
+        if feature.minimum is None or feature.maximum is None:
+            continue
+        registers.add(address + MINIMUM_OFFSET, _limit_register(feature, feature.minimum, commands))
+        registers.add(address + MAXIMUM_OFFSET, _limit_register(feature, feature.maximum, commands))
+        if feature.kind is Kind.INTEGER:
+            registers.add(address + STEP_OFFSET, _limit_register(feature, always(feature.step), commands))
+
+
+def _value_register(feature: Feature, commands: Commands) -> Word:
+    def read() -> int:
+        # A command is never pending: it is done once its register has been written.
+        return 0 if feature.read is None else _encode(feature, feature.read(commands))
+
+    def write(word: int) -> None:
+        assert feature.write is not None
+        if feature.locked and commands.acquiring:
+            raise Refusal(GevStatus.BUSY)
+        value = _decode(feature, word)
+        if not feature.accepts(commands, value):
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        feature.write(commands, value)
+
+    return Word(read, None if feature.write is None else write)
+
+
+def _limit_register(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
+    return Word(lambda: _encode(feature, limit(commands)))
+
+
+def _encode(feature: Feature, value: Number) -> int:
+    if feature.kind is Kind.FLOAT:
+        return int(struct.unpack(">I", struct.pack(">f", value))[0])
+    return int(value)
+
+
+def _decode(feature: Feature, word: int) -> Number:
+    if feature.kind is not Kind.FLOAT:
+        return word
+    value = float(struct.unpack(">f", struct.pack(">I", word))[0])
+    return value if math.isfinite(value) else math.nan

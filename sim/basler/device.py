@@ -1,0 +1,139 @@
+"""One camera, assembled from settings, acquisition, channels, registers and control port."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ronna_hw.wire.gige_vision import GevStatus
+from sim.basler.camera.acquisition import Acquisition
+from sim.basler.camera.photographer import FrameSource
+from sim.basler.control.bootstrap import Identity, add_bootstrap, add_message_channel
+from sim.basler.control.feature_table import add_features
+from sim.basler.control.port import Actions, ControlPort, ReplayCache
+from sim.basler.control.privilege import Privilege
+from sim.basler.control.registers import Refusal, RegisterMap
+from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.message_channel import EventReporter, MessageChannel
+from sim.basler.settings import Settings, TheatreClock, Ticks, TriggerMoments, UserSet
+from sim.basler.stream_channel import StreamChannel
+
+
+class Camera:
+    """A GigE Vision camera without its control socket: `port` answers what arrives there.
+
+    `now_s` is the host's monotonic clock, used for the heartbeat.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        source: FrameSource,
+        clock: TheatreClock,
+        moments: TriggerMoments,
+        *,
+        faults: CameraFaults = NO_FAULTS,
+        now_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.identity = identity
+        self.settings = Settings()
+        self._user_sets: dict[int, Settings] = {UserSet.DEFAULT: Settings()}
+        self.privilege = Privilege(now_s, self._release_control)
+        self.faults = faults
+        self.channel = StreamChannel(identity.address, self._owner_address, faults)
+        self.messages = MessageChannel(identity.address, self._owner_address, now_s, faults)
+        ticks = self._ticks = Ticks(clock, faults)
+        self.acquisition = Acquisition(
+            identity.user_name,
+            lambda: self.settings,
+            source,
+            self.channel,
+            clock,
+            ticks,
+            moments,
+            EventReporter(lambda: self.settings, self.messages, ticks).report,
+            faults,
+        )
+        self.registers = RegisterMap()
+        add_bootstrap(
+            self.registers, identity, self.privilege, self.channel, ticks, lambda: self.acquisition.running
+        )
+        add_message_channel(self.registers, self.messages)
+        add_features(self.registers, self)
+        self.port = ControlPort(
+            self.registers,
+            self.privilege,
+            ReplayCache(now_s),
+            Actions(self.channel.repeat, self._accept_action),
+            mac=identity.mac,
+            address=identity.address_bytes,
+            counts_as_life=lambda: not faults.active("deaf"),
+        )
+
+    def open(self) -> None:
+        """Start acquiring on command."""
+        self.acquisition.open()
+
+    def close(self) -> None:
+        """Stop acquiring and close the channels at once."""
+        self.acquisition.close()
+        self.channel.shut()
+        self.messages.shut()
+
+    @property
+    def acquiring(self) -> bool:
+        """True while the acquisition is active."""
+        return self.acquisition.running
+
+    def load_user_set(self) -> None:
+        """Load the selected user set; one that was never saved has the power-on values."""
+        selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
+        settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
+        settings.user_set_selector, settings.parameters_locked = selected, locked
+        self.settings = settings
+
+    def save_user_set(self) -> None:
+        """Save the present settings as the selected user set; the default set cannot be overwritten."""
+        selected = self.settings.user_set_selector
+        if selected == UserSet.DEFAULT:
+            raise Refusal(GevStatus.WRITE_PROTECT)
+        self._user_sets[selected] = self.settings.copy()
+
+    def apply_faults(self) -> None:
+        """Apply the momentary faults since the last call, and a seized control privilege."""
+        if self.faults.happened("restart"):
+            self.restart()
+        if self.faults.happened("pulse"):
+            self.acquisition.line()
+        self.privilege.seize(self.faults.active("taken"))
+
+    def restart(self) -> None:
+        """Power-cycle: no application in control, power-on settings; saved user sets are kept."""
+        self.privilege.drop()
+        self.acquisition.stop()
+        self.channel.shut()
+        self.messages.shut()
+        self.settings = Settings()
+        self._ticks.reset()
+
+    def _owner_address(self) -> str | None:
+        owner = self.privilege.owner
+        return None if owner is None else owner[0]
+
+    def _release_control(self) -> None:
+        """Stop everything: nothing may continue without an application in control."""
+        self.acquisition.stop()
+        self.channel.shut()
+        self.messages.shut()
+        self.settings.parameters_locked = 0
+
+    def _accept_action(self, device_key: int, group_key: int, group_mask: int) -> bool:
+        settings = self.settings
+        addressed = (
+            device_key == settings.action_device_key
+            and group_key == settings.action_group_key
+            and bool(group_mask & settings.action_group_mask)
+        )
+        if addressed:
+            self.acquisition.action()
+        return addressed

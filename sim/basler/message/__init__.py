@@ -1,1 +1,0 @@
-"""The message channel of a camera: events to the controlling application, repeated until acknowledged."""

@@ -1,0 +1,235 @@
+"""The message channel of a camera: events, and their reporting until acknowledged."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import struct
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ronna_hw.wire.gige_vision import (
+    EVENT_ITEM,
+    EVENT_ITEM_BYTES,
+    GVCP_ACK_HEADER,
+    GVCP_COMMAND_HEADER,
+    GVCP_HEADER_BYTES,
+    GVCP_KEY,
+    GVCP_PAYLOAD_LIMIT,
+    IP_UDP_HEADER_BYTES,
+    REQUEST_ID_FIRST,
+    REQUEST_ID_LAST,
+    GvcpCommand,
+    GvcpFlag,
+)
+from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.settings import EventKind, Settings, Ticks
+
+STREAM_CHANNEL = 0
+FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
+DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # at power-on; those of the family are unconfirmed
+EVENTS_KEPT = 32  # queued behind a pending message; more are lost
+EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
+DATAGRAM_BYTES = 2048
+
+
+@dataclass(frozen=True)
+class Event:
+    """An event; block id 0 without a frame. `data` is sent as EVENTDATA."""
+
+    kind: EventKind
+    block_id: int
+    stamp_ticks: int
+    data: bytes = b""
+
+    def encoded(self) -> bytes:
+        """Encode the event as an item of a message."""
+        head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
+        return head + self.data
+
+
+@dataclass
+class _Pending:
+    """A message sent but not yet acknowledged."""
+
+    request_id: int
+    datagram: bytes
+    repetitions_left: int
+    due_s: float
+
+
+class MessageChannel:
+    """Sends one message at a time to one receiver, repeated until acknowledged or out of retries.
+
+    `owner_address` is that of the application in control, `now_s` the host's monotonic clock.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        owner_address: Callable[[], str | None],
+        now_s: Callable[[], float],
+        faults: CameraFaults = NO_FAULTS,
+    ) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((address, 0))
+        self.socket.setblocking(False)
+        self._owner_address = owner_address
+        self._now_s = now_s
+        self._faults = faults
+        self._lock = threading.Lock()
+        self._waiting: deque[Event] = deque()
+        self._pending: _Pending | None = None
+        self._request_id = 0
+        self._port = 0
+        self.destination = "0.0.0.0"
+        self.timeout_ms = DEFAULT_TIMEOUT_MS
+        self.retries = DEFAULT_RETRIES
+        self.unacknowledged = 0  # messages given up
+        self.changed: Callable[[], None] = lambda: None
+        """Called when `due_s` may have become earlier."""
+
+    @property
+    def port(self) -> int:
+        """UDP port of the receiver; 0 while closed."""
+        return self._port
+
+    @port.setter
+    def port(self, value: int) -> None:
+        with self._lock:
+            self._clear()
+            self._port = value
+
+    @property
+    def source_port(self) -> int:
+        """UDP port from which messages are sent, and to which acknowledges go."""
+        return int(self.socket.getsockname()[1])
+
+    @property
+    def receiver(self) -> tuple[str, int] | None:
+        """Destination of messages; None while closed. 0.0.0.0 stands for the application in control."""
+        owner = self._owner_address()
+        if not self._port or owner is None:
+            return None
+        return (owner if self.destination == "0.0.0.0" else self.destination), self._port
+
+    def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
+        """Queue an event; False if it is lost because the queue is full. A closed channel loses nothing."""
+        with self._lock:
+            if self.receiver is None:
+                return True
+            if len(self._waiting) >= EVENTS_KEPT and not beyond_limit:
+                return False
+            self._waiting.append(event)
+            if self._pending is None:
+                self._send_next()
+        self.changed()
+        return True
+
+    def due_s(self) -> float | None:
+        """Return when the pending message must be repeated; None without one."""
+        pending = self._pending
+        return None if pending is None else pending.due_s
+
+    def receive(self) -> None:
+        """Process the acknowledges received."""
+        with contextlib.suppress(OSError):
+            while True:
+                datagram, (host, _) = self.socket.recvfrom(DATAGRAM_BYTES)
+                receiver = self.receiver
+                if receiver is not None and host == receiver[0]:
+                    self._acknowledged(datagram)
+
+    def repeat_overdue(self) -> None:
+        """Repeat the pending message when its acknowledge is late; give up after the last retry."""
+        with self._lock:
+            pending = self._pending
+            if pending is None or self._now_s() < pending.due_s:
+                return
+            if not pending.repetitions_left:
+                self.unacknowledged += 1
+                self._pending = None
+                self._send_next()
+                return
+            pending.repetitions_left -= 1
+            pending.due_s = self._now_s() + self.timeout_ms / 1e3
+            self._transmit(pending.datagram)
+
+    def shut(self) -> None:
+        """Close the channel; queued events are dropped."""
+        self.port = 0
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+    def _acknowledged(self, datagram: bytes) -> None:
+        if len(datagram) < GVCP_HEADER_BYTES:
+            return
+        _, code, _, request_id = struct.unpack_from(GVCP_ACK_HEADER, datagram)
+        with self._lock:
+            pending = self._pending
+            wanted = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
+            if pending is not None and code in wanted and request_id == pending.request_id:
+                self._pending = None
+                self._send_next()
+
+    def _send_next(self) -> None:
+        """Send the next message: an event with data alone, others combined."""
+        while self._waiting and self._pending is None:
+            together = [self._waiting.popleft()]
+            while (
+                not together[0].data
+                and self._waiting
+                and not self._waiting[0].data
+                and len(together) < EVENTS_PER_MESSAGE
+            ):
+                together.append(self._waiting.popleft())
+            self._send(together)
+
+    def _send(self, events: list[Event]) -> None:
+        self._request_id = self._request_id % REQUEST_ID_LAST + REQUEST_ID_FIRST
+        command = GvcpCommand.EVENTDATA if events[0].data else GvcpCommand.EVENT
+        payload = b"".join(event.encoded() for event in events)
+        flags = GvcpFlag.ACK_REQUIRED if self.timeout_ms else GvcpFlag(0)
+        head = struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, flags, command, len(payload), self._request_id)
+        if self.timeout_ms:
+            due_s = self._now_s() + self.timeout_ms / 1e3
+            self._pending = _Pending(self._request_id, head + payload, self.retries, due_s)
+        self._transmit(head + payload)
+
+    def _transmit(self, datagram: bytes) -> None:
+        receiver = self.receiver
+        lost = self._faults.message_lost() or not self._faults.passes(len(datagram) + IP_UDP_HEADER_BYTES)
+        if receiver is not None and not lost:
+            with contextlib.suppress(OSError):  # a receiver that is gone
+                self.socket.sendto(datagram, receiver)
+
+    def _clear(self) -> None:
+        self._waiting.clear()
+        self._pending = None
+
+
+class EventReporter:
+    """Reports the events of one camera that have notification on. May be called from any thread."""
+
+    def __init__(self, settings: Callable[[], Settings], channel: MessageChannel, ticks: Ticks) -> None:
+        self._settings = settings
+        self._channel = channel
+        self._ticks = ticks
+        self._overrun_reported = False
+
+    def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
+        """Report an event at a theatre time in ns, if its notification is on."""
+        if kind not in self._settings().events_notified or self._channel.receiver is None:
+            return
+        data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
+        ticks = self._ticks.count(moment_ns)
+        if self._channel.report(Event(kind, block_id, ticks, data)):
+            self._overrun_reported = False
+        elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_reported:
+            # one warning while the queue stays full; the number of lost events is not reported
+            self._overrun_reported = True
+            self._channel.report(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

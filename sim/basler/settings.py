@@ -1,0 +1,275 @@
+"""Settings of a camera, those of one frame, and the timing that follows from them."""
+
+from __future__ import annotations
+
+import copy
+import threading
+import time
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Protocol
+
+from ronna_hw.wire.gige_vision import (
+    GAIN_RAW_MINIMUM,
+    PIXEL_FORMAT_BITS_MASK,
+    PIXEL_FORMAT_BITS_SHIFT,
+    SENSOR_HEIGHT_PX,
+    SENSOR_WIDTH_PX,
+    TICK_FREQUENCY_HZ,
+    PixelFormat,
+)
+from sim.basler.faults import NO_FAULTS, CameraFaults
+from sim.basler.optics.canvas import Area
+
+DEFAULT_EXPOSURE_US = 4000
+DEFAULT_BLACK_LEVEL_RAW = 32
+DEFAULT_FRAME_RATE_HZ = 50.0
+
+FULL_FRAME_RATE_HZ = 50.0
+ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
+LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
+NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
+# In lock-step two triggers within this host time belong together, and the theatre time between them is at
+# most that between two software triggers on a real network.
+SAME_PAIR_HOST_NS = 500_000_000
+SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
+
+
+class EventKind(IntEnum):
+    """Entries of EventSelector; the values are the ids on the wire.
+
+    A vendor's ids begin at 0x9000; their assignment in real firmware is unconfirmed. A client reads them
+    from the description.
+    """
+
+    EXPOSURE_END = 0x9001
+    FRAME_START_OVERTRIGGER = 0x9002
+    ACQUISITION_START_OVERTRIGGER = 0x9003
+    FRAME_START = 0x9004
+    ACQUISITION_START = 0x9005
+    EVENT_OVERRUN = 0x9006
+
+    @property
+    def feature_name(self) -> str:
+        """Entry as spelled in the family."""
+        return "".join(word.capitalize() for word in self.name.split("_"))
+
+
+class AcquisitionMode(IntEnum):
+    """Entries of AcquisitionMode."""
+
+    SINGLE_FRAME = 0
+    CONTINUOUS = 1
+
+
+class Trigger(IntEnum):
+    """Entries of TriggerSelector."""
+
+    ACQUISITION_START = 0
+    FRAME_START = 1
+
+
+class TriggerSource(IntEnum):
+    """Entries of TriggerSource. Pulses on Line1 come from the fault script only."""
+
+    SOFTWARE = 0
+    LINE_1 = 1
+    ACTION_1 = 2
+
+
+class RampImage(IntEnum):
+    """Entries of TestImageSelector: none, a fixed ramp, a ramp that moves with every frame."""
+
+    OFF = 0
+    FIXED = 1
+    MOVING = 2
+
+
+class UserSet(IntEnum):
+    """Entries of UserSetSelector."""
+
+    DEFAULT = 0
+    FIRST = 1
+    SECOND = 2
+    THIRD = 3
+
+
+@dataclass
+class TriggerSettings:
+    """Settings of one trigger."""
+
+    mode: int = 0
+    source: int = TriggerSource.SOFTWARE
+    activation: int = 0
+    delay_us: float = 0.0
+
+
+@dataclass(frozen=True)
+class FrameSettings:
+    """The settings of one frame."""
+
+    area: Area
+    pixel_format: PixelFormat
+    exposure_us: int
+    gain_raw: int
+    black_level_raw: int
+    test_image: RampImage
+
+    @property
+    def payload_bytes(self) -> int:
+        """Size of the image on the wire."""
+        return self.area.width * self.area.height * bits_per_pixel(self.pixel_format) // 8
+
+
+@dataclass
+class Settings:
+    """Everything in a user set, and the selectors; the defaults are the power-on values."""
+
+    width: int = SENSOR_WIDTH_PX
+    height: int = SENSOR_HEIGHT_PX
+    offset_x: int = 0
+    offset_y: int = 0
+    pixel_format: int = PixelFormat.MONO8
+    test_image: int = RampImage.OFF
+    acquisition_mode: int = AcquisitionMode.CONTINUOUS
+    acquisition_frame_count: int = 1
+    frame_rate_enabled: int = 0
+    frame_rate_hz: float = DEFAULT_FRAME_RATE_HZ
+    exposure_us: int = DEFAULT_EXPOSURE_US
+    gain_raw: int = GAIN_RAW_MINIMUM
+    black_level_raw: int = DEFAULT_BLACK_LEVEL_RAW
+    trigger_selector: int = Trigger.FRAME_START
+    triggers: tuple[TriggerSettings, TriggerSettings] = field(
+        default_factory=lambda: (TriggerSettings(), TriggerSettings())
+    )
+    status_selector: int = 0
+    action_device_key: int = 0
+    action_selector: int = 1
+    action_group_key: int = 0
+    action_group_mask: int = 0
+    event_selector: int = EventKind.EXPOSURE_END
+    events_notified: frozenset[int] = frozenset()
+    user_set_selector: int = UserSet.DEFAULT
+    parameters_locked: int = 0
+
+    @property
+    def selected_trigger(self) -> TriggerSettings:
+        """Settings of the trigger selected by TriggerSelector."""
+        return self.triggers[self.trigger_selector]
+
+    def frame(self) -> FrameSettings:
+        """Return the settings of a frame that starts now."""
+        return FrameSettings(
+            Area(self.offset_x, self.offset_y, self.width, self.height),
+            PixelFormat(self.pixel_format),
+            self.exposure_us,
+            self.gain_raw,
+            self.black_level_raw,
+            RampImage(self.test_image),
+        )
+
+    def copy(self) -> Settings:
+        """Return an independent copy."""
+        return copy.deepcopy(self)
+
+
+def bits_per_pixel(pixel_format: PixelFormat) -> int:
+    """Return the bits of a pixel on the wire."""
+    return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK
+
+
+class TheatreClock(Protocol):
+    """The theatre's clock as the cameras use it."""
+
+    @property
+    def paced(self) -> bool: ...
+
+    def now_ns(self) -> int: ...
+
+    def wait_until_ns(self, moment_ns: int) -> None: ...
+
+
+def readout_us(frame: FrameSettings) -> float:
+    """Return the time from the end of exposure until the image has left the sensor."""
+    return frame.area.height * ROW_US
+
+
+def shortest_period_us(frame: FrameSettings) -> float:
+    """Return the shortest frame period: exposure, read-out and transfer overlap, the slowest decides."""
+    return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
+
+
+def free_running_period_us(settings: Settings) -> float:
+    """Return the frame period without a frame trigger."""
+    shortest = max(shortest_period_us(settings.frame()), 1e6 / FULL_FRAME_RATE_HZ)
+    return max(shortest, 1e6 / settings.frame_rate_hz) if settings.frame_rate_enabled else shortest
+
+
+class TriggerMoments:
+    """Theatre time of the triggers of both cameras.
+
+    In real time a trigger acts when it arrives. In lock-step the first camera's frame may have advanced the
+    theatre before the second trigger arrives: that one is then backdated to the first, so that a pair
+    triggered sequentially stays a pair and does not take twice the time.
+    """
+
+    def __init__(self, clock: TheatreClock) -> None:
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._first: tuple[str, int, int] | None = (
+            None  # camera, host time, theatre time of the first trigger of a pair
+        )
+
+    def of(self, camera: str) -> int:
+        """Return the theatre time in ns of a trigger that this camera is receiving now."""
+        now = self._clock.now_ns()
+        if self._clock.paced:
+            return now
+        host = time.monotonic_ns()
+        with self._lock:
+            first = self._first
+            if first is None or first[0] == camera or host - first[1] > SAME_PAIR_HOST_NS:
+                self._first = (camera, host, now)
+                return now
+            self._first = None
+            return min(now, first[2] + SOFTWARE_TRIGGER_SKEW_NS)
+
+
+class Ticks:
+    """Time stamp counter of a camera, driven by the theatre's clock."""
+
+    def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
+        self._clock = clock
+        self._faults = faults
+        self._zero_ns = 0
+        self._last_stamp = 0
+        self._gained_ns = 0.0  # by drift
+        self._drifted_until_ns = 0
+        self.latched = 0
+
+    def stamp(self, moment_ns: int) -> int:
+        """Return the ticks of a frame; they never repeat, even for frames at the same theatre time."""
+        self._last_stamp = max(self._at(moment_ns), self._last_stamp + 1)
+        return self._last_stamp
+
+    def count(self, moment_ns: int) -> int:
+        """Return the ticks at a theatre time, for anything but frames."""
+        return self._at(moment_ns)
+
+    def latch(self) -> None:
+        """Latch the present value for reading."""
+        self.latched = self._at(self._clock.now_ns())
+
+    def reset(self) -> None:
+        """Restart the counter from zero."""
+        self._zero_ns = self._clock.now_ns()
+        self._last_stamp = 0
+
+    def _at(self, moment_ns: int) -> int:
+        if self._faults.happened("reset_clock"):
+            self.reset()
+        drift_ppm = self._faults.drift_ppm()
+        if drift_ppm:
+            self._gained_ns += max(0, moment_ns - self._drifted_until_ns) * drift_ppm * 1e-6
+        self._drifted_until_ns = moment_ns
+        return max(0, moment_ns - self._zero_ns + round(self._gained_ns)) // NS_PER_TICK

@@ -1,0 +1,54 @@
+"""Automatic start of the RSI program: a client without EKI finds a streaming controller."""
+
+from __future__ import annotations
+
+from sim.kuka.controller import Controller
+from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
+
+
+class Autostart:
+    """Starts the program, and restarts it some time after a run has ended or was stopped.
+
+    It also acknowledges the message of a fault or a released emergency stop: without EKI nobody could.
+    """
+
+    def __init__(self, controller: Controller, *, wanted: bool) -> None:
+        self._controller = controller
+        self._wanted = wanted
+        self._armed = wanted
+        self._ended_s: float | None = None
+
+    def begin(self) -> None:
+        """Switch on the drives and start the first run."""
+        if self._wanted:
+            self._controller.switch_drives(True)
+            self._controller.start(counts_from_first_reply=True)
+
+    def tick(self, now_s: float) -> None:
+        """Restart when it is time; called while the program is stopped or over, and the arm is at rest."""
+        controller = self._controller
+        if not self._armed:
+            return
+        if self._ended_s is None:
+            self._ended_s = now_s
+        elif now_s - self._ended_s >= AUTOSTART_PAUSE_S:
+            self._ended_s = None
+            controller.acknowledge()
+            controller.switch_drives(True)
+            controller.start(counts_from_first_reply=True)
+
+    def yield_to_client(self) -> None:
+        """Disarm, and end an automatic run, because a client starts the program explicitly."""
+        run = self._controller.run
+        if self._armed and run is not None and run.settings.counts_from_first_reply:
+            self._controller.cancel()
+        self.disarm()
+
+    def disarm(self) -> None:
+        """Suspend automatic start."""
+        self._armed = False
+        self._ended_s = None
+
+    def arm(self) -> None:
+        """Resume automatic start, if it was requested."""
+        self._armed = self._wanted

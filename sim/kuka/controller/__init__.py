@@ -1,1 +1,0 @@
-"""The controller itself: modes, interlocks, messages, the cycle loop."""

@@ -1,0 +1,165 @@
+"""The fault script applied to controller, arm and EKI channels, and the log of injected faults."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+
+from ronna_hw.wire.kuka_eki import OperationMode
+from sim.kuka.controller import Controller
+from sim.kuka.eki.server import EkiServer, half, padded, with_garbage
+from sim.kuka.rsi.link import LinkFaults
+from sim.kuka.rsi.program_run import RunSettings
+from sim.world.faults import Fault, FaultBoard
+from sim.world.faults.robot import ROBOT_FAULTS
+
+MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
+EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
+    "eki_cut": EkiServer.drop,
+    "eki_overflow": EkiServer.fill_buffer,
+    "eki_half": lambda server: server.corrupt_next(half),
+    "eki_garbage": lambda server: server.corrupt_next(with_garbage),
+    "eki_padding": lambda server: server.corrupt_next(padded),
+}
+
+
+class FaultLog:
+    """Prints on standard error when faults begin and end. `moment` returns theatre time (s) and the IPOC."""
+
+    def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
+        self._moment = moment
+        self._acting: dict[tuple[int, float | None], Fault] = {}
+        self._hits: dict[str, int] = {}
+
+    def update(self, acting: tuple[Fault, ...]) -> None:
+        """Log the faults that have begun or ended since the last call."""
+        now = {(fault.line, fault.at_s): fault for fault in acting}
+        for key, fault in now.items():
+            if key not in self._acting:
+                self._write(f"{_named(fault)} begins")
+        for key, fault in self._acting.items():
+            if key not in now:
+                hits = self._hits.pop(fault.kind.name, 0)
+                self._write(f"{_named(fault)} ends" + (f" after {hits} telegrams" if hits else ""))
+        self._acting = now
+
+    def hit(self, kind: str) -> None:
+        """Count a telegram or reply affected by a lasting fault."""
+        self._hits[kind] = self._hits.get(kind, 0) + 1
+
+    def happened(self, fault: Fault) -> None:
+        """Log a momentary fault."""
+        self._write(_named(fault))
+
+    def _write(self, what: str) -> None:
+        time_s, ipoc = self._moment()
+        stamp = f"IPOC {ipoc}" if ipoc is not None else "no RSI"
+        sys.stderr.write(f"fault at {time_s:.3f} s, {stamp}: {what}\n")
+        sys.stderr.flush()
+
+
+def _named(fault: Fault) -> str:
+    words, arguments = [], iter(fault.arguments)
+    for word in fault.kind.phrase.split():
+        words.append(next(arguments) if word.isupper() else word)
+    return " ".join([fault.kind.device, *words])
+
+
+class ControllerFaults:
+    """Applies the fault script to the controller, once per cycle."""
+
+    def __init__(
+        self,
+        board: FaultBoard,
+        controller: Controller,
+        servers: Sequence[EkiServer],
+        link: LinkFaults,
+        log: FaultLog,
+    ) -> None:
+        self._board = board
+        self._controller = controller
+        self._servers = servers
+        self._link = link
+        self._log = log
+        self._quiet = True
+        self._restart: RunSettings | None = None
+
+    def poll(self) -> None:
+        """Apply the faults that have become due."""
+        if self._board.empty and self._quiet:
+            return
+        acting = self._board.acting()
+        self._log.update(acting)
+        self._link.set_active(acting)
+        arguments = {fault.kind.name: fault.argument for fault in acting}
+        controller, interlocks = self._controller, self._controller.interlocks
+        mode = OperationMode(arguments.get("mode", OperationMode.EXT))
+        turned = mode is not interlocks.mode
+        if turned:
+            controller.turn_key(mode)
+        pressed = "emergency_stop" in arguments
+        if pressed is not interlocks.emergency_stop:
+            controller.press_emergency_stop(pressed)
+        is_open = "guard" in arguments
+        if is_open is not interlocks.guard_open:
+            controller.open_guard(is_open)
+        held = "enabling_switch" not in arguments
+        if held is not interlocks.enabling_switch:
+            controller.hold_enabling_switch(held)
+        key = "start_key" in arguments
+        if key is not interlocks.start_key:
+            controller.hold_start_key(key)
+            turned = True
+        if key and interlocks.manual:
+            self._act_as_operator(newly=turned)
+        stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
+        controller.arm.drives.stick(stick)
+        controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
+        for server in self._servers:
+            server.silent = "eki_silence" in arguments
+            server.occupied = "eki_taken" in arguments
+        for kind in MOMENTARY:
+            for fault in self._board.happened(kind):
+                self._log.happened(fault)
+                self._inject(fault)
+        self._restart_program()
+        self._quiet = not acting and self._restart is None
+
+    def _act_as_operator(self, *, newly: bool) -> None:
+        """Switch on the drives and confirm: whoever holds the start key in a test mode does both."""
+        if newly and not self._controller.drives_on:
+            self._controller.switch_drives(True)
+        run = self._controller.run
+        if run is not None and run.awaits_confirmation:
+            self._controller.acknowledge()
+
+    def _inject(self, fault: Fault) -> None:
+        controller, kind = self._controller, fault.kind.name
+        if kind == "trip":
+            controller.trip(fault.argument)
+        elif kind == "drives_off":
+            controller.switch_drives(False)
+        elif kind == "collision":
+            controller.collide()
+        elif kind == "overload":
+            controller.overload()
+        elif kind == "program_restart":
+            if controller.run is not None:
+                self._restart = controller.run.settings
+                controller.restart()
+        else:
+            for server in self._servers:
+                EKI_FAULTS[kind](server)
+
+    def _restart_program(self) -> None:
+        """Start the program again where the arm came to rest."""
+        settings = self._restart
+        if settings is None or self._controller.moving:
+            return
+        self._restart = None
+        if self._controller.run is None:
+            self._controller.start(
+                settings.cycle_ms,
+                settings.relative,
+                counts_from_first_reply=settings.counts_from_first_reply,
+            )

@@ -1,1 +1,0 @@
-"""Injected faults of controller, arm and links."""

@@ -1,0 +1,211 @@
+"""The arm in its world: drives, nominal geometry for the controller, true geometry for observers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import degrees, dist, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.drives import Drives
+from sim.world.nominal_arm import axes_of_posture, description, frame_of, pose_of_frame
+from sim.world.rigid import inverse, rotation_from_vector
+from sim.world.scene.model import ArmTruth
+from sim.world.true_arm import JointChain, TrueArm, rotation_vector
+from sim.world.world import ArmState
+
+Matrix = NDArray[np.float64]
+IDENTITY = np.eye(4)
+WAYPOINTS = 40  # checked before a straight path is accepted
+
+
+class Manipulator:
+    """Moves the arm and publishes its true flange pose."""
+
+    def __init__(
+        self,
+        truth: ArmTruth,
+        seed: int,
+        publish: Callable[[ArmState], None],
+        parameters: ControllerParameters,
+        resume_from: ArmState | None = None,
+    ) -> None:
+        """`resume_from` is the arm's last state in a continued world; without one it starts at home."""
+        self.description = description(truth.variant)
+        start_deg = (
+            truth.home_deg if resume_from is None else [degrees(angle) for angle in resume_from.joints_rad]
+        )
+        self.drives = Drives(self.description, start_deg, parameters)
+        if resume_from is not None:
+            self.drives.restore(resume_from.flanks, resume_from.motion_number, resume_from.moved_s)
+        self._nominal = JointChain(self.description)
+        self._true = TrueArm(truth, seed)
+        self._publish = publish
+        self._tool: Matrix | None = None  # $TOOL, None is the flange
+        self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
+        self._readout_step_deg = parameters.readout_step_deg
+        self._read: list[float] | None = None
+        self._reported: list[float] = []
+        self._reported_frame: list[float] | None = None
+        self._published: tuple[int, bool] | None = None
+        self.publish()
+
+    @property
+    def axes_deg(self) -> list[float]:
+        """Encoder angles."""
+        return self.drives.axes_deg
+
+    @property
+    def reported_deg(self) -> list[float]:
+        """Encoder angles as reported; the same object while nothing moves."""
+        if self._read is not self.drives.axes_deg:
+            self._read, step, self._reported_frame = self.drives.axes_deg, self._readout_step_deg, None
+            self._reported = [round(angle / step) * step for angle in self._read] if step else self._read
+        return self._reported
+
+    @property
+    def frame(self) -> list[float]:
+        """X Y Z (mm) A B C (deg) of the tool in BASE, by the nominal geometry."""
+        return self._frame_at(self.drives.axes_deg)
+
+    @property
+    def reported_frame(self) -> list[float]:
+        """X Y Z (mm) A B C (deg) of the tool at the reported axes; the same object while nothing moves."""
+        reported_deg = self.reported_deg
+        if self._reported_frame is None:
+            self._reported_frame = self._frame_at(reported_deg)
+        return self._reported_frame
+
+    @property
+    def base(self) -> Matrix:
+        """$BASE in $ROBROOT, (4, 4)."""
+        return IDENTITY if self._base is None else self._base
+
+    def tool_point(self, axes_deg: Sequence[float] | None = None) -> Matrix:
+        """Return the nominal pose (4, 4) of the tool in $ROBROOT, now or at other axes."""
+        axes = self.drives.axes_deg if axes_deg is None else axes_deg
+        flange = self._nominal.flange([radians(angle) for angle in axes])
+        return flange if self._tool is None else flange @ self._tool
+
+    def _frame_at(self, axes_deg: list[float]) -> list[float]:
+        pose = self.tool_point(axes_deg)
+        return frame_of(pose if self._base is None else inverse(self._base) @ pose)
+
+    def peak_tool_speed_mm(self, goal_deg: Sequence[float]) -> float:
+        """Return the peak tool speed, in mm per unit path parameter, of a synchronous motion to a goal."""
+        start_deg = self.drives.axes_deg
+        places = [
+            self.tool_point([a + n / WAYPOINTS * (b - a) for a, b in zip(start_deg, goal_deg, strict=True)])[
+                :3, 3
+            ]
+            for n in range(WAYPOINTS + 1)
+        ]
+        return WAYPOINTS * max(dist(a, b) for a, b in pairwise(places))
+
+    def _flange_of(self, tool_point: Matrix) -> Matrix:
+        return tool_point if self._tool is None else tool_point @ inverse(self._tool)
+
+    def set_tool(self, tool: Matrix) -> None:
+        """Set $TOOL, (4, 4) in the flange frame."""
+        self._tool, self._reported_frame = tool, None
+
+    def set_base(self, base: Matrix) -> None:
+        """Set $BASE, (4, 4) in $ROBROOT."""
+        self._base, self._reported_frame = base, None
+
+    def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
+        """Solve for the joint angles (deg) at a nominal tool pose, near others; None if it fails."""
+        flange = self._flange_of(tool_point)
+        joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
+        return None if joints is None else [degrees(angle) for angle in joints]
+
+    def axes_in_posture(self, frame: Matrix, status: int, turn: int) -> list[float] | None:
+        """Solve for the axes (deg) at a tool pose (4, 4) in BASE with posture S T; None out of reach."""
+        flange = self._flange_of(self.base @ frame)
+        return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
+
+    def joints_at_line_end(self, tool_point: Matrix) -> list[float] | None:
+        """Return the axes (deg) at the end of a straight line to a pose in $ROBROOT; None without one."""
+        start, near_deg = self.tool_point(), self.drives.axes_deg
+        turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
+        for number in range(1, WAYPOINTS + 1):
+            share = number / WAYPOINTS
+            pose = np.eye(4)
+            pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+            pose[:3, 3] = start[:3, 3] + share * (tool_point[:3, 3] - start[:3, 3])
+            joints_deg = self.joints_for(pose, near_deg)
+            if joints_deg is None or any(
+                not joint.lower_deg <= angle <= joint.upper_deg
+                for joint, angle in zip(self.description.joints, joints_deg, strict=True)
+            ):
+                return None
+            near_deg = joints_deg
+        return near_deg
+
+    def follow(self, command_deg: list[float], *, heard: bool) -> None:
+        """Advance one cycle towards a command."""
+        self.drives.step(command_deg, heard=heard)
+        self.publish()
+
+    def settle(self) -> None:
+        """Advance one cycle without a command."""
+        self.drives.settle()
+        self.publish()
+
+    def publish(self) -> None:
+        """Publish the flange pose if it has changed."""
+        drives = self.drives
+        if drives.at_rest and self._published == (id(drives.axes_deg), True):
+            return
+        encoders = [radians(angle) for angle in drives.axes_deg]
+        if drives.at_rest:
+            pose = self._true.at_rest(encoders, drives.flanks, drives.motion_number, drives.moved_s)
+        else:
+            pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
+        A1, A2, A3, A4, A5, A6 = encoders
+        F1, F2, F3, F4, F5, F6 = drives.flanks
+        self._publish(
+            ArmState(
+                (A1, A2, A3, A4, A5, A6),
+                pose,
+                drives.motion_number,
+                drives.at_rest,
+                (F1, F2, F3, F4, F5, F6),
+                drives.moved_s,
+            )
+        )
+        self._published = (id(drives.axes_deg), drives.at_rest)
+
+
+class FrameTable:
+    """$TOOL_DATA and $BASE_DATA by number, (4, 4) in the flange frame or $ROBROOT; 0 is the identity."""
+
+    def __init__(self, arm: Manipulator) -> None:
+        self._arm = arm
+        self._tools: dict[int, Matrix] = {0: np.eye(4)}
+        self._bases: dict[int, Matrix] = {0: np.eye(4)}
+        self.tool_number = 0
+        self.base_number = 0
+
+    def set_tool(self, number: int, frame: Sequence[float]) -> None:
+        """Define a tool, X Y Z (mm) A B C (deg), and activate it."""
+        self._tools[number] = pose_of_frame(frame)
+        self.use(number, self.base_number)
+
+    def set_base(self, number: int, frame: Sequence[float]) -> None:
+        """Define a base, X Y Z (mm) A B C (deg), and activate it."""
+        self._bases[number] = pose_of_frame(frame)
+        self.use(self.tool_number, number)
+
+    def use(self, tool_number: int, base_number: int) -> None:
+        """Activate a tool and a base; raises ValueError for an undefined number."""
+        if tool_number not in self._tools:
+            raise ValueError(f"tool {tool_number} is not defined")
+        if base_number not in self._bases:
+            raise ValueError(f"base {base_number} is not defined")
+        self._arm.set_tool(self._tools[tool_number])
+        self._arm.set_base(self._bases[base_number])
+        self.tool_number, self.base_number = tool_number, base_number

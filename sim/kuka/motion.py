@@ -1,0 +1,155 @@
+"""The interpolator: one motion of the EKI program as one command per cycle, and its acknowledgement.
+
+It knows only the nominal arm; the true arm follows its encoders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.wire.kuka_eki import AckCode
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.kuka.pendant import Message, end_switch, near_singularity, too_fast
+from sim.world.nominal_arm import RobotDescription
+from sim.world.rigid import rotation_from_vector
+from sim.world.true_arm import rotation_vector
+
+Matrix = NDArray[np.float64]
+Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]
+
+
+class Acknowledgement(NamedTuple):
+    """The controller's answer to a request: a code and the reason."""
+
+    code: AckCode = AckCode.OK
+    text: str = ""
+
+
+DONE = Acknowledgement()
+
+
+@dataclass
+class EkiMotion:
+    """A motion in progress. `report` is called once, with its outcome."""
+
+    points: Iterator[list[float] | Message]
+    report: Callable[[Acknowledgement], None]
+    message: Message | None = field(default=None, init=False)
+
+    def next_point(self) -> list[float] | None:
+        """Return the axes (deg) for the next cycle; None at the end, with `message` if it was aborted."""
+        point = next(self.points, None)
+        if isinstance(point, Message):
+            self.message = point
+            return None
+        return point
+
+
+def path_parameters(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
+    """Yield the path parameter, 0 to 1, of a trapezoidal speed profile cycle by cycle; the last is 1."""
+    speed = min(speed_1_s, acceleration_1_s2**0.5)  # the path may be too short to reach the speed
+    ramp_s = speed / acceleration_1_s2
+    cruise_s = 1.0 / speed - ramp_s
+    total_s = 2.0 * ramp_s + cruise_s
+    for number in range(1, max(1, round(total_s / cycle_s))):
+        time_s = number * cycle_s
+        remaining_s = total_s - time_s
+        if time_s < ramp_s:
+            yield acceleration_1_s2 * time_s**2 / 2.0
+        elif remaining_s > ramp_s:
+            yield speed * (time_s - ramp_s / 2.0)
+        else:
+            yield 1.0 - acceleration_1_s2 * max(0.0, remaining_s) ** 2 / 2.0
+    yield 1.0
+
+
+def point_to_point(
+    arm: RobotDescription,
+    start_deg: Sequence[float],
+    goal_deg: Sequence[float],
+    speed_share: float,
+    acceleration_share: float,
+    cycle_s: float,
+    fastest_1_s: float = inf,
+) -> Iterator[list[float] | Message]:
+    """Yield a synchronous motion (deg): the slowest axis sets the pace. Shares are of the axis limits.
+
+    `fastest_1_s` limits the speed, in whole paths per second.
+    """
+    ways = [goal - start for goal, start in zip(goal_deg, start_deg, strict=True)]
+    speeds, accelerations = [], []
+    for way, joint in zip(ways, arm.joints, strict=True):
+        if way:
+            speeds.append(joint.full_speed_deg_s * speed_share / abs(way))
+            accelerations.append(joint.acceleration_deg_s2 * acceleration_share / abs(way))
+    if not speeds:
+        return
+    for share in path_parameters(min(fastest_1_s, *speeds), min(accelerations), cycle_s):
+        if share == 1.0:
+            yield list(goal_deg)
+        else:
+            yield [start + share * way for start, way in zip(start_deg, ways, strict=True)]
+
+
+def line(
+    arm: RobotDescription,
+    start: Matrix,
+    goal: Matrix,
+    start_deg: Sequence[float],
+    inverse: Inverse,
+    speed_mm_s: float,
+    parameters: ControllerParameters,
+    cycle_s: float,
+) -> Iterator[list[float] | Message]:
+    """Yield axes (deg) that move the tool on a straight line, (4, 4) in $ROBROOT, turning about one axis."""
+    turn = rotation_vector(goal[:3, :3] @ start[:3, :3].T)
+    length_mm = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
+    angle_rad = float(np.linalg.norm(turn))
+    acceleration_mm_s2 = parameters.line_acceleration_mm_s2
+    speeds, accelerations = [], []
+    if length_mm:
+        speeds.append(speed_mm_s / length_mm)
+        accelerations.append(acceleration_mm_s2 / length_mm)
+    if angle_rad:
+        speeds.append(parameters.line_turn_rad_s / angle_rad)
+        # The rotation reaches its speed in the same time as the translation.
+        accelerations.append(parameters.line_turn_rad_s * acceleration_mm_s2 / speed_mm_s / angle_rad)
+    if not speeds:
+        return
+    before = list(start_deg)
+    for share in path_parameters(min(speeds), min(accelerations), cycle_s):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+        pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
+        axes = inverse(pose, before)
+        if axes is None:
+            yield near_singularity()
+            return
+        message = _check_limits(arm, axes, before, parameters, cycle_s)
+        if message is not None:
+            yield message
+            return
+        before = axes
+        yield axes
+
+
+def _check_limits(
+    arm: RobotDescription,
+    axes_deg: list[float],
+    before_deg: list[float],
+    parameters: ControllerParameters,
+    cycle_s: float,
+) -> Message | None:
+    for joint, now, before in zip(arm.joints, axes_deg, before_deg, strict=True):
+        if not joint.lower_deg <= now <= joint.upper_deg:
+            return end_switch(parameters.end_switch_message, joint.name, now)
+        speed = (now - before) / cycle_s
+        if abs(speed) > joint.full_speed_deg_s:
+            return too_fast(joint.name, speed, joint.full_speed_deg_s)
+    return None

@@ -1,0 +1,195 @@
+"""The teach pendant: messages of a stopped controller, its interlocks and keys, and the printed display.
+
+Messages have KUKA's numbers and our own wording.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from ronna_hw.wire.kuka_eki import OperationMode
+from sim.kuka.controller_parameters import ControllerParameters
+
+RSI_OBJECT_ERROR = 29002
+RSI_LIMIT_EXCEEDED = 29000
+COMMAND_TORQUE = 1073
+COMMAND_ACCELERATION = 1074
+COMMAND_VELOCITY = 1102
+OVERSPEED = 421
+
+MANUAL_MODES = (OperationMode.T1, OperationMode.T2)
+
+PENDANT_PREFIX = "pendant at "  # of each line of the display
+
+
+class Message(NamedTuple):
+    """A message to acknowledge. With `drives_off` the drives stop, otherwise the arm brakes on its path."""
+
+    number: int
+    text: str
+    drives_off: bool
+
+
+def rsi_timeout(late: int) -> Message:
+    """Message of too many late replies."""
+    return Message(
+        RSI_OBJECT_ERROR, f"signal flow: object ETHERNET1 returns error RSITimeout ({late} packets)", False
+    )
+
+
+def rsi_bad(object_name: str) -> Message:
+    """Message of an object used where it has no effect."""
+    return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
+
+
+def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
+    """Message of a total correction beyond a monitor's range."""
+    return Message(
+        RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
+    )
+
+
+def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
+    """Message of a command too far from the previous one."""
+    return Message(
+        COMMAND_ACCELERATION,
+        f"command acceleration {axis}: step {step_deg:.4f} deg, at most {limit_deg:.4f}",
+        True,
+    )
+
+
+def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
+    """Message of a commanded acceleration above the axis limit for longer than one cycle."""
+    return Message(
+        COMMAND_ACCELERATION,
+        f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
+        True,
+    )
+
+
+def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
+    """Message of a commanded speed above the axis limit."""
+    return Message(
+        COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
+    )
+
+
+def too_fast_for_T1(number: int, speed_mm_s: float, limit_mm_s: float) -> Message:
+    """Message of a tool faster than the test mode allows."""
+    return Message(number, f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}", True)
+
+
+def end_switch(number: int, axis: str, angle_deg: float) -> Message:
+    """Message of a command beyond a software end switch."""
+    sign = "+" if angle_deg > 0 else "-"
+    return Message(number, f"software end switch {sign}{axis} at {angle_deg:.4f} deg", False)
+
+
+def near_singularity() -> Message:
+    """Message of a Cartesian correction or path that the joints cannot follow."""
+    return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
+
+
+def emergency_stop(number: int) -> Message:
+    """Message of a pressed emergency stop; acknowledged after its release."""
+    return Message(number, "emergency stop", True)
+
+
+def guard_opened(number: int) -> Message:
+    """Message of a gate opened in an automatic mode; acknowledged once it is closed."""
+    return Message(number, "operator safety: guard open", True)
+
+
+def enabling_switch_released(number: int) -> Message:
+    """Message of an enabling switch released in a test mode while a program ran."""
+    return Message(number, "enabling switch released", True)
+
+
+def collision(number: int) -> Message:
+    """Message of a torque that the model does not explain."""
+    return Message(number, "collision detected: torque beyond the monitored range", True)
+
+
+# Trips by their name in a fault script; always of the first axis.
+TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
+    "timeout": lambda _: Message(
+        RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False
+    ),
+    "rsi_bad": lambda _: rsi_bad("AXISCORR1"),
+    "monitor": lambda _: Message(RSI_LIMIT_EXCEEDED, "AXISCORRMON: A1 out of range", False),
+    "torque": lambda _: Message(COMMAND_TORQUE, "command gear torque A1", True),
+    "acceleration": lambda _: Message(COMMAND_ACCELERATION, "command acceleration A1", True),
+    "velocity": lambda _: Message(COMMAND_VELOCITY, "command velocity A1", True),
+    "overspeed": lambda _: Message(OVERSPEED, "overspeed A1", True),
+    "end_switch": lambda parameters: Message(parameters.end_switch_message, "software end switch +A1", False),
+    "singularity": lambda _: near_singularity(),
+}
+
+
+@dataclass
+class Interlocks:
+    """State of interlocks and keys. In T1 and T2 an operator is present and holds the enabling switch."""
+
+    mode: OperationMode = OperationMode.EXT
+    emergency_stop: bool = False
+    guard_open: bool = False
+    enabling_switch: bool = True  # matters in T1 and T2 only
+    start_key: bool = False  # in T1 and T2 a program runs while it is held
+
+    @property
+    def manual(self) -> bool:
+        """True in the test modes T1 and T2."""
+        return self.mode in MANUAL_MODES
+
+    @property
+    def guard_matters(self) -> bool:
+        """Whether an open guard forbids motion; in the test modes people work inside it."""
+        return self.guard_open and not self.manual
+
+    @property
+    def forbids_drives(self) -> bool:
+        """Whether the drives cannot be switched on."""
+        return self.emergency_stop or self.guard_matters or (self.manual and not self.enabling_switch)
+
+    @property
+    def forbids_program(self) -> str:
+        """Reason why no program may run in this mode now; empty when one may."""
+        if self.mode is OperationMode.AUT:
+            return "mode AUT: the program can only be started at the pendant"
+        if self.manual and not self.start_key:
+            return f"mode {self.mode}: the start key is not held"
+        return ""
+
+
+class PendantDisplay:
+    """Prints messages, and EStr texts of the client, on standard error. `now_s` returns theatre time."""
+
+    def __init__(self, now_s: Callable[[], float]) -> None:
+        self._now_s = now_s
+        self._message: Message | None = None
+        self._notice = ""
+
+    def update(self, message: Message | None, notice: str) -> None:
+        """Print what is new: a message, its acknowledgement, or a text."""
+        if message is not self._message:
+            shown, self._message = self._message, message
+            if message is not None:
+                self._write(f"{_kss_number(message)} {message.text}")
+            elif shown is not None:
+                self._write(f"{_kss_number(shown)} acknowledged")
+        if notice != self._notice:
+            self._notice = notice
+            if notice:
+                self._write(notice)
+
+    def _write(self, what: str) -> None:
+        text = "".join(letter if letter.isprintable() else " " for letter in what)
+        sys.stderr.write(f"{PENDANT_PREFIX}{self._now_s():.3f} s: {text}\n")
+        sys.stderr.flush()
+
+
+def _kss_number(message: Message) -> str:
+    return f"KSS{message.number:05d}"

@@ -1,0 +1,359 @@
+"""Draws one scan of a family at random: head, markers, their surroundings, and the field."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi, radians
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import SEE_PHANTOM, BadScene
+from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest, draw_bands
+from sim.phantom.head import obstacles
+from sim.phantom.head.anatomy import (
+    CABLE_BEHIND_MM,
+    CABLE_GAP_MM,
+    Anatomy,
+    Marker,
+    bare_marker,
+    jaw_teeth,
+    marker_on_post,
+    shifted,
+    side_cable,
+    sinuses,
+    trough,
+    ventricles,
+)
+from sim.phantom.head.look_alikes import LookAlike, Seat
+from sim.phantom.head.obstacles import (
+    FRAMES,
+    FREE,
+    SPHERES,
+    Obstacles,
+    frame_fiducials,
+    frame_markers,
+    frame_shapes,
+    skin_point,
+)
+from sim.phantom.head.painting import Streak
+from sim.phantom.head.shapes import ellipsoid_depth, rounded_point
+from sim.phantom.scan import Scan
+from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
+from sim.world.noise import noise
+from sim.world.rigid import rotation_towards
+from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
+from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
+from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.parts import Target
+
+Vector = NDArray[np.float64]
+
+LARGEST_MARKERS = 8
+CAP_HALF_ANGLE_RAD = radians(60.0)
+BESIDE_FRAME_RAD = radians(80.0)  # the frame occupies the middle of the cap
+CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
+SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
+CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
+LEAD_ROOM_MM = 8.0  # between a sphere's centre and a lead
+LOOK_ALIKES_OF_A_KIND = 2
+LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM = 44.0, 20.0  # a 30 mm rod touches nothing else
+LOOK_ALIKE_MARGIN_MM = 12.0  # to the end of the field
+TARGET_DEPTH_MM = 50.0
+ATTEMPTS = 4000
+STREAK_BELOW_MM = 9.75  # from the sphere's centre down its post
+STREAK_HEIGHT_MM = 3.0
+
+
+def family_scan(
+    name: str, protocol: str, *, seed: int = 0, markers: int | None = None, fiducials: str = FREE
+) -> Scan:
+    """Draw a scan; raises SIM-001 for an unknown name or when the markers do not fit."""
+    if name not in FAMILIES:
+        raise BadScene(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
+    if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
+        raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
+    family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
+    count = markers or (SPHERES if fiducials in FRAMES else family.markers)
+    head, sphere_centres = _draw_head(family, seed, count, fiducials, generator)
+    scene = _scene(family, protocol, seed, head, fiducials)
+    covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
+    around, distractors = _obstacles(family, head, sphere_centres, covering_mm, generator)
+    grid, marks = place_grid(head, scene.ct), _buried_shares(head, covering_mm)
+    objects = _look_alikes(family, head, grid, sphere_centres, generator)
+    if family.bare:
+        built = tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
+    elif fiducials in FRAMES:
+        built = frame_markers(head, generator)
+    else:
+        built = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
+    anatomy = _anatomy(family, head, built, around, fiducials, generator)
+    if objects:
+        bodies = tuple(shape for one in objects for shape in one.shapes)
+        places = tuple(place for one in objects for place in one.places)
+        anatomy = replace(anatomy, surroundings=(*anatomy.surroundings, *bodies), deceiving=places)
+    if family.edge:
+        grid, shares = grid_ending_at_spheres(grid, head, generator)
+        for number, share in shares.items():
+            marks.setdefault(number, {})["surface_in_field"] = share
+    truth: dict[str, Any] = {
+        "family": name,
+        "purpose": family.purpose.value,
+        "protocol": protocol,
+        "distractors_mm": [list(point) for point in distractors],
+    }
+    if objects:
+        truth["look_alikes"] = [
+            {"kind": one.kind, "places_mm": [list(place) for place in one.places]} for one in objects
+        ]
+    return Scan(scene, grid, anatomy, fiducials, truth, marks)
+
+
+def protocol_named(name: str) -> CtProtocol:
+    """Return a protocol by name; raises SIM-001."""
+    if name not in PROTOCOLS:
+        raise BadScene(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
+    return PROTOCOLS[name]
+
+
+def _scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str) -> Scene:
+    words = [family.name, protocol] + ([fiducials] if fiducials != FREE else [])
+    room = named_scene("default", seed=seed)
+    return room.model_copy(update={"name": "-".join(words), "head": head, "ct": protocol_named(protocol)})
+
+
+def _draw_head(
+    family: Family, seed: int, count: int, fiducials: str, generator: np.random.Generator
+) -> tuple[Head, Vector]:
+    """Draw a head with its markers; returns it and the centres of the markers (n, 3)."""
+    sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
+    width, depth, height = (float(generator.uniform(*size)) for size in sizes)
+    along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
+    bare = named_scene("default", seed=seed).head.model_copy(
+        update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
+    )
+    entry, normal = skin_point(bare, along)
+    target = Target(
+        identifier="T1",
+        entry_ct_mm=rounded_point(entry),
+        target_ct_mm=rounded_point(entry - TARGET_DEPTH_MM * normal),
+    )
+    found = (
+        _frame_and_more_fiducials(family, bare, fiducials, count, generator)
+        if fiducials in FRAMES
+        else _free_fiducials(family, bare, count, generator)
+    )
+    head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
+    return head, np.array([fiducial.centre_ct_mm for fiducial in found])
+
+
+def _free_fiducials(
+    family: Family, head: Head, count: int, generator: np.random.Generator
+) -> tuple[Fiducial, ...]:
+    least = max(2 * family.pairs, 1)
+    if not least <= count <= LARGEST_MARKERS:
+        raise BadScene(f"a head of this family carries {least} to {LARGEST_MARKERS} markers")
+    alone = count - family.pairs
+    centres: list[Vector] = []
+    posts: list[Vector] = []
+    for _ in range(ATTEMPTS):
+        skin, normal = skin_point(head, _cap_direction(generator))
+        centre = skin + normal * generator.uniform(*family.standoff_mm)
+        room = CLEARANCE_MM + (PAIR_DISTANCE_MM if family.pairs else 0.0)
+        if _is_clear_of_cable(centre, head) and all(
+            np.linalg.norm(centre - other) > room for other in centres
+        ):
+            centres.append(centre)
+            posts.append(normal)
+        if len(centres) == alone:
+            break
+    else:
+        raise BadScene(f"{count} markers do not fit on the head")
+    for number in range(family.pairs):
+        side = np.cross(posts[number], generator.standard_normal(3))
+        centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
+        posts.append(posts[number])
+    return tuple(
+        Fiducial(number=k + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(post))
+        for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
+    )
+
+
+def _frame_and_more_fiducials(
+    family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
+) -> tuple[Fiducial, ...]:
+    """Place the frame's spheres, and any others next to the frame."""
+    found = list(frame_fiducials(head, frame, generator))
+    centres = [np.array(one.centre_ct_mm) for one in found]
+    bars = [(centres[0], centres[2]), (centres[1], centres[3])]
+    for _ in range(ATTEMPTS):
+        if len(found) == count:
+            return tuple(found)
+        skin, normal = skin_point(head, _cap_direction(generator, BESIDE_FRAME_RAD))
+        centre = skin + normal * generator.uniform(*family.standoff_mm)
+        if (
+            _is_clear_of_cable(centre, head)
+            and all(np.linalg.norm(centre - other) > CLEARANCE_MM for other in centres)
+            and all(_distance_to_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
+        ):
+            centres.append(centre)
+            found.append(
+                Fiducial(
+                    number=len(found) + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(normal)
+                )
+            )
+    raise BadScene(f"{count - SPHERES} markers do not fit next to the frame")
+
+
+def _distance_to_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
+    way = end - start
+    share = np.clip((point - start) @ way / (way @ way), 0.0, 1.0)
+    return float(np.linalg.norm(point - start - share * way))
+
+
+def _is_clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
+    x, y, z = centres.T.astype(np.float32)
+    return all(float(shape.depth(x, y, z).max()) < -LEAD_ROOM_MM for shape in bodies.shapes)
+
+
+def _is_clear_of_cable(centre: Vector, head: Head) -> bool:
+    x, y, _ = head.centre_ct_mm
+    cable = np.array([x + head.semi_axes_mm[0] + CABLE_GAP_MM, y + CABLE_BEHIND_MM])
+    return bool(np.linalg.norm(centre[:2] - cable) > CABLE_ROOM_MM)
+
+
+def _obstacles(
+    family: Family, head: Head, sphere_centres: Vector, covering_mm: float, generator: np.random.Generator
+) -> tuple[Obstacles, list[tuple[float, float, float]]]:
+    """Draw the objects around the head; returns them and the centres of the distractors."""
+    around = Obstacles()
+    if covering_mm > 0.0:
+        around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))
+    if family.headrest is Headrest.CUSHION:
+        around += obstacles.cushion(head)
+    if family.pins:
+        around += obstacles.clamp(head, family.pins, generator)
+    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
+    for number in range(family.electrodes + family.bolts):
+        fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
+        for _ in range(ATTEMPTS):
+            direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
+            if _is_clear_of_spheres(fixed(head, direction), sphere_centres):
+                break
+        around += fixed(head, direction)
+        taken.append(skin_point(head, direction)[0])
+    taken = list(sphere_centres)
+    distractors = []
+    for number in range(2 * family.distractors):
+        # far enough for the longest cylinder
+        direction = _free_direction(head, taken, 1.4 * CLEARANCE_MM, 25.0, generator, cap_rad=pi / 2)
+        shape, middle = obstacles.distractor(head, direction, bool(number % 2), generator)
+        around += Obstacles((shape,))
+        distractors.append(middle)
+        taken.append(np.array(middle))
+    return around, distractors
+
+
+def _look_alikes(
+    family: Family, head: Head, grid: CtGrid, sphere_centres: Vector, generator: np.random.Generator
+) -> list[LookAlike]:
+    """Draw look-alikes clear of the markers and of each other, within the field."""
+    first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
+    last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
+    taken = list(sphere_centres)
+    drawn = []
+    for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
+        for _ in range(ATTEMPTS):
+            direction = _free_direction(
+                head, taken, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
+            )
+            skin, normal = skin_point(head, direction)
+            drawn_one = draw(Seat(skin, normal, generator))
+            if all((first < place).all() and (place < last).all() for place in drawn_one.places):
+                break
+        else:
+            raise BadScene("the objects of this family do not fit in the CT's field of view")
+        drawn.append(drawn_one)
+        taken.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
+    return drawn
+
+
+def _anatomy(
+    family: Family,
+    head: Head,
+    markers: tuple[Marker, ...],
+    around: Obstacles,
+    fiducials: str,
+    generator: np.random.Generator,
+) -> Anatomy:
+    low, high = family.fillings
+    teeth, fillings = jaw_teeth(head, generator, int(generator.integers(low, high + 1)))
+    inside = (*ventricles(head), *sinuses(head), *teeth, *fillings)
+    cable = side_cable(head) if family.cable else ()
+    frame = frame_shapes(head, fiducials, generator) if fiducials in FRAMES else ()
+    return Anatomy(
+        headrest=trough(head) if family.headrest is Headrest.TROUGH else (),
+        surroundings=(*cable, *inside, *around.shapes, *frame),
+        markers=markers,
+        fillings=fillings,
+        streaks=around.streaks + _post_streaks(family, markers, generator),
+        bands=draw_bands(family.bands, markers, generator),
+    )
+
+
+def _post_streaks(
+    family: Family, markers: tuple[Marker, ...], generator: np.random.Generator
+) -> tuple[Streak, ...]:
+    kind = family.post_streaks
+    if kind is None:
+        return ()
+    return tuple(
+        Streak(
+            shifted(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
+            float(generator.uniform(*kind.hu)),
+            float(generator.uniform(*kind.fall_mm)),
+            int(generator.choice(kind.lobes)),
+            float(generator.uniform(0.0, 2.0 * pi)),
+            STREAK_HEIGHT_MM,
+        )
+        for marker in markers
+    )
+
+
+def _buried_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
+    """Return how deep a bandage buries each sphere, as a share of its height."""
+    if covering_mm <= 0.0:
+        return {}
+    marks = {}
+    for fiducial in head.fiducials:
+        x, y, z = (np.array([value], dtype=np.float32) for value in fiducial.centre_ct_mm)
+        above_mm = -float(ellipsoid_depth(x, y, z, head.centre_ct_mm, head.semi_axes_mm)[0])
+        buried_mm = covering_mm - above_mm + fiducial.radius_mm
+        share = min(max(buried_mm / (2.0 * fiducial.radius_mm), 0.0), 1.0)
+        marks[fiducial.number] = {"buried_share": round(share, 3)}
+    return marks
+
+
+def _cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
+    cosine, turn = generator.uniform(np.cos(half_angle_rad), 1.0), generator.uniform(0.0, 2 * pi)
+    sine = (1.0 - cosine**2) ** 0.5
+    frame = rotation_towards(np.array(CAP_AXIS_CT), (1.0, 0.0, 0.0))
+    return np.asarray(frame @ np.array([sine * np.cos(turn), sine * np.sin(turn), cosine]))
+
+
+def _free_direction(
+    head: Head,
+    taken: list[Vector],
+    clearance_mm: float,
+    standoff_mm: float,
+    generator: np.random.Generator,
+    cap_rad: float = CAP_HALF_ANGLE_RAD,
+) -> Vector:
+    for _ in range(ATTEMPTS):
+        direction = _cap_direction(generator, cap_rad)
+        skin, normal = skin_point(head, direction)
+        place = skin + standoff_mm * normal
+        if all(np.linalg.norm(place - other) > clearance_mm for other in taken):
+            return direction
+    raise BadScene("no room left on the head")

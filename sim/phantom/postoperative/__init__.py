@@ -1,1 +1,0 @@
-"""The postoperative CT, drawn from a run's truth: another pose, what was inserted, its streaks."""

@@ -1,0 +1,284 @@
+"""The postoperative scan: the head in another pose, without markers, with the instruments of a run."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from itertools import product
+from math import radians
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.errors import NothingToVerify
+from sim.phantom.head.anatomy import (
+    AIR_HU,
+    LAYERS,
+    METAL_HU,
+    SCALP_MM,
+    SCREW_IN_BONE_MM,
+    HeadLayers,
+    draw_anatomy,
+    shifted,
+    side_cable,
+)
+from sim.phantom.head.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
+from sim.phantom.head.shapes import Ball, Bounds, Point, Rod, Shape, Values, as_point
+from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
+from sim.phantom.scanner.fine_painting import middle_at, paint_rod
+from sim.phantom.scanner.grid import CtGrid, centred_grid
+from sim.world.noise import noise
+from sim.world.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
+from sim.world.scene.model import CtProtocol, Head, Scene, read_scene
+from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
+
+Array = NDArray[np.float64]
+
+ABOVE_SKIN_MM = 25.0  # length of an instrument outside the head
+FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid
+BELOW_SKULL_MM = 1.5  # overshoot of a drill beyond the inner table
+TO_BRAIN_MM = sum(thickness for thickness, _ in LAYERS[:6])  # skin to the inside of the skull
+
+TURN_RAD = radians(10.0)  # largest rotation of the head between the scans, per axis
+SHIFT_MM = 30.0
+STREAK_HU = (200.0, 400.0)  # next to the metal
+STREAK_LOBES = (4, 5, 6, 7)
+STREAK_FALL_MM = 2.5
+POST_PLACE = 2  # index of the post among a marker's bodies, see `marker_on_foot`
+
+
+class Kind(StrEnum):
+    """Kind of an instrument in the head."""
+
+    ELECTRODE = "electrode"
+    NEEDLE = "needle"
+    DRILL_HOLE = "drill-hole"
+
+
+# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
+RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """An instrument where a run left it, CT frame of the plan: tip, and unit vector out of the head."""
+
+    identifier: str
+    kind: Kind
+    tip_mm: Point
+    outwards: Point
+
+    def rod(self, head: Head) -> Rod:
+        """Return the body to paint; a drilled hole is filled with fluid, and as deep as the skull."""
+        skin_mm = _to_skin_mm(self, head)
+        if self.kind is not Kind.DRILL_HOLE:
+            return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
+        deep_mm = TO_BRAIN_MM + BELOW_SKULL_MM
+        x, y, z = np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)).tolist()
+        return Rod(FLUID_HU, (x, y, z), self.outwards, deep_mm, RADII_MM[self.kind])
+
+
+def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]]:
+    """Read the scene of a run and its instruments at the targets reached. Raises SIM-006, SIM-007."""
+    theatre = run / THEATRE_FOLDER
+    if not (theatre / SCENE_FILE).is_file():
+        raise NothingToVerify(f"{run} has no simulated theatre")
+    scene = read_scene(theatre / SCENE_FILE)
+    samples = {sample.target: sample for sample in read_samples(theatre)}  # the last one of each target
+    if not samples:
+        raise NothingToVerify(f"{run} reached no target")
+    robot_from_ct = matrix_of(scene.head.robot_from_ct)
+    found = []
+    for identifier, sample in samples.items():
+        ct_from_robot = inverse(sample.head_moved @ robot_from_ct)
+        tip = apply(ct_from_robot, sample.tip_mm)
+        inwards = ct_from_robot[:3, :3] @ np.array(sample.axis)
+        found.append(
+            Instrument(identifier, kind, as_point(tip), as_point(-inwards / np.linalg.norm(inwards)))
+        )
+    return scene, tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class PostoperativeScan:
+    """Everything to paint, in coordinates of the new scan."""
+
+    scene: Scene
+    seed: int
+    protocol: CtProtocol
+    grid: CtGrid
+    pose: HeadPose
+    head: PosedLayers
+    bodies: tuple[Shape, ...]
+    fillings: tuple[Ball, ...]
+    rods: tuple[Rod, ...]
+    streaks: tuple[Streak | None, ...]  # one per rod, at the origin; none for a drilled hole
+
+    def paint(self, number: int) -> Values:
+        """Paint one slice with its noise: HU (rows, columns)."""
+        grid = self.grid
+        z_mm = float(grid.z_mm[number])
+        x, y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
+        image = np.full((grid.rows, grid.columns), AIR_HU, dtype=np.float32)
+        self._paint_head(image, x, y, z_mm)
+        axes, edge_mm = (x, y, np.array([z_mm], dtype=np.float32)), self._edge_mm
+        for shape in self.bodies:
+            paint(image[None], axes, shape, edge_mm)
+        for rod in self.rods:
+            paint_rod(image, rod, grid, number)
+        for filling in self.fillings:
+            add_filling_streaks(image, x, y, z_mm, filling)
+        for rod, streak in zip(self.rods, self.streaks, strict=True):
+            middle = middle_at(rod, z_mm, grid.slice_mm / 2.0)
+            if streak is not None and middle is not None:
+                here = Streak((*middle, z_mm), streak.hu, streak.fall_mm, streak.lobes, streak.phase_rad, 1.0)
+                add_streak(image, x, y, z_mm, here)
+        generator = noise(self.seed, "postoperative ct", number)
+        image += slice_noise(generator, image.shape, grid.pixel_mm, self.protocol.noise_HU)
+        return image
+
+    @property
+    def _edge_mm(self) -> float:
+        return RAMP_WIDTH * edge_sigma_mm(self.grid.pixel_mm, self.grid.slice_mm)
+
+    def _paint_head(self, image: Values, x: Values, y: Values, z_mm: float) -> None:
+        low, high = self.head.bounds(SKIN_MARGIN_MM)
+        columns, rows = (self.grid.indices(axis, low[axis], high[axis]) for axis in (0, 1))
+        z = np.full((1, 1), z_mm, dtype=np.float32)
+        image[rows, columns] = self.head.at(x[None, columns], y[rows, None], z)
+
+
+def draw_scan(
+    scene: Scene, instruments: tuple[Instrument, ...], seed: int, protocol: CtProtocol | None = None
+) -> PostoperativeScan:
+    """Draw the pose of a scene's head from `seed`; spheres and bases are removed, screws stay in the bone."""
+    generator = noise(seed, "postoperative pose", 0)
+    protocol = protocol or scene.ct
+    pose = _draw_pose(scene, generator)
+    grid = centred_grid(apply(pose.scan_from_head, scene.head.centre_ct_mm), protocol)
+    head = scene.head
+    anatomy = draw_anatomy(scene)
+    beside = set(side_cable(head))  # belongs to the scanner's room
+    screws = (_screw(marker.shapes[POST_PLACE]) for marker in anatomy.markers)
+    edge_mm = edge_sigma_mm(grid.pixel_mm, grid.slice_mm)
+    return PostoperativeScan(
+        scene=scene,
+        seed=seed,
+        protocol=protocol,
+        grid=grid,
+        pose=pose,
+        head=PosedLayers(HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm), pose),
+        bodies=tuple(
+            PosedShape(shape, pose) for shape in (*anatomy.surroundings, *screws) if shape not in beside
+        ),
+        fillings=tuple(
+            Ball(one.hu, as_point(apply(pose.scan_from_head, one.centre)), one.radius)
+            for one in anatomy.fillings
+        ),
+        rods=tuple(pose.rod(one.rod(head)) for one in instruments),
+        streaks=tuple(_streak(generator) if one.kind is not Kind.DRILL_HOLE else None for one in instruments),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class HeadPose:
+    """Pose of the head: `scan_from_head` (4, 4) maps the CT frame of the plan to that of the new scan."""
+
+    scan_from_head: Matrix
+
+    def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
+        """Map scan coordinates, which broadcast together, to head coordinates."""
+        back = inverse(self.scan_from_head).astype(np.float32)
+        u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in back[:3])
+        return u, v, w
+
+    def rod(self, rod: Rod) -> Rod:
+        """Map a rod to scan coordinates."""
+        along = self.scan_from_head[:3, :3] @ np.array(rod.along)
+        return Rod(
+            rod.hu, as_point(apply(self.scan_from_head, rod.start)), as_point(along), rod.length, rod.radius
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PosedShape:
+    """A body of the head in the new scan."""
+
+    shape: Shape
+    pose: HeadPose
+
+    @property
+    def hu(self) -> float:
+        """Intensity."""
+        return self.shape.hu
+
+    def bounds(self) -> Bounds:
+        """Return a bounding box of the rotated bounding box, computed once for all slices."""
+        return self._box
+
+    @cached_property
+    def _box(self) -> Bounds:
+        corners = apply(self.pose.scan_from_head, list(product(*zip(*self.shape.bounds(), strict=True))))
+        return as_point(corners.min(axis=0)), as_point(corners.max(axis=0))
+
+    def depth(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the signed depth in mm."""
+        return self.shape.depth(*self.pose.to_head(x, y, z))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedLayers:
+    """The layers of the head in the new scan."""
+
+    layers: HeadLayers
+    pose: HeadPose
+
+    def at(self, x: Values, y: Values, z: Values) -> Values:
+        """Return the HU at these points; air outside the head."""
+        return self.layers.at(*self.pose.to_head(x, y, z))
+
+    def bounds(self, margin_mm: float) -> Bounds:
+        """Return a bounding box of the head, with a margin."""
+        centre = apply(self.pose.scan_from_head, self.layers.centre)
+        turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
+        half_sides = np.linalg.norm(turned, axis=1) + margin_mm
+        return as_point(centre - half_sides), as_point(centre + half_sides)
+
+
+def _to_skin_mm(instrument: Instrument, head: Head) -> float:
+    """Return the distance in mm from the tip outwards to the skin."""
+    axes = np.array(head.semi_axes_mm)
+    start = np.subtract(instrument.tip_mm, head.centre_ct_mm) / axes
+    along = np.array(instrument.outwards) / axes
+    a, b, c = along @ along, start @ along, start @ start - 1.0
+    if c >= 0.0:
+        return 0.0  # the tip is outside the head: the run missed it by far
+    return float((np.sqrt(b * b - a * c) - b) / a)
+
+
+def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
+    turn = rotation_from_vector(generator.uniform(-TURN_RAD, TURN_RAD, 3))
+    centre = np.array(scene.head.centre_ct_mm)
+    moved = centre + generator.uniform(-SHIFT_MM, SHIFT_MM, 3)
+    return HeadPose(matrix_from(moved - turn @ centre, turn))
+
+
+def _screw(post: Shape) -> Rod:
+    """Return the remaining part of a marker's post, in scalp and bone."""
+    assert isinstance(post, Rod)
+    remaining_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
+    start = shifted(post.start, post.along, post.length - remaining_mm)
+    return Rod(post.hu, start, post.along, remaining_mm, post.radius)
+
+
+def _streak(generator: np.random.Generator) -> Streak:
+    return Streak(
+        centre=(0.0, 0.0, 0.0),
+        hu=float(generator.uniform(*STREAK_HU)),
+        fall_mm=STREAK_FALL_MM,
+        lobes=int(generator.choice(STREAK_LOBES)),
+        phase_rad=float(generator.uniform(0.0, 2.0 * np.pi)),
+        height_mm=1.0,
+    )

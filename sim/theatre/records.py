@@ -1,0 +1,137 @@
+"""Arm and tool records of a theatre file as a laboratory would have them: the truth plus residual errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import cos, radians, sin
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.calibration import PoseRecord
+from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, TipInHead
+from sim.world.noise import noise
+from sim.world.nominal_arm import FLANGE_PITCH_DEG
+from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.model import ArmResidual, ArmTruth, Mount, Scene
+from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
+
+Array = NDArray[np.float64]
+# 3-D error of one point among others with such a record: residuals through the chain, on 200 random arms.
+STATED_ERROR_MM = 0.10
+# Effect of such an arm on the points of one head, all approached alike, per axis: its links and offsets
+# retain 15 and 16 % of an uncalibrated arm's errors, whose effect is 0.10 mm.
+ARM_ERROR_MM = 0.016
+
+STEREO_HEAD_KG = 2.1
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # both tools with the common mount, flange frame
+# From home, with the arm turned aside: the gauge is on the table next to the patient.
+GAUGE_TURN_DEG = -40.0
+GAUGE_BASE_MM = 60.0
+
+
+def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
+    """Return the deviations of an arm's record, named as in `ronna_hw.calibration.ArmCalibration`."""
+
+    def off(values: Any, sigma: float) -> Array:
+        exact = np.asarray(values, dtype=float)
+        return exact + generator.normal(0.0, sigma, exact.shape)
+
+    # The scene expresses the error of the last link in the flange frame, the record in the one before.
+    flange = rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0))
+    translations = np.array([link.translation_mm for link in truth.links])
+    rotations = np.array([link.rotation_rad for link in truth.links])
+    translations[-1], rotations[-1] = flange @ translations[-1], flange @ rotations[-1]
+    amplitudes = np.stack([truth.harmonic_1_rad, truth.harmonic_2_rad], axis=1)
+    phases = np.stack([truth.harmonic_1_phase_rad, truth.harmonic_2_phase_rad], axis=1)
+    values = {
+        "link_translation_mm": off(translations, residual.link_mm),
+        "link_rotation_rad": off(rotations, residual.angle_rad),
+        "joint_offset_rad": off(truth.joint_offset_rad, residual.angle_rad),
+        "sine_rad": amplitudes * np.vectorize(cos)(phases),
+        "cosine_rad": amplitudes * np.vectorize(sin)(phases),
+        "sag_rad": np.array([0.0, *truth.sag_rad, 0.0, 0.0, 0.0]),
+        "backlash_rad": np.array(truth.backlash_rad),
+    }
+    return {name: array.tolist() for name, array in values.items()}
+
+
+def measured_mount(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
+    """Return FLANGE <- TOOL of the head as a calibration finds it, instead of the nominal pose."""
+    beside = matrix_from(generator.normal(0.0, residual.tool_mm, 3), np.eye(3))
+    return pose_of(matrix_of(mount.flange_from_tool_true) @ beside)
+
+
+def tool_records(
+    scene: Scene, dated: Callable[[str], dict[str, Any]], flange: str
+) -> dict[str, dict[str, Any]]:
+    """Return the tool records by name; `dated` makes the fields common to all dated records."""
+    mount = scene.mount
+    guide = mount.guide
+    A1, *others = scene.arm.home_deg
+    common = {"flange": flange, "centre_of_gravity_mm": list(CENTRE_OF_GRAVITY_MM)}
+    return {
+        "stereo_head": {
+            **dated("tool-stereo-head"),
+            **common,
+            "purpose": "stereo_head",
+            "number": mount.tool_number_stereo,
+            "mass_kg": STEREO_HEAD_KG,
+        },
+        "guide": {
+            **dated("tool-guide"),
+            **common,
+            "purpose": "needle_guide",
+            "number": mount.tool_number_guide,
+            "mass_kg": guide.mass_kg,
+            "bore": {
+                "reach_mm": guide.reach_mm,
+                "length_mm": guide.bore_mm,
+                "play_mm": guide.play_mm,
+            },
+            **_frame(mount),
+            "gauge": {
+                "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
+                "base_mm": GAUGE_BASE_MM,
+                **gauge_readings(scene),
+            },
+        },
+    }
+
+
+def gauge_readings(scene: Scene, mountings: int = GAUGE_MOUNTINGS) -> dict[str, Any]:
+    """Draw the dials as read for the record, with seats, arrivals and readings other than a case's."""
+    draws, each = noise(scene.seed, "gauge of the record", 0), GAUGE_APPROACHES // mountings
+    seated = draws.normal(0.0, scene.mount.guide.seat_mm, (mountings, 1, 3))
+    end = (seated + draws.normal(0.0, scene.arm.repeatability_mm, (mountings, each, 3))).reshape(-1, 3)
+    read = np.hstack([end, end[:, :2]])  # the mandrel is displaced as a whole
+    read += draws.normal(0.0, scene.hands.gauge_mm, read.shape)
+    x, y, z, upper_x, upper_y = read.mean(axis=0).round(6).tolist()
+    return {
+        "reading_mm": [x, y, z],
+        "upper_reading_mm": [upper_x, upper_y],
+        "approaches": len(read),
+        "spread_mm": round(float(np.sqrt(read.var(axis=0, ddof=1).mean())), 6),
+    }
+
+
+def refer_to_tip(content: dict[str, Any]) -> None:
+    """Make the guide's record refer to the calibration of its tip in the same theatre file."""
+    guide, records = content["tools"]["guide"], content["calibration"]
+    guide["tip"] = records["tool_tip"]["identifier"]
+    head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
+    guide["tip_in_head"] = TipInHead.of(head, tip).model_dump(mode="json")
+
+
+def _pose(plain: dict[str, Any]) -> PoseRecord:
+    return PoseRecord.model_validate({key: tuple(value) for key, value in plain.items()})
+
+
+def _frame(mount: Mount) -> dict[str, Any]:
+    """Return the pose of the guide's tracker frame on the mount, if it has one."""
+    if mount.guide.tip_from_frame is None:
+        return {}
+    mount_from_tip = inverse(matrix_of(mount.tool_from_marker_true)) @ matrix_of(mount.tool_from_tip_true)
+    pose = pose_of(mount_from_tip @ matrix_of(mount.guide.tip_from_frame))
+    return {"frame": {"tool": GUIDE_FRAME, "mount_from_frame": pose.model_dump(mode="json")}}

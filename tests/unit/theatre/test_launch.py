@@ -1,0 +1,91 @@
+"""A theatre's start: the world it may continue, and parameters by device."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from user_commands import in_this_process, one_error
+
+from ronna_hw.errors import EXIT_USAGE
+from sim.cli import app as ronna_sim
+from sim.theatre.launch import Theatre, parameters_by_device
+from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import SCENE_FILE
+
+REFUSED_LATER = ("--set", "robot.tea=1")  # so that no theatre is started
+
+
+@pytest.fixture
+def left(tmp_path: Path) -> Path:
+    """The folder of a theatre that was left."""
+    (tmp_path / SCENE_FILE).write_text(named_scene("mini", seed=4).model_dump_json(by_alias=True))
+    return tmp_path
+
+
+def _refusal(folder: Path, *options: str) -> str:
+    done = in_this_process(ronna_sim, "theatre", *options, "--out", folder, "--continue", *REFUSED_LATER)
+    assert done.returncode == EXIT_USAGE
+    return " ".join(one_error(done.stderr))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (("--scene", "default", "--seed", "4"), "cannot be changed; expected mini, got default"),
+        (("--scene", "mini", "--seed", "5"), "cannot be changed; expected 4, got 5"),
+        (("--seed", "5"), "the seed of the world left in"),
+        (("--markers", "6"), "the markers of the world left in"),
+        (("--targets", "4"), "the targets of the world left in"),
+    ],
+)
+def test_a_theatre_is_not_continued_with_another_scene_seed_or_head(
+    left: Path, options: tuple[str, ...], said: str
+) -> None:
+    assert said in _refusal(left, *options)
+
+
+@pytest.mark.parametrize(
+    "options", [(), ("--scene", "mini", "--seed", "4"), ("--seed", "4"), ("--markers", "3")]
+)
+def test_a_theatre_is_continued_with_its_own_scene_and_seed_or_without_any(
+    left: Path, options: tuple[str, ...]
+) -> None:
+    assert "unknown parameter 'tea'" in _refusal(left, *options)
+
+
+def test_settings_are_grouped_by_device() -> None:
+    given = ("robot.lag_s=0.03", "tracker.line_after_close=kept", "robot.timeout_counting=total")
+    assert parameters_by_device(given) == {
+        "kuka": ("lag_s=0.03", "timeout_counting=total"),
+        "polaris": ("line_after_close=kept",),
+    }
+    assert parameters_by_device(()) == {}
+
+
+def test_each_device_is_started_with_its_own_parameters(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    started: dict[str, list[str]] = {}
+
+    class Enough(Exception):
+        pass
+
+    def started_without_waiting(name: str, arguments: list[str], **_others: object) -> None:
+        started[name] = arguments
+        if len(started) == 3:
+            raise Enough
+
+    monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
+    with pytest.raises(Enough):
+        Theatre(
+            named_scene("mini", seed=1),
+            tmp_path,
+            paced=False,
+            cycle_ms=12,
+            parameters=parameters_by_device(("robot.lag_s=0.03", "robot.dead_time_cycles=3")),
+        )
+    robot = started["ronna-sim kuka"]
+    assert robot[robot.index("--cycle-ms") + 1] == "12"
+    assert robot[-2:] == ["--set=lag_s=0.03", "--set=dead_time_cycles=3"]
+    assert not any("--set" in word for word in (*started["ronna-sim polaris"], *started["ronna-sim basler"]))
