@@ -5,31 +5,65 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 
-from drivers.basler_stereo.control import gvcp
-from drivers.basler_stereo.control.broadcast_discovery import cameras_near
-from drivers.basler_stereo.control.channel import Command, ControlChannel, register_write
-from drivers.basler_stereo.control.heartbeat import Heartbeat
-from drivers.basler_stereo.control.identity import CameraIdentity, identify
-from drivers.basler_stereo.control.privilege import require_control, take_control
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.control_channel import (
+    Command,
+    ControlChannel,
+    Heartbeat,
+    register_write,
+    require_control,
+    take_control,
+)
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import fetch_description, parse_description
-from drivers.basler_stereo.features.feature_map import FeatureMap
-from drivers.basler_stereo.features.register_memory import RegisterMemory
-from drivers.basler_stereo.link_bytes import LinkBytes
+from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemory
+from drivers.basler_stereo.identity import CameraIdentity, cameras_near, identify
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import Tie
-from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
-from drivers.basler_stereo.stream.gvsp import following
-from drivers.basler_stereo.stream.packet_size import choose_packet_bytes, point_stream_to
-from drivers.basler_stereo.stream.receiver import ReceiverProcess, StreamReceiver
-from drivers.basler_stereo.stream.stream_socket import open_stream_socket
+from drivers.basler_stereo.readings import Tie
+from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters, following
+from drivers.basler_stereo.stream.receiver import (
+    ReceiverProcess,
+    StreamReceiver,
+    choose_packet_bytes,
+    open_stream_socket,
+    point_stream_to,
+)
 from ronna_hw.clock import Clock
+from ronna_hw.devices.byte_sink import ByteSink, Direction
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
+
+
+class LinkBytes:
+    """For the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
+
+    def __init__(self, name: str, sink: ByteSink | None) -> None:
+        self._name = name
+        self._sink = sink
+
+    def passed(self, direction: Direction, data: bytes) -> None:
+        """A datagram of the control channel."""
+        if self._sink is not None:
+            self._sink.passed(f"{self._name}.control", direction, data)
+
+    def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
+        """Record the arrival of an image, complete or not."""
+        if self._sink is None:
+            return
+        leader = {} if frame.leader is None else frame.leader._asdict()
+        self._sink.note(
+            f"{self._name}.stream",
+            block_id=frame.block_id,
+            missing_packets=frame.missing_packets,
+            **leader,
+            **asdict(counters),
+        )
+
 
 KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 

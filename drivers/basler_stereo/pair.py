@@ -8,8 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Self, TypeVar
 
-from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.camera import Camera, LinkBytes
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
@@ -18,11 +17,10 @@ from drivers.basler_stereo.errors import (
     ReceiverEnded,
     WrongSerial,
 )
-from drivers.basler_stereo.link_bytes import LinkBytes
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import read_options
-from drivers.basler_stereo.pair_device import PairDevice
+from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_identity
 from drivers.basler_stereo.pair_grabber import PairGrabber
-from drivers.basler_stereo.pair_identity import check_pair, pair_identity
 from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock

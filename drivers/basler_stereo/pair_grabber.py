@@ -7,11 +7,10 @@ import time
 from dataclasses import replace
 
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control.channel import send_together
+from drivers.basler_stereo.control_channel import send_together
 from drivers.basler_stereo.errors import CommandRefused, ControlLost, NoReply, TriggerMissed
-from drivers.basler_stereo.images import camera_image, stereo_reading
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import PairClock
+from drivers.basler_stereo.readings import PairClock, camera_image, stereo_reading
 from drivers.basler_stereo.stream.frame_assembler import Frame
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import StereoReading, Validity

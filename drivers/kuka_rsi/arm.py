@@ -7,20 +7,22 @@ import time
 from contextlib import AbstractContextManager
 from typing import Self
 
-from drivers.kuka_rsi import stream
-from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.context_check import usable_context
-from drivers.kuka_rsi.eki.controller_commands import ControllerCommands
-from drivers.kuka_rsi.eki.controller_state import ControllerState
+from drivers.kuka_rsi.connections import (
+    Connections,
+    acknowledge,
+    end_stream,
+    rest_of,
+    start_stream,
+)
+from drivers.kuka_rsi.eki.client import ControllerCommands
+from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import verify_by_motion
-from drivers.kuka_rsi.motion_following import MotionFollower
-from drivers.kuka_rsi.motion_planning import MotionPlanner
-from drivers.kuka_rsi.options import read_options
-from drivers.kuka_rsi.readiness import facts_of, standing_facts
-from drivers.kuka_rsi.readings import ArmReadings
-from drivers.kuka_rsi.realtime.histogram import link_statistics
+from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
+from drivers.kuka_rsi.options import read_options, usable_context
+from drivers.kuka_rsi.readings import ArmReadings, facts_of, standing_facts
+from drivers.kuka_rsi.realtime.link_health import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
@@ -124,7 +126,7 @@ class KukaRsiArm:
     @property
     def controller(self) -> ControllerCommands:
         """Everything except motion: tool and base, override, program, controller state."""
-        return ControllerCommands(self._name, self._guard, self._connections)
+        return ControllerCommands(self._guard, lambda: self._connections.eki)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
@@ -214,9 +216,7 @@ class KukaRsiArm:
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
-                stream.end_stream(
-                    self._connections.eki, self._connections.link, time.monotonic() + CLOSING_STOP_S
-                )
+                end_stream(self._connections.eki, self._connections.link, time.monotonic() + CLOSING_STOP_S)
             raise
         self._enter_active(stops)
 
@@ -227,9 +227,9 @@ class KukaRsiArm:
         deadline = time.monotonic() + timeout_s
         if self._connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
-            self._follower.await_end(stream.rest_of(deadline))
+            self._follower.await_end(rest_of(deadline))
         try:
-            stream.end_stream(self._connections.eki, self._connections.link, deadline)
+            end_stream(self._connections.eki, self._connections.link, deadline)
         except RonnaError as error:
             self._watch.latch(error)
             raise
@@ -257,21 +257,19 @@ class KukaRsiArm:
         deadline = time.monotonic() + timeout_s
         connections = self._connections
         if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
-            stream.acknowledge(connections.eki, self._context, self._options, deadline)
+            acknowledge(connections.eki, self._context, self._options, deadline)
             return
         self._guard.require("recover", (Lifecycle.FAULT,))
         if not connections.eki_answers(ANSWERS_S):
-            connections.find_controller(stream.rest_of(deadline), self._watch, retry=True)
+            connections.find_controller(rest_of(deadline), self._watch, retry=True)
         link = connections.open_link
         if link is not None:
             if link.alive and link.stalled_s < RUNS_S:
                 with contextlib.suppress(RonnaError):
-                    stream.end_stream(
-                        connections.eki, link, time.monotonic() + 0.5 * stream.rest_of(deadline)
-                    )
+                    end_stream(connections.eki, link, time.monotonic() + 0.5 * rest_of(deadline))
             connections.close_link()
-        stream.acknowledge(connections.eki, self._context, self._options, deadline)
-        connections.start_link(stream.rest_of(deadline))
+        acknowledge(connections.eki, self._context, self._options, deadline)
+        connections.start_link(rest_of(deadline))
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
@@ -285,7 +283,7 @@ class KukaRsiArm:
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
-                stream.end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
+                end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
         connections.close_eki()  # first: its reader uses the link's memory
         connections.close_link()
         self._guard.enter(Lifecycle.CLOSED)
@@ -388,7 +386,7 @@ class KukaRsiArm:
         modes = (OperationMode.EXT, OperationMode.T1) if t1_allowed else (OperationMode.EXT,)
         eki, link = self._connections.eki, self._connections.link
         try:
-            self._watch.mode = stream.start_stream(
+            self._watch.mode = start_stream(
                 eki, link, self._context, self._options, self._name, timeout_s, self._limits_in(modes)
             )
         except RonnaError as error:

@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
-from drivers.kuka_rsi.eki.controller_state import ControllerState, what_forbids_motion
+from drivers.kuka_rsi.eki.telegrams import ControllerState, what_forbids_motion
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
-from drivers.kuka_rsi.fault_errors import error_of_fault
-from drivers.kuka_rsi.flight_record import attach_flight_record
+from drivers.kuka_rsi.fault_errors import attach_flight_record, error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder

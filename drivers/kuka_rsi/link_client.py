@@ -17,12 +17,12 @@ from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCyc
 from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
+    LinkSettings,
     LinkState,
     Phase,
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
@@ -165,7 +165,7 @@ class LinkClient:
         return LinkProcessDied(f"the real-time process ended: {self._words}")
 
     def histogram(self) -> tuple[int, ...]:
-        """Turnaround counts since the stream began; edges are in `drivers.kuka_rsi.realtime.histogram`."""
+        """Turnaround counts since the stream began; edges are in `drivers.kuka_rsi.realtime.link_health`."""
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:

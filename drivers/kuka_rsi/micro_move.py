@@ -12,8 +12,7 @@ from math import degrees, dist, radians
 
 from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
-from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
+from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Self, TypeVar
 
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.discovery import find_unit, initialise, raise_baud
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
     LinkLost,
@@ -16,22 +18,20 @@ from drivers.ndi_polaris.errors import (
     UnitRestarted,
     WrongUnit,
 )
-from drivers.ndi_polaris.line.baud_rate import raise_baud
-from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.line.discovery import find_unit, initialise
-from drivers.ndi_polaris.line.recorded_transport import RecordedTransport
-from drivers.ndi_polaris.line.time_limits import read_time_limits
-from drivers.ndi_polaris.line.transport import Transport, open_transport
+from drivers.ndi_polaris.measuring_volume import MeasuringVolume, Section, choose_volume, set_illuminator_rate
 from drivers.ndi_polaris.options import read_options
-from drivers.ndi_polaris.rom.definition import encode_definition
-from drivers.ndi_polaris.tools.geometry import find_alike
-from drivers.ndi_polaris.tools.loading import LoadedTool, load_tools
-from drivers.ndi_polaris.tools.port_handles import free_handle
-from drivers.ndi_polaris.tracking.tracking import Tracking, TrackingStatistics, stop_tracking
-from drivers.ndi_polaris.unit.identity import check_identity, read_identity
-from drivers.ndi_polaris.unit.measuring_settings import choose_volume, set_illuminator_rate
-from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume, Section
-from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_trouble
+from drivers.ndi_polaris.tool_comparison import find_alike
+from drivers.ndi_polaris.tool_definition import encode_definition
+from drivers.ndi_polaris.tool_loading import LoadedTool, free_handle, load_tools
+from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
+from drivers.ndi_polaris.transport import RecordedTransport, Transport, open_transport
+from drivers.ndi_polaris.unit import (
+    check_identity,
+    clear_bump,
+    read_identity,
+    read_time_limits,
+    refuse_standing_trouble,
+)
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated

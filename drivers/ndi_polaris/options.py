@@ -14,9 +14,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.ndi_polaris.errors import BadOptions, ForeignTool
-from drivers.ndi_polaris.rom.definition import ToolDefinition, definition_hash, read_definition
-from drivers.ndi_polaris.tools.geometry import check_distinct
-from drivers.ndi_polaris.tools.shipped import find_definition
+from drivers.ndi_polaris.shipped_tools import find_definition
+from drivers.ndi_polaris.tool_comparison import check_distinct
+from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash, read_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.text.counting import counted

@@ -10,22 +10,22 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
 from drivers.basler_stereo.features.description import (
     ADDRESS_LIMIT,
     CONDITIONS,
     Field,
     Node,
-    real_number,
-    whole_number,
-)
-from drivers.basler_stereo.features.formula import Number, evaluate
-from drivers.basler_stereo.features.register_codec import (
+    Number,
     decode_register,
     encode_register,
+    real_number,
     register_length,
     shares_register,
+    whole_number,
 )
+from drivers.basler_stereo.features.formula import evaluate
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
@@ -281,3 +281,24 @@ class FeatureMap:
         if shares_register(node):
             current = self._memory.read(self._address(node, 0), length)
         return encode_register(node, value, current)
+
+
+class RegisterMemory:
+    """Reads and writes through the control channel until `deadline_s`, which each operation sets."""
+
+    def __init__(self, control: ControlChannel) -> None:
+        self._control = control
+        self.deadline_s = 0.0
+
+    def read(self, address: int, count: int) -> bytes:
+        """`count` bytes, a multiple of 4; raises GEV-006, GEV-007, GEV-008."""
+        if count == REGISTER_BYTES:
+            return self._control.read_register(address, self.deadline_s).to_bytes(REGISTER_BYTES, "big")
+        return self._control.read_memory(address, count, self.deadline_s)
+
+    def write(self, address: int, data: bytes) -> None:
+        """A multiple of 4 bytes; raises GEV-006, GEV-007."""
+        if len(data) == REGISTER_BYTES:
+            self._control.write_register(address, int.from_bytes(data, "big"), self.deadline_s)
+        else:
+            self._control.write_memory(address, data, self.deadline_s)

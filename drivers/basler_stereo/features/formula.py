@@ -12,9 +12,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import LarkError
 
 from drivers.basler_stereo.errors import BadDescription
-from drivers.basler_stereo.features.description import LONGEST_SHOWN
-
-Number = int | float
+from drivers.basler_stereo.features.description import LONGEST_SHOWN, Number
 
 LONGEST_FORMULA = 4000  # characters; real ones have some hundred
 DEEPEST = 200  # nested operations

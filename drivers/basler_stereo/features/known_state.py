@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
+from drivers.basler_stereo.features.description import Number
 from drivers.basler_stereo.features.feature_map import Limits
-from drivers.basler_stereo.features.formula import Number
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.wire import gige_vision as gev

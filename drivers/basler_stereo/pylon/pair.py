@@ -17,14 +17,12 @@ from typing import Any, Literal, Self, TypeVar
 
 from pydantic import ValidationError
 
-from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.errors import BadOptions, CameraLost, TriggerMissed, WrongSerial
-from drivers.basler_stereo.images import stereo_reading
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import PairClock
-from drivers.basler_stereo.pair_device import PairDevice
-from drivers.basler_stereo.pair_identity import check_pair, pair_identity
+from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_identity
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
+from drivers.basler_stereo.readings import PairClock, stereo_reading
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.devices.activation import activated

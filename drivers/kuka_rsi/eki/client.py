@@ -17,8 +17,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
-from drivers.kuka_rsi.eki.controller_state import ControllerState, read_state
-from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.eki.telegrams import ControllerState, TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.errors import (
     EKI_LISTENS,
     BadEkiTelegram,
@@ -27,7 +26,9 @@ from drivers.kuka_rsi.errors import (
     ControllerNotFound,
     NoAnswer,
 )
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 
@@ -277,3 +278,53 @@ def _keep(store: dict[int, T], number: int, value: T) -> None:
     store.setdefault(number, value)
     while len(store) > ACKS_KEPT:
         del store[next(iter(store))]
+
+
+AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could alter
+DEFAULT_TIMEOUT_S = 5.0
+
+
+class ControllerCommands:
+    """`arm.controller`. Each call raises EKI-003 without an answer and EKI-008 when refused."""
+
+    def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
+        """`eki` returns the open connection; it raises EKI-001 if there is none."""
+        self._guard = guard
+        self._eki = eki
+
+    def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
+        """The controller's present state."""
+        self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
+        return self._eki().status(timeout_s)
+
+    def set_tool(
+        self,
+        number: int,
+        tool_in_flange: Pose,
+        *,
+        mass_kg: float,
+        centre_of_mass_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> None:
+        """Set a tool frame (number 1..16) with its load; at rest only."""
+        CX, CY, CZ = centre_of_mass_mm
+        frame = _frame(tool_in_flange)
+        self._give(CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ)
+
+    def set_base(self, number: int, base_in_world: Pose, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Set a base frame (number 1..32); at rest only."""
+        self._give(CommandName.SET_BASE, timeout_s, No=number, **_frame(base_in_world))
+
+    def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Program override, 1..100; does not scale RSI corrections."""
+        self._give(CommandName.SET_OV, timeout_s, Val=percent)
+
+    def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:
+        self._guard.require(f"controller {command}", AT_REST)
+        self._eki().require(command, timeout_s, **values)
+
+
+def _frame(pose: Pose) -> dict[str, object]:
+    X, Y, Z, A, B, C = pose.to_kuka()
+    values = {"X": X, "Y": Y, "Z": Z, "A": A, "B": B, "C": C}
+    return {name: f"{value:.6f}" for name, value in values.items()}

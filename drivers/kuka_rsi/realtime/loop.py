@@ -17,14 +17,12 @@ import socket
 import time
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.realtime.histogram import bin_of
-from drivers.kuka_rsi.realtime.link_state import Command, Orders, Phase, Record
+from drivers.kuka_rsi.realtime.link_health import bin_of
+from drivers.kuka_rsi.realtime.link_state import Command, LinkSettings, Orders, Phase, Record
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
-from drivers.kuka_rsi.realtime.rehearsal import Rehearsal
-from drivers.kuka_rsi.realtime.replies import PreparedReply
 from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
-from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received
+from drivers.kuka_rsi.realtime.set_points import PreparedReply
+from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received, Rehearsal, TelegramReceiver
 from drivers.kuka_rsi.realtime.telegram import (
     REPLY_TAIL,
     Found,
@@ -32,7 +30,6 @@ from drivers.kuka_rsi.realtime.telegram import (
     read_strictly,
     telegram_of,
 )
-from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.

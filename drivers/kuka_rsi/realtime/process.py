@@ -13,10 +13,9 @@ import sys
 import threading
 from types import FrameType
 
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, LinkSettings, Phase
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,

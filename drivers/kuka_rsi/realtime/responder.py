@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from math import degrees, radians
 
+from drivers.kuka_rsi.realtime.link_health import Losses, Strangers
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     STOP_KIND,
@@ -22,17 +23,14 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkSettings,
     LinkState,
     Orders,
     Phase,
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.losses import Losses
-from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
-from drivers.kuka_rsi.realtime.set_points import SetPoints
-from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.strangers import Strangers
+from drivers.kuka_rsi.realtime.set_points import PreparedReply, Replies, SetPoints
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits

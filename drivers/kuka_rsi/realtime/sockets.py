@@ -6,10 +6,13 @@ reply. The kernel also records which processor received the last one.
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import struct
 import termios
+import time
+from collections.abc import Callable
 from fcntl import ioctl
 
 from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
@@ -111,3 +114,117 @@ class LinkSockets:
 def _limit_waiting(link: socket.socket) -> None:
     seconds, rest = divmod(IDLE_LOOK_S, 1.0)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
+
+
+STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
+NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
+MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
+# Shares of a deviation applied to the schedule's phase and interval: two clocks never run alike.
+EARLY_GAINS = (1.0, 1.0 / 32.0)
+LATE_GAINS = (1.0 / 16.0, 1.0 / 256.0)
+
+
+class Pace:
+    """Fed with every arrival, host time in ns."""
+
+    def __init__(self) -> None:
+        self._place_ns = 0.0  # scheduled time of the last arrival
+        self._interval_ns = 0.0
+        self._steady = 0
+
+    @property
+    def due_ns(self) -> int:
+        """When the next telegram arrives unless delayed; 0 while no schedule is known."""
+        return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
+
+    def arrived(self, now_ns: int) -> None:
+        """A telegram has arrived."""
+        gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
+        steps = round(gap_ns / interval_ns) if interval_ns else 0
+        off_ns = gap_ns - steps * interval_ns
+        if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
+            self._steady, self._place_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
+            return
+        self._steady += 1
+        place_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
+        self._place_ns = now_ns - (1.0 - place_gain) * off_ns
+        self._interval_ns += interval_gain * off_ns / steps
+
+    def forget(self) -> None:
+        """Discard the schedule."""
+        self._steady, self._interval_ns = 0, 0.0
+
+
+_NS = 1e9
+
+
+class TelegramReceiver:
+    """Waits for one telegram after another."""
+
+    def __init__(
+        self,
+        sockets: LinkSockets,
+        *,
+        lead_ns: int,
+        rehearse: Callable[[], None],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """`rehearse` is called `lead_ns` before a telegram is due; 0 is never."""
+        self._sockets = sockets
+        self._lead_ns = lead_ns
+        self._rehearse = rehearse
+        self._now_ns = now_ns
+        self._pace = Pace()
+        self._keeps_pace = False
+        self.received_ns = 0  # arrival of the last telegram
+        self.queued = False  # whether it was there before the wait began: others may be queued behind it
+
+    def next(self) -> Received | None:
+        """The next datagram, from any sender, or None if none arrived for a while."""
+        try:
+            self.queued = self._sockets.something_there()
+            if self._lead_ns and not self.queued:
+                self._await_the_moment()
+            received = self._sockets.receive()
+        except OSError:  # timed out, or the network reported something about an earlier reply
+            return None
+        self.received_ns = self._now_ns()
+        return received
+
+    def paced(self) -> bool:
+        """The last datagram was a telegram of the stream, a whole cycle after the previous one.
+
+        Once the controller's schedule is known this stays true through a pause, until it hurries.
+        """
+        self._pace.arrived(self.received_ns)
+        self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
+        return self._keeps_pace
+
+    def hurried(self) -> None:
+        """It followed as soon as the reply was out: lock-step, so there is no schedule."""
+        self._pace.forget()
+        self._keeps_pace = False
+
+    def _await_the_moment(self) -> None:
+        pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
+        if 0.0 < pause_s < IDLE_LOOK_S and not self._sockets.sleep(pause_s):
+            self._rehearse()
+
+
+class Rehearsal:
+    """A socket connected to itself on loopback; nothing leaves this machine."""
+
+    def __init__(self) -> None:
+        self._own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._own.bind(("127.0.0.1", 0))
+        self._own.connect(self._own.getsockname())
+
+    def exchange(self, data: bytes) -> None:
+        """Send and receive a datagram like the next one, through the same calls."""
+        with contextlib.suppress(OSError):  # nothing depends on it
+            self._own.send(data)
+            self._own.recv(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._own.close()

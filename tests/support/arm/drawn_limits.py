@@ -9,7 +9,7 @@ from typing import cast
 import numpy as np
 
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints

@@ -9,7 +9,7 @@ from typing import Any, cast
 from recording_cell import RecordingArm
 
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits

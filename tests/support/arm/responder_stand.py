@@ -12,13 +12,13 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkSettings,
     Orders,
     Phase,
     Result,
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.responder import Responder
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
+from drivers.basler_stereo.identity import discover_cameras
 from ronna_hw.host.network_interfaces import Interface
 
 LIMIT_S = 0.5

@@ -11,11 +11,19 @@ import pytest
 from spoilt_cameras import Stand
 from waiting import eventually
 
+from drivers.basler_stereo import camera_check
 from drivers.basler_stereo import probe as camera_probe
-from drivers.basler_stereo.control.identity import CameraIdentity
-from drivers.basler_stereo.probe import camera_state, probe
-from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response, look_at_camera
-from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
+from drivers.basler_stereo.camera_check import (
+    CameraState,
+    Controller,
+    Expected,
+    Response,
+    camera_diagnostic,
+    discovery_diagnostic,
+    look_at_camera,
+)
+from drivers.basler_stereo.identity import CameraIdentity
+from drivers.basler_stereo.probe import probe
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -192,7 +200,7 @@ def test_a_camera_without_test_packets_is_reported(stand: Stand) -> None:
 
 
 def test_a_closed_port_and_a_silent_one_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(camera_state, "REPLY_LIMIT_S", 0.2)
+    monkeypatch.setattr(camera_check, "REPLY_LIMIT_S", 0.2)
     endpoint = Endpoint("gev", host=NOBODY)
     assert look_at_camera(endpoint).response is Response.REFUSED
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
@@ -206,7 +214,7 @@ def test_a_network_that_goes_down_during_the_look_is_reported(
     def gone(*_: object) -> socket.socket:
         raise OSError(errno.EADDRNOTAVAIL, "Cannot assign requested address")
 
-    monkeypatch.setattr(camera_state, "open_stream_socket", gone)
+    monkeypatch.setattr(camera_check, "open_stream_socket", gone)
     found = probed(stand)
     assert (found.response, found.reason) == (Response.NO_ROUTE, "Cannot assign requested address")
 

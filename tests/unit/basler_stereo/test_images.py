@@ -7,9 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.basler_stereo.images import camera_image, stereo_reading, unpack_12_bits
-from drivers.basler_stereo.stream.frame_assembler import Frame
-from drivers.basler_stereo.stream.gvsp import Leader
+from drivers.basler_stereo.readings import camera_image, stereo_reading, unpack_12_bits
+from drivers.basler_stereo.stream.frame_assembler import Frame, Leader
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.basler_stereo.pair_clock import PairClock, Tie
+from drivers.basler_stereo.readings import PairClock, Tie
 from ronna_hw.devices.readings import Validity
 
 HZ = 125_000_000

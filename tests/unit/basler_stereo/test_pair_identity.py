@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.errors import CablesSwapped, WrongModel, WrongSerial
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_identity import check_pair, pair_identity
+from drivers.basler_stereo.pair_device import check_pair, pair_identity
 
 BOUND = BaslerOptions(left_serial="11", right_serial="22")
 LEFT = CameraIdentity("10.0.0.1", "00:30:53:11:22:33", "Basler", "acA2000-50gmNIR", "11", "106755-17", "left")

@@ -162,7 +162,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
 def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_motion_timeout(
     active_arm: Any, controller: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.kuka_rsi.motion_following.SETTLE_LIMIT_S", 0.5)
+    monkeypatch.setattr("drivers.kuka_rsi.motion.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
     with pytest.raises(
         MotionNotFinished,

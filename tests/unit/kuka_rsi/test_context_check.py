@@ -8,9 +8,8 @@ from typing import Any
 import pytest
 import tomli_w
 
-from drivers.kuka_rsi.context_check import usable_context
 from drivers.kuka_rsi.errors import ContextUnusable
-from drivers.kuka_rsi.options import KukaOptions, read_options
+from drivers.kuka_rsi.options import KukaOptions, read_options, usable_context
 from ronna_hw.wire.kuka_context import load_context
 
 OURS: dict[str, Any] = load_context().model_dump(mode="json", by_alias=True, exclude_none=True)

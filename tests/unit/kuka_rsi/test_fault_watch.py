@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki.controller_state import ControllerState
+from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied, RecordedCycle
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions

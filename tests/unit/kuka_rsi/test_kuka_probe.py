@@ -13,9 +13,9 @@ from fake_controller import FakeController
 
 from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.eki.controller_state import read_state
+from drivers.kuka_rsi.eki.telegrams import read_state
 from drivers.kuka_rsi.probe import stream_port_diagnostic
-from drivers.kuka_rsi.readiness import standing_facts
+from drivers.kuka_rsi.readings import standing_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic

@@ -20,12 +20,13 @@ from drivers.kuka_rsi.errors import (
 )
 from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_refusal
 from drivers.kuka_rsi.options import KukaOptions, read_options
-from drivers.kuka_rsi.realtime.histogram import EDGES_US, bin_of, percentile_us
+from drivers.kuka_rsi.realtime.link_health import EDGES_US, bin_of, percentile_us
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     Command,
     CommandKind,
     Fault,
+    LinkSettings,
     LinkState,
     Orders,
     Phase,
@@ -34,7 +35,6 @@ from drivers.kuka_rsi.realtime.link_state import (
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan

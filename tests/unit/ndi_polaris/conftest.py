@@ -10,7 +10,7 @@ import pytest
 from polaris_unit_in_process import StillClock, UnitInProcess, bring_up, tracker_on
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.rom.definition import ToolDefinition, planar_tool
+from drivers.ndi_polaris.tool_definition import ToolDefinition, planar_tool
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import struct
 import pytest
 from hostile_devices import with_right_crcs
 
-from drivers.ndi_polaris.line.codec import open_ascii, split_binary
+from drivers.ndi_polaris.command_link import open_ascii, split_binary
 from ronna_hw.wire.polaris import BX_START, crc16
 
 

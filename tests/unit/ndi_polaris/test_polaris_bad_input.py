@@ -19,13 +19,14 @@ import serial
 from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker, errors
-from drivers.ndi_polaris.rom.definition import definition_hash, encode_definition
-from drivers.ndi_polaris.tools.robot_frame import robot_frame
+from drivers.ndi_polaris.shipped_tools import shipped_definitions
+from drivers.ndi_polaris.tool_definition import definition_hash, encode_definition
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
+ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
 Make = Callable[..., PolarisTracker]
 
 
@@ -180,7 +181,7 @@ def test_a_unit_in_a_mode_that_cannot_track_refuses_activation(make_tracker: Mak
 def test_a_corrupt_definition_is_refused_before_the_line_is_opened(
     make_tracker: Make, unit: Any, tmp_path: Path
 ) -> None:
-    block = bytearray(encode_definition(robot_frame()))
+    block = bytearray(encode_definition(ROBOT_FRAME))
     block[80] ^= 1
     (tmp_path / "bent.rom").write_bytes(block)
     with raises_on_one_line("NDI-011", "bent.rom has a wrong checksum", "of the tool"):
@@ -202,7 +203,7 @@ def test_a_valid_definition_of_another_tool_is_refused(
     make_tracker: Make, tmp_path: Path, pointer: Any
 ) -> None:
     (tmp_path / "tool.rom").write_bytes(encode_definition(pointer))
-    meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(robot_frame())}
+    meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(ROBOT_FRAME)}
     with raises_on_one_line(
         "NDI-013", "tool.rom is not the definition configured for tool M", "of this tool"
     ):
@@ -226,7 +227,7 @@ def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: M
 
 @pytest.mark.parametrize("step", [1, -1])
 def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, unit: Any, step: int) -> None:
-    number = encode_definition(robot_frame())[20:24][::step].hex().upper()
+    number = encode_definition(ROBOT_FRAME)[20:24][::step].hex().upper()
     unit._do_phinf = lambda argument: described("RONNA-M", number)
     device = make_tracker()
     device.connect()
@@ -244,7 +245,7 @@ def test_a_tool_reported_with_another_serial_number_is_noted(make_tracker: Make,
 
 @pytest.mark.hazard(17)
 def test_two_tools_with_the_same_geometry_are_refused(make_tracker: Make, tmp_path: Path) -> None:
-    (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
+    (tmp_path / "twin.rom").write_bytes(encode_definition(ROBOT_FRAME))
     tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
     with raises_on_one_line("NDI-012", "tools M and twin", "distances differ"):
         make_tracker(tools=tools)

@@ -11,7 +11,7 @@ import pytest
 from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.rom.definition import encode_definition, planar_tool
+from drivers.ndi_polaris.tool_definition import encode_definition, planar_tool
 
 Make = Callable[..., PolarisTracker]
 

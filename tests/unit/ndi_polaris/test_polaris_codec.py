@@ -4,8 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
-from drivers.ndi_polaris.line.codec import (
+from drivers.ndi_polaris.command_link import (
     ascii_line,
     binary_reply_bytes,
     encode_command,
@@ -14,9 +13,8 @@ from drivers.ndi_polaris.line.codec import (
     unit_error,
     warning_meaning,
 )
-from drivers.ndi_polaris.tracking.bx_reply import decode_bx
-from drivers.ndi_polaris.tracking.reply import HandleState
-from drivers.ndi_polaris.tracking.tx_reply import decode_tx
+from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
+from drivers.ndi_polaris.replies import HandleState, decode_bx, decode_tx
 from ronna_hw.wire.polaris import PortStatus, SystemStatus, crc16
 
 # one tool at (10.50, -20.25, -1500.00), no rotation, error 0.125, frame 300

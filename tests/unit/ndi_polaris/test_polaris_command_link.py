@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import (
     BadReplyCrc,
     CommandGarbled,
@@ -16,8 +17,7 @@ from drivers.ndi_polaris.errors import (
     UnitRestarted,
     WrongMode,
 )
-from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.unit.user_parameters import read_parameter
+from drivers.ndi_polaris.unit import read_parameter
 
 
 def once(unit: Any, change: Callable[[bytes], list[tuple[float, bytes]]], name: str | None = None) -> None:

@@ -7,8 +7,8 @@ import tracemalloc
 import pytest
 from polaris_unit_in_process import Deliveries, StillClock, UnitInProcess, bring_up, tracker_on
 
-from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.line.discovery import RESET_LIMIT_S, await_reset
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.discovery import RESET_LIMIT_S, await_reset
 from ronna_hw.errors import RonnaError
 
 BRINGS_UP_S = 30.0  # three calls with their usual limits

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.tracking.frame_clock import FRAME_NUMBERS, NOMINAL_PERIOD_S, FrameClock, counted_on
+from drivers.ndi_polaris.tracking import FRAME_NUMBERS, NOMINAL_PERIOD_S, FrameClock, counted_on
 
 LEAST_DELAY_S = 0.004
 TRUE_PERIOD_S = 1 / 60 * (1 + 40e-6)  # a slow quartz

@@ -15,11 +15,16 @@ from types import SimpleNamespace
 
 import pytest
 
-from drivers.ndi_polaris.line import inquiry
-from drivers.ndi_polaris.probe import line, probe
-from drivers.ndi_polaris.probe.diagnosis import diagnose, line_diagnostic
-from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
-from drivers.ndi_polaris.probe.tracker_discovery import find_trackers
+from drivers.ndi_polaris import discovery, line_check
+from drivers.ndi_polaris.line_check import (
+    LineState,
+    Opening,
+    Outcome,
+    diagnose,
+    line_diagnostic,
+    look_at_line,
+)
+from drivers.ndi_polaris.probe import find_trackers, probe
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.discovery import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -78,8 +83,8 @@ def other_end() -> Iterator[Callable[[Hears], OtherEnd]]:
 
 @pytest.fixture(autouse=True)
 def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inquiry, "REPLY_LIMIT_S", 0.1)
-    monkeypatch.setattr(line, "BAUDS", (9600, 115200, 230400))
+    monkeypatch.setattr(discovery, "REPLY_LIMIT_S", 0.1)
+    monkeypatch.setattr(line_check, "BAUDS", (9600, 115200, 230400))
 
 
 def unit_at(baud: int, elsewhere: bytes = b"") -> Hears:
@@ -175,7 +180,7 @@ def test_another_program_is_named_and_its_line_is_left_alone(other_program: tupl
 
 @pytest.mark.hazard(34)
 def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
+    monkeypatch.setattr(line_check, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
     with socket.create_server(("127.0.0.1", 0)) as unit:
         diagnosis = diagnose(look_at_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
         unit.setblocking(False)
@@ -189,7 +194,7 @@ def test_a_lock_with_an_invisible_holder_is_reported(
     other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
-    monkeypatch.setattr(line, "users_of_serial_port", lambda _path: ())
+    monkeypatch.setattr(line_check, "users_of_serial_port", lambda _path: ())
     locked = os.open(end.path, os.O_RDWR | os.O_NOCTTY)
     try:
         fcntl.flock(locked, fcntl.LOCK_EX)
@@ -204,7 +209,7 @@ def test_a_missing_permission_is_reported_and_nothing_is_sent(
     other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
-    monkeypatch.setattr(line.os, "access", lambda _path, _mode: False)
+    monkeypatch.setattr(line_check.os, "access", lambda _path, _mode: False)
     state = look_at_line(end.endpoint)
     assert state.opening is Opening.FORBIDDEN
     diagnosis = diagnose(state)
@@ -263,7 +268,7 @@ def test_each_kind_of_tcp_peer_is_diagnosed(
     well: bool,
     words: str,
 ) -> None:
-    monkeypatch.setattr(line, "INQUIRY_LIMIT_S", 0.2)
+    monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
     diagnosis = diagnose(look_at_line(listener(answer)))
     assert diagnosis.well is well
     assert words in diagnosis.seen
@@ -273,7 +278,7 @@ def test_each_kind_of_tcp_peer_is_diagnosed(
 def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
     listener: Callable[[bytes | None], Endpoint], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(line, "INQUIRY_LIMIT_S", 0.2)
+    monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
     (found,) = probe.look_at([listener(b'<State Mode="EXT"></State>')], lambda _share: None)
     assert found.well
     assert found.seen == "a robot controller that sends its state over EKI"

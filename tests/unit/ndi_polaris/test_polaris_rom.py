@@ -9,27 +9,28 @@ import numpy as np
 import pytest
 
 from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
-from drivers.ndi_polaris.rom.comparison import compare_definitions, largest_segment_difference_mm
-from drivers.ndi_polaris.rom.definition import (
+from drivers.ndi_polaris.shipped_tools import FOLDER, shipped_definitions
+from drivers.ndi_polaris.tool_comparison import (
+    alike_segments_mm,
+    check_distinct,
+    compare_definitions,
+    find_alike,
+    largest_segment_difference_mm,
+    segment_lengths_mm,
+    shared_segments_mm,
+)
+from drivers.ndi_polaris.tool_definition import (
+    blank_block,
     decode_definition,
     encode_definition,
     planar_tool,
     read_definition,
 )
-from drivers.ndi_polaris.rom.fields import blank_block
-from drivers.ndi_polaris.tools.geometry import (
-    alike_segments_mm,
-    check_distinct,
-    find_alike,
-    segment_lengths_mm,
-    shared_segments_mm,
-)
-from drivers.ndi_polaris.tools.robot_frame import robot_frame
-from drivers.ndi_polaris.tools.shipped import FOLDER, shipped_definitions
-from drivers.ndi_polaris.tools.x_frame import x_frame
 from sim.polaris.tools.definition import parse_definition, write_definition
-from sim.world.scene.named_scenes import robot_frame as robot_frame_of_the_scene
+from sim.world.scene.named_scenes import robot_frame
 
+ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
+X_FRAME = shipped_definitions()["x_frame.rom"]
 RIGID_BODY = planar_tool(
     "8700339",
     ((0.0, 0.0, 0.0), (28.59, 41.02, 0.0), (0.0, 88.0, 0.0), (-44.32, 40.45, 0.0)),
@@ -95,33 +96,33 @@ def test_only_generated_definitions_are_shipped() -> None:
 
 
 def test_the_robot_frame_matches_the_one_in_the_simulated_scene() -> None:
-    scene = robot_frame_of_the_scene()
-    assert robot_frame().markers_mm == scene.markers_mm
-    assert robot_frame().part_number == scene.part_number
+    scene = robot_frame()
+    assert ROBOT_FRAME.markers_mm == scene.markers_mm
+    assert ROBOT_FRAME.part_number == scene.part_number
 
 
 def test_the_shipped_tools_are_unambiguous_alone_and_together() -> None:
-    assert find_alike({"M": robot_frame(), "x": x_frame()}) == ()
+    assert find_alike({"M": ROBOT_FRAME, "x": X_FRAME}) == ()
 
 
 def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -> None:
-    first, second, third, fourth = (np.array(marker) for marker in x_frame().markers_mm)
+    first, second, third, fourth = (np.array(marker) for marker in X_FRAME.markers_mm)
     crossing = np.zeros(3)
     for end, other in ((first, third), (second, fourth)):
         assert np.dot(end - crossing, other - crossing) < 0  # on either side of the crossing
         sine = np.linalg.norm(np.cross(end, other)) / np.linalg.norm(end) / np.linalg.norm(other)
         assert sine < 0.01
-    assert alike_segments_mm(x_frame(), 8.0) == ()
-    assert shared_segments_mm(x_frame(), robot_frame(), 5.0) == ()
+    assert alike_segments_mm(X_FRAME, 8.0) == ()
+    assert shared_segments_mm(X_FRAME, ROBOT_FRAME, 5.0) == ()
 
 
 def test_driver_and_simulator_read_each_others_definitions_alike() -> None:
-    theirs = decode_definition(write_definition(robot_frame_of_the_scene()))
-    assert theirs.markers_mm == robot_frame().markers_mm
-    assert theirs.normals == robot_frame().normals
-    ours = parse_definition(encode_definition(robot_frame()))
+    theirs = decode_definition(write_definition(robot_frame()))
+    assert theirs.markers_mm == ROBOT_FRAME.markers_mm
+    assert theirs.normals == ROBOT_FRAME.normals
+    ours = parse_definition(encode_definition(ROBOT_FRAME))
     assert ours.part_number == "RONNA-M"
-    assert ours.markers_mm.tolist() == [list(marker) for marker in robot_frame().markers_mm]
+    assert ours.markers_mm.tolist() == [list(marker) for marker in ROBOT_FRAME.markers_mm]
 
 
 def changed(offset: int, value: int, *, repair: bool = True) -> bytes:
@@ -242,7 +243,7 @@ def test_the_same_shape_at_another_pose_is_recognised_by_its_distances() -> None
     )
     assert compare_definitions(RIGID_BODY, elsewhere)
     assert largest_segment_difference_mm(RIGID_BODY, elsewhere) == pytest.approx(0.0, abs=1e-9)
-    assert largest_segment_difference_mm(RIGID_BODY, robot_frame()) > 5.0
+    assert largest_segment_difference_mm(RIGID_BODY, ROBOT_FRAME) > 5.0
 
 
 @pytest.mark.hazard(17)
@@ -252,7 +253,7 @@ def test_two_tools_that_share_a_triangle_are_refused() -> None:
     )
     with pytest.raises(SameGeometry, match="first and second"):
         check_distinct({"first": RIGID_BODY, "second": mirrored})
-    check_distinct({"first": RIGID_BODY, "second": robot_frame()})
+    check_distinct({"first": RIGID_BODY, "second": ROBOT_FRAME})
 
 
 def test_similar_segments_of_a_tool_are_found() -> None:

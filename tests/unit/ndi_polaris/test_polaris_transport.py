@@ -16,7 +16,7 @@ import pytest
 import serial
 
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
-from drivers.ndi_polaris.line.transport import SerialTransport, TcpTransport, Transport, open_transport
+from drivers.ndi_polaris.transport import SerialTransport, TcpTransport, Transport, open_transport
 from ronna_hw.endpoints import BadEndpoint, parse_endpoint
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.ndi_polaris.errors import MalformedReply
-from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
+from drivers.ndi_polaris.measuring_volume import parse_volumes
 
 ANSWER = (
     "25-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n"

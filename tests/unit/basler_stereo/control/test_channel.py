@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from drivers.basler_stereo.control.channel import ControlChannel, register_write, send_together
+from drivers.basler_stereo.control_channel import ControlChannel, register_write, send_together
 from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
 from drivers.basler_stereo.features.description import fetch_description
 from ronna_hw.devices.byte_sink import Direction

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.errors import CommandRefused, MalformedReply
 from ronna_hw.wire.gige_vision import GvcpCommand
 

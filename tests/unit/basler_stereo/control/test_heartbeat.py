@@ -6,8 +6,8 @@ import threading
 
 import pytest
 
-from drivers.basler_stereo.control import heartbeat
-from drivers.basler_stereo.control.heartbeat import SILENT_BEATS, Heartbeat
+from drivers.basler_stereo import control_channel
+from drivers.basler_stereo.control_channel import SILENT_BEATS, Heartbeat
 from drivers.basler_stereo.errors import CameraLost, ControlLost, NoReply
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN
@@ -46,7 +46,7 @@ def verdict(camera: ScriptedCamera, timeout_ms: int, monkeypatch: pytest.MonkeyP
         said.append(error)
         heard.set()
 
-    monkeypatch.setattr(heartbeat, "SLOWEST_BEAT_S", 0.0)
+    monkeypatch.setattr(control_channel, "SLOWEST_BEAT_S", 0.0)
     beats = Heartbeat(camera, timeout_ms, lost, "test", monotonic=camera.monotonic)  # type: ignore[arg-type]
     assert heard.wait(HANG_LIMIT_S)
     beats.close()

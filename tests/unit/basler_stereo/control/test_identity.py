@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from drivers.basler_stereo.control.identity import decode_identity
 from drivers.basler_stereo.errors import MalformedReply
+from drivers.basler_stereo.identity import decode_identity
 
 
 def memory(serial="21900001", model="acA2000-50gmNIR"):

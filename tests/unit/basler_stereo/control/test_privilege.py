@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from drivers.basler_stereo.control.privilege import take_control
+from drivers.basler_stereo.control_channel import take_control
 from drivers.basler_stereo.errors import CommandRefused, ControlTaken
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus

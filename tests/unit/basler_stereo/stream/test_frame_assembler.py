@@ -15,8 +15,9 @@ from drivers.basler_stereo.stream.frame_assembler import (
     PACKETS_PER_ROUND,
     RESEND_INTERVALS_S,
     FrameAssembler,
+    decode_header,
+    following,
 )
-from drivers.basler_stereo.stream.gvsp import decode_header, following
 from ronna_hw.devices.readings import AreaOfInterest
 
 WIDTH, HEIGHT = 40, 30

@@ -6,9 +6,8 @@ import os
 
 import pytest
 
-from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
-from drivers.basler_stereo.stream.frame_slots import SLOTS, FrameSlots
-from drivers.basler_stereo.stream.gvsp import Leader
+from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
+from drivers.basler_stereo.stream.receiver_interface import SLOTS, FrameSlots
 
 PAYLOAD = 5000
 LEADER = Leader(2**40 + 7, 0x01080001, 16, 8, 100, 50, 0)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import socket
 
-from drivers.basler_stereo.stream.frame_slots import FrameSlots
-from drivers.basler_stereo.stream.receiver_loop import _Stream
-from drivers.basler_stereo.stream.receiver_orders import OpenStream
-from drivers.basler_stereo.stream.stream_socket import open_stream_socket, probe_arrives
+from drivers.basler_stereo.stream.receiver import open_stream_socket, probe_arrives
+from drivers.basler_stereo.stream.receiver_interface import FrameSlots, OpenStream
+from drivers.basler_stereo.stream.receiver_process import _Stream
 from ronna_hw.wire import gige_vision as gev
 
 HOST, CAMERA, STRANGER = "127.0.0.1", "127.0.0.2", "127.0.0.3"

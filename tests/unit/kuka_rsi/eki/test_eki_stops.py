@@ -15,7 +15,7 @@ import pytest
 from driven_arm import FAR, THERE, largest_step, moving, state_of
 from waiting import eventually
 
-from drivers.kuka_rsi.eki.framing import LONGEST_TELEGRAM
+from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState

@@ -8,8 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.kuka_rsi.eki.controller_state import ControllerState, read_state, require_ready
-from drivers.kuka_rsi.eki.framing import LONGEST_TELEGRAM, TelegramScanner, parse_telegram
+from drivers.kuka_rsi.eki.telegrams import (
+    LONGEST_TELEGRAM,
+    ControllerState,
+    TelegramScanner,
+    parse_telegram,
+    read_state,
+    require_ready,
+)
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady
 
 STATE = (

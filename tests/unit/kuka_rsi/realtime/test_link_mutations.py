@@ -10,10 +10,10 @@ from responder_stand import LIMITS
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, corrections_of, telegram
 from rsi_mutants import answer_mutants
 
+from drivers.kuka_rsi.connections import link_settings
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
-from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context

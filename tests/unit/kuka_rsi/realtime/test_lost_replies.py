@@ -16,6 +16,7 @@ from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_
 from drivers.kuka_rsi.errors import LinkUnusable
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_health import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.link_state import (
     Choice,
     Command,
@@ -25,7 +26,6 @@ from drivers.kuka_rsi.realtime.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from drivers.kuka_rsi.realtime.pace import MOST_MISSING, Pace
+from drivers.kuka_rsi.realtime.sockets import MOST_MISSING, Pace
 
 CYCLE_NS = 4_000_000
 BEGIN_NS = 1_000_000_000

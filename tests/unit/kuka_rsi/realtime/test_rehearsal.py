@@ -8,7 +8,7 @@ import pytest
 from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
 from drivers.kuka_rsi.realtime.link_state import StopOrder
-from drivers.kuka_rsi.realtime.rehearsal import Rehearsal
+from drivers.kuka_rsi.realtime.sockets import Rehearsal
 
 
 def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:

@@ -8,12 +8,12 @@ from responder_stand import (
     moving,
 )
 
+from drivers.kuka_rsi.realtime.link_health import Losses
 from drivers.kuka_rsi.realtime.link_state import (
     Fault,
     Orders,
     Result,
 )
-from drivers.kuka_rsi.realtime.losses import Losses
 
 
 def test_more_than_three_lost_cycles_degrade_the_link_until_a_clean_second_has_passed() -> None:

@@ -10,9 +10,7 @@ from collections.abc import Iterable
 import pytest
 from rsi_loop import CYCLE_MS, FIRST_IPOC, InProcessLink, telegram
 
-from drivers.kuka_rsi.realtime.pace import STEADY_ARRIVALS
-from drivers.kuka_rsi.realtime.sockets import bind
-from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
+from drivers.kuka_rsi.realtime.sockets import STEADY_ARRIVALS, TelegramReceiver, bind
 
 CYCLE_NS = 4_000_000
 LEAD_NS = 500_000
