@@ -38,33 +38,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
 
-
-class LinkBytes:
-    """For the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
-
-    def __init__(self, name: str, sink: ByteSink | None) -> None:
-        self._name = name
-        self._sink = sink
-
-    def passed(self, direction: Direction, data: bytes) -> None:
-        """A datagram of the control channel."""
-        if self._sink is not None:
-            self._sink.passed(f"{self._name}.control", direction, data)
-
-    def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
-        """Record the arrival of an image, complete or not."""
-        if self._sink is None:
-            return
-        leader = {} if frame.leader is None else frame.leader._asdict()
-        self._sink.note(
-            f"{self._name}.stream",
-            block_id=frame.block_id,
-            missing_packets=frame.missing_packets,
-            **leader,
-            **asdict(counters),
-        )
-
-
 KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 
 
@@ -336,3 +309,29 @@ class Camera:
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
+
+
+class LinkBytes:
+    """For the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
+
+    def __init__(self, name: str, sink: ByteSink | None) -> None:
+        self._name = name
+        self._sink = sink
+
+    def passed(self, direction: Direction, data: bytes) -> None:
+        """A datagram of the control channel."""
+        if self._sink is not None:
+            self._sink.passed(f"{self._name}.control", direction, data)
+
+    def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
+        """Record the arrival of an image, complete or not."""
+        if self._sink is None:
+            return
+        leader = {} if frame.leader is None else frame.leader._asdict()
+        self._sink.note(
+            f"{self._name}.stream",
+            block_id=frame.block_id,
+            missing_packets=frame.missing_packets,
+            **leader,
+            **asdict(counters),
+        )

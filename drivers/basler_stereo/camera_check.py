@@ -28,6 +28,9 @@ from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 REPLY_LIMIT_S = 1.0  # per command, including retries
 TEST_LIMIT_S = 5.0  # for all test packets
 RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
+JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
+LISTED_CAMERAS = 4
+SECTION = "cameras"
 
 
 class Response(StrEnum):
@@ -128,11 +131,6 @@ def _read(control: ControlChannel, register: int) -> int | None:
 
 def _soon() -> float:
     return time.monotonic() + REPLY_LIMIT_S
-
-
-JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
-LISTED_CAMERAS = 4
-SECTION = "cameras"
 
 
 class Expected(NamedTuple):

@@ -21,6 +21,15 @@ COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's 
 REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
 OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
 LAST_LOOK_S = 1e-3  # for a reply that arrived while the host stalled
+Command = tuple[GvcpCommand, bytes]
+"""A command and its payload."""
+ASK_AGAIN_S = 0.1
+LAPSE_MARGIN_S = 0.5  # cameras check their timer only now and then
+BEATS_PER_TIMEOUT = 4
+SLOWEST_BEAT_S = 1.0
+SILENT_BEATS = 2  # consecutive failures, including retries, before the camera may count as lost
+ASK_LIMIT_S = 1.0
+JOIN_LIMIT_S = 1.5
 
 
 class ControlChannel:
@@ -183,10 +192,6 @@ class ControlChannel:
             return self._request_id
 
 
-Command = tuple[GvcpCommand, bytes]
-"""A command and its payload."""
-
-
 def register_write(address: int, value: int) -> Command:
     """The command that sets one register."""
     return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
@@ -215,10 +220,6 @@ def send_together(
             except (NoReply, CommandRefused) as error:
                 results.append(error)
     return results
-
-
-ASK_AGAIN_S = 0.1
-LAPSE_MARGIN_S = 0.5  # cameras check their timer only now and then
 
 
 def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
@@ -265,13 +266,6 @@ def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
     except CommandRefused:  # exclusive access: others cannot even read
         return deadline_s
     return min(deadline_s, time.monotonic() + timeout_ms / 1000.0 + LAPSE_MARGIN_S)
-
-
-BEATS_PER_TIMEOUT = 4
-SLOWEST_BEAT_S = 1.0
-SILENT_BEATS = 2  # consecutive failures, including retries, before the camera may count as lost
-ASK_LIMIT_S = 1.0
-JOIN_LIMIT_S = 1.5
 
 
 class Heartbeat:

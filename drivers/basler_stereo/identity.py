@@ -17,6 +17,11 @@ from ronna_hw.host.network_interfaces import Interface, interface_of
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 
+REPLY_LIMIT_S = 0.5  # a camera replies within milliseconds
+EVERYBODY = "255.255.255.255"
+DATAGRAM_LIMIT_BYTES = 2048
+REQUEST_ID = gev.REQUEST_ID_FIRST
+
 
 @dataclass(frozen=True)
 class CameraIdentity:
@@ -65,12 +70,6 @@ def decode_identity(memory: bytes, address: str) -> CameraIdentity:
 def _text(memory: bytes, register: Bootstrap) -> str:
     field = memory[register : register + gev.TEXT_BYTES[register]]
     return field.split(b"\0", 1)[0].decode("utf-8", errors="replace").strip()
-
-
-REPLY_LIMIT_S = 0.5  # a camera replies within milliseconds
-EVERYBODY = "255.255.255.255"
-DATAGRAM_LIMIT_BYTES = 2048
-REQUEST_ID = gev.REQUEST_ID_FIRST
 
 
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:

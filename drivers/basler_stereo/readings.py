@@ -12,6 +12,7 @@ from drivers.basler_stereo.stream.frame_assembler import Frame
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.wire.gige_vision import PixelFormat
 
+DRIFT = 2e-4  # of one camera's clock relative to another: 100 ppm each
 _WORST_FIRST = (
     Validity.MISSING,
     Validity.CORRUPT,
@@ -99,9 +100,6 @@ def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
     values[0::2] = first << 4 | shared & 0x0F
     values[1::2] = second << 4 | shared >> 4
     return values[:count]
-
-
-DRIFT = 2e-4  # of one camera's clock relative to another: 100 ppm each
 
 
 @dataclass(frozen=True)

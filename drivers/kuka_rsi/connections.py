@@ -25,54 +25,85 @@ from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
 BytesPassed = Callable[[Direction, bytes], None]
-
-
-class LinkBytes:
-    """The recorder's sinks, if any; queried when a link is opened."""
-
-    def __init__(self, arm: str) -> None:
-        self._arm = arm
-        self.sink: ByteSink | None = None
-
-    @property
-    def of_eki(self) -> BytesPassed | None:
-        """Receives the bytes of the EKI connection; None without a recorder."""
-        sink, link = self.sink, f"{self._arm}.eki"
-        if sink is None:
-            return None
-        return lambda direction, data: sink.passed(link, direction, data)
-
-    @property
-    def of_rsi(self) -> Callable[[list[KeptCycle], int], None] | None:
-        """Receives the telegrams and replies kept by the real-time process."""
-        sink, link = self.sink, f"{self._arm}.rsi"
-        if sink is None:
-            return None
-
-        def take(cycles: list[KeptCycle], lost: int) -> None:
-            sink.passed_earlier(link, list(_both_ways(cycles)))
-            if lost:
-                sink.note(link, lost_bytes=lost)
-
-        return take
-
-
-def _both_ways(cycles: list[KeptCycle]) -> Iterator[Passed]:
-    for cycle in cycles:
-        yield Passed(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
-        if cycle.reply:
-            yield Passed(cycle.sent_ns, Direction.SENT, cycle.reply)
-
-
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
-def rest_of(deadline: float) -> float:
-    """Time left until a deadline of the host's monotonic clock, not negative, s."""
-    return max(deadline - time.monotonic(), 0.0)
+class Connections:
+    """Opened and closed one by one; accessing one that is not open raises."""
+
+    def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
+        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
+        self._name = name
+        self._rsi = config.address("rsi").require("udp")
+        self._eki_address = config.address("eki_project").require("tcp")
+        self._options = options
+        self._context = context
+        self.open_eki: EkiClient | None = None
+        self.open_link: LinkClient | None = None
+        self.bytes = LinkBytes(name)
+        self.verified = False  # the controller reports that it runs our context
+
+    @property
+    def said(self) -> ControllerState | None:
+        """The last state reported by the controller, requested or not."""
+        return None if self.open_eki is None else self.open_eki.latest
+
+    @property
+    def eki(self) -> EkiClient:
+        """The EKI connection; raises EKI-001 if there is none."""
+        if self.open_eki is None:
+            raise ControllerNotFound(f"{self._name}: no EKI connection is open")
+        return self.open_eki
+
+    @property
+    def link(self) -> LinkClient:
+        """The real-time process; raises RSI-002 if there is none."""
+        if self.open_link is None:
+            raise NoTelegram(f"{self._name}: no real-time process is running")
+        return self.open_link
+
+    def eki_answers(self, limit_s: float) -> bool:
+        """Whether there is an EKI connection, unbroken, on which the controller replies in time."""
+        if self.open_eki is None or self.open_eki.failure is not None:
+            return False
+        try:
+            self.open_eki.status(limit_s)
+        except RonnaError:
+            return False
+        return True
+
+    def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
+        """Open the EKI connection and identify the controller; `retry`: repeatedly until the time limit.
+
+        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
+        """
+        self.close_eki()
+        opening = reopen_controller if retry else open_controller
+        found = opening(self._eki_address, self._context, self._options, timeout_s, self.bytes.of_eki)
+        self.open_eki, identity, self.verified = found
+        self.open_eki.listen(listener)
+        return identity
+
+    def start_link(self, timeout_s: float) -> None:
+        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
+        self.close_link()
+        settings = link_settings(self._rsi, self._context, self._options)
+        self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)
+
+    def close_eki(self) -> None:
+        """End the EKI connection, if there is one."""
+        if self.open_eki is not None:
+            self.open_eki.close()
+            self.open_eki = None
+
+    def close_link(self) -> None:
+        """End the real-time process, if there is one."""
+        if self.open_link is not None:
+            self.open_link.close()
+            self.open_link = None
 
 
 def open_controller(
@@ -162,6 +193,43 @@ def link_settings(
     return settings
 
 
+class LinkBytes:
+    """The recorder's sinks, if any; queried when a link is opened."""
+
+    def __init__(self, arm: str) -> None:
+        self._arm = arm
+        self.sink: ByteSink | None = None
+
+    @property
+    def of_eki(self) -> BytesPassed | None:
+        """Receives the bytes of the EKI connection; None without a recorder."""
+        sink, link = self.sink, f"{self._arm}.eki"
+        if sink is None:
+            return None
+        return lambda direction, data: sink.passed(link, direction, data)
+
+    @property
+    def of_rsi(self) -> Callable[[list[KeptCycle], int], None] | None:
+        """Receives the telegrams and replies kept by the real-time process."""
+        sink, link = self.sink, f"{self._arm}.rsi"
+        if sink is None:
+            return None
+
+        def take(cycles: list[KeptCycle], lost: int) -> None:
+            sink.passed_earlier(link, list(_both_ways(cycles)))
+            if lost:
+                sink.note(link, lost_bytes=lost)
+
+        return take
+
+
+def _both_ways(cycles: list[KeptCycle]) -> Iterator[Passed]:
+    for cycle in cycles:
+        yield Passed(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
+        if cycle.reply:
+            yield Passed(cycle.sent_ns, Direction.SENT, cycle.reply)
+
+
 def start_stream(
     eki: EkiClient,
     link: LinkClient,
@@ -247,76 +315,6 @@ def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
     link.wait(lambda s: s.command_number >= number, rest_of(deadline))
 
 
-class Connections:
-    """Opened and closed one by one; accessing one that is not open raises."""
-
-    def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
-        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
-        self._name = name
-        self._rsi = config.address("rsi").require("udp")
-        self._eki_address = config.address("eki_project").require("tcp")
-        self._options = options
-        self._context = context
-        self.open_eki: EkiClient | None = None
-        self.open_link: LinkClient | None = None
-        self.bytes = LinkBytes(name)
-        self.verified = False  # the controller reports that it runs our context
-
-    @property
-    def said(self) -> ControllerState | None:
-        """The last state reported by the controller, requested or not."""
-        return None if self.open_eki is None else self.open_eki.latest
-
-    @property
-    def eki(self) -> EkiClient:
-        """The EKI connection; raises EKI-001 if there is none."""
-        if self.open_eki is None:
-            raise ControllerNotFound(f"{self._name}: no EKI connection is open")
-        return self.open_eki
-
-    @property
-    def link(self) -> LinkClient:
-        """The real-time process; raises RSI-002 if there is none."""
-        if self.open_link is None:
-            raise NoTelegram(f"{self._name}: no real-time process is running")
-        return self.open_link
-
-    def eki_answers(self, limit_s: float) -> bool:
-        """Whether there is an EKI connection, unbroken, on which the controller replies in time."""
-        if self.open_eki is None or self.open_eki.failure is not None:
-            return False
-        try:
-            self.open_eki.status(limit_s)
-        except RonnaError:
-            return False
-        return True
-
-    def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
-        """Open the EKI connection and identify the controller; `retry`: repeatedly until the time limit.
-
-        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
-        """
-        self.close_eki()
-        opening = reopen_controller if retry else open_controller
-        found = opening(self._eki_address, self._context, self._options, timeout_s, self.bytes.of_eki)
-        self.open_eki, identity, self.verified = found
-        self.open_eki.listen(listener)
-        return identity
-
-    def start_link(self, timeout_s: float) -> None:
-        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
-        self.close_link()
-        settings = link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)
-
-    def close_eki(self) -> None:
-        """End the EKI connection, if there is one."""
-        if self.open_eki is not None:
-            self.open_eki.close()
-            self.open_eki = None
-
-    def close_link(self) -> None:
-        """End the real-time process, if there is one."""
-        if self.open_link is not None:
-            self.open_link.close()
-            self.open_link = None
+def rest_of(deadline: float) -> float:
+    """Time left until a deadline of the host's monotonic clock, not negative, s."""
+    return max(deadline - time.monotonic(), 0.0)

@@ -39,12 +39,14 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
+FILE_NAME = "flight-record-{arm}.txt"
 _REFUSALS = {
     Result.REFUSED_BUSY: "another motion is running",
     Result.REFUSED_START: "it was planned from a pose other than the last one sent",
     Result.REFUSED_PHASE: "no correction stream is running",
     Result.REFUSED_NUMBERS: "no motion profile exists for its values",
 }
+_HEAD = ("cycle", "IPOC", "ms", "turnaround us", "choice")
 
 
 def error_of_fault(
@@ -188,10 +190,6 @@ def furthest_text(state: LinkState) -> str:
     off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
     axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
     return f"A{axis + 1} {off_deg[axis]:.4f} deg off its set-point"
-
-
-FILE_NAME = "flight-record-{arm}.txt"
-_HEAD = ("cycle", "IPOC", "ms", "turnaround us", "choice")
 
 
 def attach_flight_record(error: RonnaError, arm: str, cycles: Sequence[RecordedCycle]) -> None:

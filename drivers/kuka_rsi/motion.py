@@ -25,6 +25,10 @@ from ronna_hw.devices.motion import Motion
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.devices.robot import OperatingMode
 
+POLL_S = 0.5  # host time between checks of theatre time during a motion
+SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
+STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
+
 
 class MotionPlanner:
     """`surroundings` may be replaced between motions."""
@@ -62,11 +66,6 @@ class MotionPlanner:
     def preview(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> PathPreview:
         """What `plan` and `clear` would make the arm do; raises the errors of `plan`."""
         return preview_motion(self._kinematics, start_rad, motion, self.surroundings, self.limits(mode))
-
-
-POLL_S = 0.5  # host time between checks of theatre time during a motion
-SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
-STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
 class MotionFollower:

@@ -26,6 +26,8 @@ HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
 REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
+LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
+NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
 def _ip_address(text: str) -> str:
@@ -104,10 +106,6 @@ def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
         raise BadOptions(
             f"{device}: options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from None
-
-
-LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
-NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
 def usable_context(device: str, options: KukaOptions) -> RsiContext:

@@ -49,6 +49,61 @@ STREAM = (
 )
 
 
+class KukaProbe:
+    """The probe of this driver; its `find` serves a new theatre file."""
+
+    table = "robot"
+
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
+        """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
+        streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
+        ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
+        return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return find_controllers(search, progress)
+
+    def example(self, search: Search) -> Proposal:
+        return example_arm(search)
+
+
+probe = KukaProbe()
+
+
+def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
+    """Whether the driver can listen on the controller's destination: bind as it would, and release."""
+    subject = f"stream port {endpoint}"
+    try:
+        bind(endpoint.host, endpoint.port).close()
+    except OSError as error:
+        return Diagnostic(subject, False, *_refusal(endpoint, error))
+    return Diagnostic(subject, True, "free for the driver to listen on")
+
+
+def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
+    """(observation, what to do)."""
+    if error.errno == errno.EADDRINUSE:
+        if user := user_of_udp_port(endpoint.host, endpoint.port):
+            return f"in use by {user}", "Stop that program; it may be another run of the robot."
+        return (
+            "in use by a program not visible to this user",
+            f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return (
+            f"{endpoint.host} is not an address of this computer",
+            "Give the network card towards the controller the address in the Ethernet file (IP_NUMBER).",
+        )
+    if error.errno == errno.EACCES:
+        return (
+            "permission denied",
+            "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
+        )
+    return error.strerror or str(error), "Give an IPv4 address of this computer."
+
+
 def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
     """Every controller with our EKI server: at the given addresses, or else on the networks.
 
@@ -128,58 +183,3 @@ def _endpoints(controller: str, stream: str) -> dict[str, str]:
 
 def _options(variant: str | None = None) -> tuple[Option, ...]:
     return documented_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})
-
-
-class KukaProbe:
-    """The probe of this driver; its `find` serves a new theatre file."""
-
-    table = "robot"
-
-    def __call__(
-        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
-    ) -> Sequence[Diagnostic]:
-        """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
-        streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
-        ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
-        return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
-
-    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_controllers(search, progress)
-
-    def example(self, search: Search) -> Proposal:
-        return example_arm(search)
-
-
-probe = KukaProbe()
-
-
-def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Whether the driver can listen on the controller's destination: bind as it would, and release."""
-    subject = f"stream port {endpoint}"
-    try:
-        bind(endpoint.host, endpoint.port).close()
-    except OSError as error:
-        return Diagnostic(subject, False, *_refusal(endpoint, error))
-    return Diagnostic(subject, True, "free for the driver to listen on")
-
-
-def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
-    """(observation, what to do)."""
-    if error.errno == errno.EADDRINUSE:
-        if user := user_of_udp_port(endpoint.host, endpoint.port):
-            return f"in use by {user}", "Stop that program; it may be another run of the robot."
-        return (
-            "in use by a program not visible to this user",
-            f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",
-        )
-    if error.errno == errno.EADDRNOTAVAIL:
-        return (
-            f"{endpoint.host} is not an address of this computer",
-            "Give the network card towards the controller the address in the Ethernet file (IP_NUMBER).",
-        )
-    if error.errno == errno.EACCES:
-        return (
-            "permission denied",
-            "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
-        )
-    return error.strerror or str(error), "Give an IPv4 address of this computer."

@@ -18,6 +18,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 STALE_S = 0.5  # host time: age at which a measured pose is called stale
+MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
+MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
+AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 class ArmReadings:
@@ -74,11 +77,6 @@ class ArmReadings:
         return ArmReading(
             stamp, Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
         )
-
-
-MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
-MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
-AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:

@@ -1,8 +1,8 @@
-"""Commands and replies over a line, and resynchronisation after a disturbance.
+"""Commands and replies over a line: framing with CRC, time limits, resynchronisation after a disturbance.
 
 Replies carry no number, so a late reply looks like the next one. Therefore input is flushed before each
-command; bytes found there, a time-out or a broken reply leave the link *unsettled*; and an unsettled link
-first sends ECHO with a text of its own and discards everything up to the echo before the next command.
+command; bytes found there, a time-out or a broken reply leave the link *unsettled*. An unsettled link first
+sends ECHO with a text of its own and discards everything up to the echo.
 """
 
 from __future__ import annotations
@@ -44,99 +44,6 @@ from ronna_hw.wire.polaris import (
 KEPT_COMMANDS = 32  # every reading sends the same command
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", BX_START)
-
-_HEADER = struct.Struct("<HHH")
-_CRC = struct.Struct("<H")
-_ERROR = re.compile(r"ERROR([0-9A-F]{2})")
-_WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
-
-
-@lru_cache(maxsize=KEPT_COMMANDS)
-def encode_command(name: str, argument: str = "") -> bytes:
-    """`NAME:argument` + CRC + CR: the form whose CRC the unit checks."""
-    text = f"{name}:{argument}".encode("ascii")
-    return b"%b%04X\r" % (text, crc16(text))
-
-
-def open_ascii(line: bytes) -> str:
-    """The text of one ASCII reply (without its CR); raises NDI-005."""
-    text = line[:-ASCII_CRC_DIGITS]
-    if not _crc_is_right(line):
-        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{crc16(text):04X}", wire=line)
-    try:
-        return text.decode("ascii")
-    except UnicodeDecodeError as error:
-        raise MalformedReply("an ASCII reply contains bytes that are not ASCII", wire=line) from error
-
-
-def trailing_text(heard: bytes) -> str | None:
-    """The text of the last reply (without its CR) in bytes that may begin with remnants of others."""
-    line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
-    # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
-    # valid together with it.
-    for start in range(len(line)):
-        if line[start:].isascii() and _crc_is_right(line[start:]):
-            return line[start:-ASCII_CRC_DIGITS].decode("ascii")
-    return None
-
-
-def _crc_is_right(line: bytes) -> bool:
-    # an empty text is legal: an empty parameter list has CRC 0000
-    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
-    return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
-
-
-def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
-    line, end, rest = buffer.partition(CR)
-    return (line, rest) if end else None
-
-
-def binary_reply_bytes(header: bytes) -> int:
-    """Length of a complete binary reply from its first six bytes; raises NDI-005 or NDI-006."""
-    start, length, crc = _HEADER.unpack_from(header)
-    if start != BX_START:
-        raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
-    if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
-        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[:BX_HEADER_BYTES])
-    return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
-
-
-def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
-    """Split off the first binary reply: (its body, rest), or None while incomplete.
-
-    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
-    """
-    if len(buffer) < BX_HEADER_BYTES:
-        return None
-    whole = binary_reply_bytes(buffer)
-    if len(buffer) < whole:
-        return None
-    body = buffer[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
-    (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
-    if crc != crc16(body):
-        raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply", expected=f"{crc16(body):04X}", wire=buffer[:whole]
-        )
-    return body, buffer[whole:]
-
-
-def unit_error(text: str, command: str = "") -> UnitError | None:
-    """The typed error if the reply is ERRORhh, else None."""
-    match = _ERROR.fullmatch(text)
-    return error_for(int(match[1], 16), command) if match else None
-
-
-def warning_meaning(text: str) -> str | None:
-    """The meaning of a WARNING reply, else None. The command was executed nevertheless."""
-    match = _WARNING.fullmatch(text)
-    if not match:
-        return None
-    if match[1] is None:
-        return "a warning without a code (older firmware)"
-    return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")
-
-
 ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
 LONGEST_REPLY_BYTES = 16384  # longer than any reply of these units: beyond this it is noise
 LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
@@ -147,15 +54,12 @@ ECHO_ATTEMPTS = 3
 REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
 NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: a command that lost its colon has no CRC
 RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
-
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
+_HEADER = struct.Struct("<HHH")
+_CRC = struct.Struct("<H")
+_ERROR = re.compile(r"ERROR([0-9A-F]{2})")
+_WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
 _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a binary reply
-
-
-class _Echo(Enum):
-    HEARD = "heard"
-    REFUSED = "refused"  # answered with an error
-    SILENT = "silent"
 
 
 @dataclass
@@ -186,7 +90,7 @@ class CommandLink:
         self._echoes = 0
 
     def now_s(self) -> float:
-        """The host's monotonic clock, on which deadlines are given."""
+        """Read the host's monotonic clock, on which deadlines are given."""
         return self._monotonic()
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
@@ -215,7 +119,7 @@ class CommandLink:
     def ask_binary(
         self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
     ) -> bytes:
-        """Like `ask`, for a command with a binary reply; returns the body, its CRCs checked."""
+        """Send a command like `ask` and return the body of its binary reply, CRCs checked."""
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
@@ -223,7 +127,7 @@ class CommandLink:
         return reply
 
     def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:
-        """Time limit of a command: the unit's own plus the transfer both ways."""
+        """Return the time limit of a command: the unit's own plus the transfer both ways."""
         return self._limits_s.get(name, LONGEST_LIMIT_S) + self._transfer_s(sent_bytes + reply_bytes)
 
     def _transfer_s(self, count: int) -> float:
@@ -231,7 +135,7 @@ class CommandLink:
         return count * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
-        """Discard input until the line has been silent for `quiet_s`; returns the last part of it.
+        """Discard input until the line has been silent for `quiet_s`; return the last part of it.
 
         Raises NDI-006 when the line never falls silent.
         """
@@ -250,7 +154,7 @@ class CommandLink:
         self._settled = False
 
     def settle(self, deadline_s: float | None = None) -> None:
-        """Resynchronise: send ECHO with a unique text and discard everything up to its echo.
+        """Resynchronise by ECHO with a unique text, discarding everything up to its echo.
 
         A unit without ECHO refuses it twice, which serves equally. Raises NDI-007 while the unit may only be
         slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it has restarted.
@@ -280,15 +184,15 @@ class CommandLink:
         binary: bool,
     ) -> Reply:
         try:
-            return self._once(name, argument, deadline_s, reply_bytes, binary)
+            return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
             noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
             if not noise or not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
                 raise
         self.statistics.retries += 1
-        return self._once(name, argument, deadline_s, reply_bytes, binary)
+        return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
 
-    def _once(
+    def _exchange_once(
         self, name: str, argument: str, deadline_s: float | None, reply_bytes: int, binary: bool
     ) -> Reply:
         self._check_stale_input()
@@ -334,7 +238,7 @@ class CommandLink:
             raise error
 
     def _receive(self, until_s: float, binary: bool) -> tuple[Reply | None, bytes]:
-        """(reply or None, remaining bytes). Reads until a complete reply or `until_s`."""
+        """Read until a reply is complete or `until_s` has come: (reply or None, remaining bytes)."""
         buffer = b""
         while True:
             if binary and buffer[:1] == BX_START_BYTES[:1]:
@@ -400,3 +304,95 @@ class CommandLink:
         raise NoReply(
             "the link has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
         )
+
+
+@lru_cache(maxsize=KEPT_COMMANDS)
+def encode_command(name: str, argument: str = "") -> bytes:
+    """Encode a command as `NAME:argument` + CRC + CR, the form whose CRC the unit checks."""
+    text = f"{name}:{argument}".encode("ascii")
+    return b"%b%04X\r" % (text, crc16(text))
+
+
+def open_ascii(line: bytes) -> str:
+    """Return the text of one ASCII reply (without its CR); raises NDI-005, or NDI-006 if it is not ASCII."""
+    text = line[:-ASCII_CRC_DIGITS]
+    if not _crc_is_right(line):
+        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{crc16(text):04X}", wire=line)
+    try:
+        return text.decode("ascii")
+    except UnicodeDecodeError as error:
+        raise MalformedReply("an ASCII reply contains bytes that are not ASCII", wire=line) from error
+
+
+def trailing_text(heard: bytes) -> str | None:
+    """Return the text of the last reply, without its CR, in bytes that may begin with remnants of others."""
+    line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
+    # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
+    # valid together with it.
+    for start in range(len(line)):
+        if line[start:].isascii() and _crc_is_right(line[start:]):
+            return line[start:-ASCII_CRC_DIGITS].decode("ascii")
+    return None
+
+
+def _crc_is_right(line: bytes) -> bool:
+    # an empty text is legal: an empty parameter list has CRC 0000
+    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
+    return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
+
+
+def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
+    """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
+    line, end, rest = buffer.partition(CR)
+    return (line, rest) if end else None
+
+
+def binary_reply_bytes(header: bytes) -> int:
+    """Return the length of a binary reply from its first six bytes; raises NDI-005 or NDI-006."""
+    start, length, crc = _HEADER.unpack_from(header)
+    if start != BX_START:
+        raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
+    if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
+        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[:BX_HEADER_BYTES])
+    return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
+
+
+def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
+    """Split off the first binary reply: (its body, rest), or None while incomplete.
+
+    Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
+    """
+    if len(buffer) < BX_HEADER_BYTES:
+        return None
+    whole = binary_reply_bytes(buffer)
+    if len(buffer) < whole:
+        return None
+    body = buffer[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
+    if crc != crc16(body):
+        raise BadReplyCrc(
+            "wrong CRC in the body of a binary reply", expected=f"{crc16(body):04X}", wire=buffer[:whole]
+        )
+    return body, buffer[whole:]
+
+
+def unit_error(text: str, command: str = "") -> UnitError | None:
+    """Return the typed error for a reply ERRORhh, else None."""
+    match = _ERROR.fullmatch(text)
+    return error_for(int(match[1], 16), command) if match else None
+
+
+def warning_meaning(text: str) -> str | None:
+    """Return the meaning of a WARNING reply, else None; the command was executed nevertheless."""
+    match = _WARNING.fullmatch(text)
+    if not match:
+        return None
+    if match[1] is None:
+        return "a warning without a code (older firmware)"
+    return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")
+
+
+class _Echo(Enum):
+    HEARD = "heard"
+    REFUSED = "refused"  # answered with an error
+    SILENT = "silent"

@@ -1,4 +1,4 @@
-"""Finds a unit on a line, at its power-up rate or another, if necessary with a break; then INIT."""
+"""Find a unit on a line, initialise it, and switch to the fastest baud rate that works."""
 
 from __future__ import annotations
 
@@ -38,67 +38,10 @@ INQUIRY = encode_command(INQUIRY_COMMAND)
 REPLY_BYTES = 32
 REPLY_LIMIT_S = 0.3  # per rate: an idle unit replies within a few milliseconds
 TRIES = 2  # the first command may be garbled by the remains of an earlier one
-
-
-class Inquiry(NamedTuple):
-    """All bytes received, and the text of a reply with a valid CRC, if any."""
-
-    heard: bytes
-    reply: str | None = None
-
-    @property
-    def answered(self) -> bool:
-        return self.reply is not None
-
-
-def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
-    """Ask at the current rate, twice if the first reply is garbled.
-
-    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
-    """
-    heard = b""
-    for _ in range(TRIES):
-        inquiry = _inquire_once(link, deadline_s)
-        heard = inquiry.heard or heard
-        if inquiry.answered or not inquiry.heard:
-            return Inquiry(heard, inquiry.reply)
-    return Inquiry(heard)
-
-
-def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
-    transport = link.transport
-    try:
-        link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
-    except MalformedReply as error:
-        raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
-    transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
-    rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
-    # over TCP there is no other rate to try: wait the full time limit
-    limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
-    transport.write(INQUIRY)
-    until_s = min(deadline_s, link.now_s() + limit_s)
-    heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
-        if not (data := transport.read(left_s)):
-            continue
-        if not heard:
-            until_s = min(until_s, link.now_s() + rest_s)
-        heard = (heard + data)[-LONGEST_REPLY_BYTES:]
-        if (reply := _last_reply(heard)) is not None:
-            return Inquiry(heard, reply)
-    return Inquiry(heard)
-
-
-def _last_reply(heard: bytes) -> str | None:
-    """The text of the last reply with a valid CRC; our own command from a loop-back does not count."""
-    echo = f"{INQUIRY_COMMAND}:"
-    texts = (trailing_text(line) for line in reversed(heard.split(CR)[:-1]))
-    return next((text for text in texts if text and text != echo), None)
-
-
 RESET_LIMIT_S = 7.0  # from a break to RESET: the longest wait of any client
 # Rates at which a unit may have been left, likeliest first.
 LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
+RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
 
 
 def find_unit(link: CommandLink, deadline_s: float) -> None:
@@ -138,19 +81,8 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     raise NothingAnswers(f"no unit replied; tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
-def await_reset(link: CommandLink, deadline_s: float) -> bool:
-    """Whether the unit sends RESET in time after a break or the RESET command."""
-    until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
-    heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
-        heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
-        if RESET_TEXT in heard:
-            return True
-    return False
-
-
 def initialise(link: CommandLink, deadline_s: float) -> None:
-    """INIT; if the unit cannot, RESET it once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
+    """Send INIT; if it fails, RESET the unit once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
     try:
         link.ask("INIT", deadline_s=deadline_s)
     except (UnitError, LinkTimeout, ProtocolError):
@@ -164,7 +96,15 @@ def initialise(link: CommandLink, deadline_s: float) -> None:
         link.ask("INIT", deadline_s=deadline_s)
 
 
-RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
+def await_reset(link: CommandLink, deadline_s: float) -> bool:
+    """Wait for RESET after a break or the RESET command; False if it does not come in time."""
+    until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
+    heard = b""
+    while (left_s := until_s - link.now_s()) > 0:
+        heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
+        if RESET_TEXT in heard:
+            return True
+    return False
 
 
 def raise_baud(
@@ -214,3 +154,59 @@ def _switch(
     if not inquire(link, deadline_s).answered:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
+
+
+class Inquiry(NamedTuple):
+    """Received bytes, and the text of a reply with a valid CRC, if any."""
+
+    heard: bytes
+    reply: str | None = None
+
+    @property
+    def answered(self) -> bool:
+        return self.reply is not None
+
+
+def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
+    """Send a command that changes nothing, twice if the first reply is garbled.
+
+    Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
+    """
+    heard = b""
+    for _ in range(TRIES):
+        inquiry = _inquire_once(link, deadline_s)
+        heard = inquiry.heard or heard
+        if inquiry.answered or not inquiry.heard:
+            return Inquiry(heard, inquiry.reply)
+    return Inquiry(heard)
+
+
+def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
+    transport = link.transport
+    try:
+        link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
+    except MalformedReply as error:
+        raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
+    transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
+    rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
+    # over TCP there is no other rate to try: wait the full time limit
+    limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
+    transport.write(INQUIRY)
+    until_s = min(deadline_s, link.now_s() + limit_s)
+    heard = b""
+    while (left_s := until_s - link.now_s()) > 0:
+        if not (data := transport.read(left_s)):
+            continue
+        if not heard:
+            until_s = min(until_s, link.now_s() + rest_s)
+        heard = (heard + data)[-LONGEST_REPLY_BYTES:]
+        if (reply := _last_reply(heard)) is not None:
+            return Inquiry(heard, reply)
+    return Inquiry(heard)
+
+
+def _last_reply(heard: bytes) -> str | None:
+    """Return the text of the last reply with a valid CRC, ignoring our own command from a loop-back."""
+    echo = f"{INQUIRY_COMMAND}:"
+    texts = (trailing_text(line) for line in reversed(heard.split(CR)[:-1]))
+    return next((text for text in texts if text and text != echo), None)

@@ -1,8 +1,8 @@
-"""State of a tracker's line, below the driver: which rate gets a reply, in bytes, and who else has the port.
+"""Check of a tracker's line below the driver: which rate gets a reply, who has the port, and what it means.
 
-The inquiry is the driver's own: every unit of the protocol answers it, and it changes nothing. A unit is
-never reset for this, not even with a break; a line that another program has open is left alone. A server that
-speaks first, in XML, is left alone too: it is a controller, and takes every byte for a command.
+The inquiry is the driver's own: every unit answers it, and it changes nothing. A unit is never reset for
+this, not even by a break. A line that another program has open is left alone, and so is a server that speaks
+first, in XML: it is a controller, and takes every byte for a command.
 """
 
 from __future__ import annotations
@@ -31,10 +31,14 @@ OPEN_LIMIT_S = 2.0
 INQUIRY_LIMIT_S = 1.0  # for one rate, or for the connection
 SPEAKS_FIRST_S = 0.5  # host time; our EKI program sends its state every 0.1 s
 KEPT_BYTES = 32
+PRINTABLE_SHARE = 0.9
+EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
+LEAST_TEXT = 6  # characters for bytes to count as text
+SECTION = "lines"
 
 
 class Opening(StrEnum):
-    """Whether the line could be opened."""
+    """Result of opening the line."""
 
     OPENED = "opened"
     MISSING = "missing"
@@ -46,7 +50,7 @@ class Opening(StrEnum):
 
 
 class Outcome(StrEnum):
-    """Outcome of an inquiry at one rate."""
+    """Result of an inquiry at one rate."""
 
     ANSWERED = "answered"
     GARBAGE = "garbage"
@@ -58,7 +62,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """One rate: `heard` is the end of what was received; `reply` the text of a reply with a valid CRC."""
+    """Inquiry at one rate: the end of the bytes received, and the text of a reply with a valid CRC."""
 
     baud: int | None  # None over TCP
     outcome: Outcome
@@ -68,7 +72,7 @@ class Attempt:
 
 @dataclass(frozen=True)
 class LineState:
-    """Everything observed on one line."""
+    """Observations on one line."""
 
     endpoint: Endpoint
     opening: Opening
@@ -78,12 +82,12 @@ class LineState:
 
     @property
     def answered(self) -> Attempt | None:
-        """The attempt that was answered, if any."""
+        """The attempt that got a reply, if any."""
         return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
 
     @property
     def last_bytes(self) -> bytes:
-        """The end of what was received last."""
+        """The end of the bytes received last."""
         return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
 
 
@@ -96,7 +100,7 @@ _OPENING_BY_ERROR = {
 
 
 def look_at_line(endpoint: Endpoint) -> LineState:
-    """Check a serial or TCP line; never raises, whatever the line does. Raises CFG-002 for others."""
+    """Check a serial or TCP line without ever raising for what it does; raises CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)
@@ -151,14 +155,8 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
     return Attempt(baud, outcome, heard[-KEPT_BYTES:], reply or "")
 
 
-PRINTABLE_SHARE = 0.9
-EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
-LEAST_TEXT = 6  # characters for bytes to count as text
-SECTION = "lines"
-
-
 class Diagnosis(NamedTuple):
-    """One line for display."""
+    """Observation and advice for display."""
 
     well: bool
     seen: str
@@ -166,7 +164,7 @@ class Diagnosis(NamedTuple):
 
 
 def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
-    """The line for the doctor, with every attempt in bytes."""
+    """Return the doctor's entry for a line, with the bytes of every attempt."""
     well, seen, advice = diagnose(line, of_tracker=of_tracker)
     answered = line.answered
     document: dict[str, Any] = {
@@ -188,7 +186,7 @@ def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
 
 
 def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
-    """State the observation, and what it means.
+    """Interpret the state of a line: observation, likely cause, advice.
 
     Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
     """
@@ -295,7 +293,7 @@ def _where(attempt: Attempt) -> str:
 
 
 def _as_text(heard: bytes) -> str | None:
-    """The bytes as text if they look like it."""
+    """Decode the bytes as text if most of them are printable."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
     if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):
         return None

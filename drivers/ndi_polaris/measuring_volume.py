@@ -1,4 +1,4 @@
-"""The measuring volume as read from the unit; the driver tests positions against it itself."""
+"""Measuring volume as read from the unit; the driver itself tests positions against it."""
 
 from __future__ import annotations
 
@@ -7,12 +7,10 @@ from dataclasses import dataclass
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
-from drivers.ndi_polaris.unit import read_parameter, whole_number
+from drivers.ndi_polaris.unit import parameter_or, whole_number
 from ronna_hw.devices.readings import Vector3
 from ronna_hw.wire.polaris import (
-    ILLUMINATOR_RATES_HZ,
     LF,
-    PARAMETER_ILLUMINATOR_RATE,
     PARAMETER_SELECTED_VOLUME,
     SFLIST_DIMENSION_CHARACTERS,
     SFLIST_DIMENSION_SCALE,
@@ -22,14 +20,14 @@ from ronna_hw.wire.polaris import (
 
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
-
 Section = tuple[float, float, float]  # of `ronna_hw.devices.tracker.BoundedTracker`
+SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
 _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """One volume in tracker coordinates, mm: a pyramid with a knee, all of it at negative z."""
+    """Measuring volume in tracker coordinates, mm: a pyramid with a knee, all of it at negative z."""
 
     shape: str
     far_z_mm: float  # D1
@@ -44,7 +42,7 @@ class MeasuringVolume:
     cap_x_mm: float  # D10
 
     def contains(self, position_mm: Vector3) -> bool | None:
-        """True inside, False outside, None when the formula of this shape is unknown."""
+        """Test a position; None when the formula of this shape is unknown."""
         if self.shape != PYRAMID_SHAPE:
             return None
         x, y, z = position_mm
@@ -55,7 +53,7 @@ class MeasuringVolume:
 
     @property
     def sections_mm(self) -> tuple[Section, ...]:
-        """Sections where its faces bend, from near to far: z, half x, half y. None for unknown shapes."""
+        """Sections where the faces bend, near to far: z, half x, half y; empty for unknown shapes."""
         if self.shape != PYRAMID_SHAPE:
             return ()
         places = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
@@ -65,7 +63,7 @@ class MeasuringVolume:
         return tuple((z, *self._halves_mm(z)) for z in inside)
 
     def _halves_mm(self, z_mm: float) -> tuple[float, float]:
-        """Half the extent along x and along y."""
+        """Return half the extent along x and along y."""
         behind_knee_mm = self.knee_z_mm - z_mm
         slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
         half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)
@@ -73,7 +71,7 @@ class MeasuringVolume:
 
 
 def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
-    """Parse the reply to SFLIST 03: one digit count, then one record per volume. Raises NDI-006."""
+    """Parse the reply to SFLIST 03: a count of one digit, then one record per volume. Raises NDI-006."""
     count, records = text[:1], text[1:].strip(LF).split(LF)
     if not count.isdecimal() or int(count) != len(records):
         raise MalformedReply(f"SFLIST announces {count or 'no'} volumes but sends {len(records)}")
@@ -93,11 +91,8 @@ def _parse_volume(record: str) -> MeasuringVolume:
     )
 
 
-SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
-
-
 def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
-    """Select volume `wanted` (from 1) if given; returns the volume in use, None if unknown."""
+    """Select volume `wanted` (from 1) if given; return the volume in use, None if unknown."""
     if wanted is not None:
         link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
     try:
@@ -106,28 +101,8 @@ def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> M
         )
     except (UnitError, MalformedReply):
         return None
-    index = wanted - 1 if wanted is not None else _selected_index(link, deadline_s)
+    if wanted is not None:
+        index = wanted - 1
+    else:
+        index = whole_number(parameter_or(link, PARAMETER_SELECTED_VOLUME, "", deadline_s)) or 0
     return volumes[index] if 0 <= index < len(volumes) else None
-
-
-def _selected_index(link: CommandLink, deadline_s: float) -> int:
-    try:
-        return whole_number(read_parameter(link, PARAMETER_SELECTED_VOLUME, deadline_s)) or 0
-    except UnitError:
-        return 0
-
-
-def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
-    """Set the rate by SET, or IRATE on older firmware; returns the rate in use, Hz."""
-    code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
-    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
-        try:
-            link.ask(name, argument, deadline_s=deadline_s)
-        except UnitError:
-            continue
-        return rate_hz
-    try:
-        kept = whole_number(read_parameter(link, PARAMETER_ILLUMINATOR_RATE, deadline_s))
-    except UnitError:
-        kept = None
-    return ILLUMINATOR_RATES_HZ.get(kept or 0, min(ILLUMINATOR_RATES_HZ.values()))

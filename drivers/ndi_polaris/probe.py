@@ -1,4 +1,4 @@
-"""Diagnoses a tracker that does not answer: checks its line, then connects as a procedure would."""
+"""Diagnosis of a tracker that does not answer, and search for trackers on the lines of this computer."""
 
 from __future__ import annotations
 
@@ -31,10 +31,48 @@ TOOLS = (
     "tools: give the definition of the frame on your mount; the one entered here is shipped with the driver. "
     "ronna-rom compare shows the distances of two definitions.",
 )
+LINE_SHARE = 0.5  # of the whole probe; the rest is for connecting
+
+
+class PolarisProbe:
+    """Probe of this driver; `look_at` also serves bare endpoints, `find` a new theatre file."""
+
+    endpoint_schemes = frozenset({"serial", "tcp"})
+    table = "tracker"
+
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
+        lines = [each for each in endpoints_of(config) if each.scheme in self.endpoint_schemes]
+        diagnostics = _diagnose_lines(lines, lambda share: progress(LINE_SHARE * share), of_tracker=True)
+        advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
+        return (*diagnostics, *connect_and_leave(name, config, PolarisTracker, advice, inspect))
+
+    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+        return _diagnose_lines(endpoints, progress, of_tracker=False)
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return find_trackers(search, progress)
+
+    def example(self, search: Search) -> Proposal:
+        return Proposal(DRIVER, "", {ONLY: EXAMPLE_LINE}, _options({}), TOOLS)
+
+
+probe = PolarisProbe()
+
+
+def _diagnose_lines(
+    endpoints: Sequence[Endpoint], progress: Progress, *, of_tracker: bool
+) -> list[Diagnostic]:
+    diagnostics: list[Diagnostic] = []
+    for endpoint in endpoints:
+        diagnostics.append(line_diagnostic(look_at_line(endpoint), of_tracker=of_tracker))
+        progress(len(diagnostics) / len(endpoints))
+    return diagnostics
 
 
 def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every line with a unit that answers, and those that do not exist.
+    """Propose every line with a unit that answers, and those that do not exist.
 
     A unit is identified as a procedure would identify it.
     """
@@ -47,11 +85,6 @@ def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
             found.append(_missing(line))
         progress(number / len(search.lines))
     return found
-
-
-def example_tracker() -> Proposal:
-    """The table for a tracker that was not found."""
-    return Proposal(DRIVER, "", {ONLY: EXAMPLE_LINE}, _options({}), TOOLS)
 
 
 def _proposal(line: Endpoint) -> Proposal:
@@ -82,41 +115,3 @@ def _missing(line: Endpoint) -> Proposal:
 
 def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:
     return documented_options(PolarisOptions, {"tools": [FRAME], **chosen})
-
-
-LINE_SHARE = 0.5  # of the whole probe; the rest is for connecting
-
-
-class PolarisProbe:
-    """The probe of this driver; its `look_at` also serves bare endpoints, its `find` a new theatre file."""
-
-    endpoint_schemes = frozenset({"serial", "tcp"})
-    table = "tracker"
-
-    def __call__(
-        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
-    ) -> Sequence[Diagnostic]:
-        lines = [each for each in endpoints_of(config) if each.scheme in self.endpoint_schemes]
-        diagnostics = _looked_at(lines, lambda share: progress(LINE_SHARE * share), of_tracker=True)
-        advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
-        return (*diagnostics, *connect_and_leave(name, config, PolarisTracker, advice, inspect))
-
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        return _looked_at(endpoints, progress, of_tracker=False)
-
-    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_trackers(search, progress)
-
-    def example(self, search: Search) -> Proposal:
-        return example_tracker()
-
-
-probe = PolarisProbe()
-
-
-def _looked_at(endpoints: Sequence[Endpoint], progress: Progress, *, of_tracker: bool) -> list[Diagnostic]:
-    diagnostics: list[Diagnostic] = []
-    for endpoint in endpoints:
-        diagnostics.append(line_diagnostic(look_at_line(endpoint), of_tracker=of_tracker))
-        progress(len(diagnostics) / len(endpoints))
-    return diagnostics

@@ -1,4 +1,4 @@
-"""Content of a TX or BX reply as sent, the common result of both decoders."""
+"""Replies to TX and BX with the options 0001, 0800 and 1000: decoded, and assembled into readings. No I/O."""
 
 from __future__ import annotations
 
@@ -40,9 +40,31 @@ from ronna_hw.wire.polaris import (
     PortStatus,
 )
 
+NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
+FARTHEST_MM = 9999.99  # limit of the unit's text format
+DISTURBED = 0x7F00  # every bit above the low byte reports a disturbed measurement
+REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
+_BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, frame
+_BX_STATUS_AND_FRAME = struct.Struct("<2I")
+_BX_POSITION = struct.Struct("<3f")
+_BX_SYSTEM_STATUS = struct.Struct("<H")
+_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
+_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
+_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
+_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
+_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
+_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
+# Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
+_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
+_HEX2 = re.compile("[0-9A-F]{2}")
+_STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
+_HEX = re.compile("[0-9A-F]*")
+_STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
+_STRAY = re.compile(_POSITION * 3)
+
 
 class HandleState(Enum):
-    """How the unit reports a handle."""
+    """State of a handle as reported by the unit."""
 
     VALID = "valid"
     MISSING = "missing"
@@ -51,7 +73,7 @@ class HandleState(Enum):
 
 
 class HandleReport(NamedTuple):
-    """One handle of a reply. Pose and error only when VALID; status and frame also when MISSING."""
+    """Report on one handle. Pose and error only when VALID; status and frame also when MISSING."""
 
     handle: int
     state: HandleState
@@ -63,7 +85,7 @@ class HandleReport(NamedTuple):
 
 
 class TrackingReply(NamedTuple):
-    """A complete reply to TX or BX with the options 0001, 0800 and 1000."""
+    """Content of one reply as sent, common to both decoders."""
 
     handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]
@@ -71,14 +93,8 @@ class TrackingReply(NamedTuple):
     system_status: int  # bits of SystemStatus
 
 
-_BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, frame
-_BX_STATUS_AND_FRAME = struct.Struct("<2I")
-_BX_POSITION = struct.Struct("<3f")
-_BX_SYSTEM_STATUS = struct.Struct("<H")
-
-
 def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
-    """Decode a body whose CRC has been checked; `strays`: option 1000 was requested.
+    """Decode the body of a BX reply, CRC checked; `strays`: option 1000 was requested.
 
     Raises NDI-006 when the body does not match the options.
     """
@@ -133,23 +149,8 @@ def _bx_strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, .
     return positions, outside if sent == count else None, at + sent * _BX_POSITION.size
 
 
-_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
-_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
-_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
-_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
-_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
-_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
-# Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
-_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
-_HEX2 = re.compile("[0-9A-F]{2}")
-_STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
-_HEX = re.compile("[0-9A-F]*")
-_STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
-_STRAY = re.compile(_POSITION * 3)
-
-
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
-    """Decode a text whose CRC has been checked; `strays`: option 1000 was requested.
+    """Decode the text of a TX reply, CRC checked; `strays`: option 1000 was requested.
 
     Raises NDI-006 when the text does not match the options.
     """
@@ -237,14 +238,8 @@ def _malformed(what: str, text: str) -> MalformedReply:
     return MalformedReply(what, wire=text.encode("ascii", "replace"))
 
 
-NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
-FARTHEST_MM = 9999.99  # limit of the unit's text format
-DISTURBED = 0x7F00  # every bit above the low byte reports a disturbed measurement
-REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
-
-
 def frame_number(reply: TrackingReply) -> int:
-    """Frame number of the reply; raises NDI-006 when no handle carries one."""
+    """Return the frame number of a reply; raises NDI-006 when no handle carries one."""
     number: int | None = None
     for report in reply.handles:
         if report.frame is not None and (number is None or report.frame > number):
@@ -264,7 +259,7 @@ def assemble(
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """One frame of readings; STALE for a repeated frame, PARTIAL for a doubtful system status.
+    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status.
 
     `frame` is the frame number of the reply.
     """
@@ -290,8 +285,12 @@ def _tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolRea
     if report is None or report.rotation is None or report.position_mm is None:
         outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
         return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
-    rotation = _unit(report.rotation)
-    if rotation is None or not _sane(report.position_mm) or not _sane_error(report.fit_error_mm):
+    rotation = _normalised(report.rotation)
+    if (
+        rotation is None
+        or not _is_plausible_position(report.position_mm)
+        or not _is_plausible_error(report.fit_error_mm)
+    ):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
     return ToolReading(name, _validity(report, frame), rotation, report.position_mm, report.fit_error_mm)
 
@@ -313,7 +312,7 @@ def _strays(
 ) -> tuple[StrayReading, ...]:
     strays = []
     for index, position in enumerate(reply.strays_mm):
-        if not _sane(position):
+        if not _is_plausible_position(position):
             continue  # a stray is only a position
         if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in seen):
             continue
@@ -325,18 +324,18 @@ def _strays(
 
 
 def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nearest_mm: float) -> bool:
-    """Whether the stray is one of the tool's own markers."""
+    """Test whether the stray is one of the tool's own markers."""
     assert tool.definition is not None
     assert reading.rotation is not None
     assert reading.position_mm is not None
     if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
         return False
-    placed = _placed(tool.definition.markers_mm, reading.rotation, reading.position_mm)
+    placed = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
     return any(math.dist(position, marker) < nearest_mm for marker in placed)
 
 
-def _unit(rotation: Quaternion) -> Quaternion | None:
-    """The quaternion normalised, scalar part >= 0; None if it is not a rotation."""
+def _normalised(rotation: Quaternion) -> Quaternion | None:
+    """Normalise a quaternion to scalar part >= 0; None if it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also rejects NaN
@@ -345,17 +344,19 @@ def _unit(rotation: Quaternion) -> Quaternion | None:
     return q0 * scale, qx * scale, qy * scale, qz * scale
 
 
-def _sane(position_mm: Vector3) -> bool:
+def _is_plausible_position(position_mm: Vector3) -> bool:
     x, y, z = position_mm
     return abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM and -FARTHEST_MM <= z < 0
 
 
-def _sane_error(error_mm: float | None) -> bool:
+def _is_plausible_error(error_mm: float | None) -> bool:
     return error_mm is not None and 0 <= error_mm <= FARTHEST_MM
 
 
-def _placed(markers_mm: tuple[Vector3, ...], rotation: Quaternion, position_mm: Vector3) -> list[Vector3]:
-    """Marker positions in tracker coordinates: v + 2 w (u x v) + 2 u x (u x v) + t for q = (w, u)."""
+def _to_tracker_mm(
+    markers_mm: tuple[Vector3, ...], rotation: Quaternion, position_mm: Vector3
+) -> list[Vector3]:
+    """Transform markers to tracker coordinates: v + 2 w (u x v) + 2 u x (u x v) + t for q = (w, u)."""
     w, ux, uy, uz = rotation
     tx, ty, tz = position_mm
     placed = []

@@ -69,7 +69,7 @@ def make(
                 "bytes": len(block),
                 "sha256": definition_hash(tool),
                 "warnings": warnings,
-                "tool": _as_data(tool),
+                "tool": _json_of(tool),
             }
         )
     else:
@@ -105,7 +105,7 @@ def show(
     segments = segment_lengths_mm(tool.markers_mm)
     if as_json:
         lengths = [round(length, 3) for length in segments]
-        terminal.print_json({**_as_data(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
+        terminal.print_json({**_json_of(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
         return EXIT_DONE
     per_marker = ("markers_mm", "normals", "faces")
     content = {name: value for name, value in describe(tool).items() if name not in per_marker}
@@ -221,18 +221,18 @@ def _read(path: Path) -> ToolDefinition:
 
 
 def _short_name(path: Path, others: list[Path]) -> str:
-    """The file's name, or its full path if another one has the same name."""
+    """Return the file's stem, or its full path if another file has the same one."""
     return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
 
 
-def _as_data(tool: ToolDefinition) -> dict[str, Any]:
+def _json_of(tool: ToolDefinition) -> dict[str, Any]:
     from drivers.ndi_polaris.tool_description import describe
 
     return {**describe(tool), "made_on": tool.made_on.isoformat()}
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Run the console script."""
     terminal.run(app)
 
 

@@ -1,4 +1,4 @@
-"""Unique geometry: tools are identified only by the distances between their markers."""
+"""Comparison of tool definitions: field by field, and by the marker distances that identify a tool."""
 
 from __future__ import annotations
 
@@ -17,96 +17,13 @@ from ronna_hw.wire import polaris_rom as layout
 SEGMENT_TOLERANCE_MM = 3.5
 TRIANGLE_TOLERANCE_MM = 2.0  # triangles within this are the same to the unit: such tools are refused
 TRIANGLE_CORNERS = 3
-
-
-@dataclass(frozen=True)
-class AlikeSegments:
-    """Two marker distances that are too similar; `second_tool` equals `first_tool` within one tool."""
-
-    first_tool: str
-    second_tool: str
-    first_mm: float
-    second_mm: float
-
-    def __str__(self) -> str:
-        lengths = f"{self.first_mm:.1f} and {self.second_mm:.1f} mm"
-        if self.first_tool == self.second_tool:
-            return f"{self.first_tool}: marker distances {lengths} are too similar"
-        return f"{self.first_tool} and {self.second_tool} share a marker distance: {lengths}"
-
-
-def segment_lengths_mm(markers_mm: tuple[Vector3, ...]) -> tuple[float, ...]:
-    """Distances between all pairs of markers in mm, ascending."""
-    return tuple(sorted(math.dist(a, b) for a, b in itertools.combinations(markers_mm, 2)))
-
-
-def alike_segments_mm(
-    tool: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
-) -> tuple[tuple[float, float], ...]:
-    """Segment lengths of one tool that are too similar; empty for a unique geometry."""
-    lengths = segment_lengths_mm(tool.markers_mm)
-    return tuple((a, b) for a, b in itertools.pairwise(lengths) if b - a < tolerance_mm)
-
-
-def shared_segments_mm(
-    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
-) -> tuple[tuple[float, float], ...]:
-    """Segment lengths of two tools that are too similar, as (first, second)."""
-    theirs = segment_lengths_mm(second.markers_mm)
-    return tuple(
-        (a, b) for a in segment_lengths_mm(first.markers_mm) for b in theirs if abs(a - b) < tolerance_mm
-    )
-
-
-def find_alike(
-    tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
-) -> tuple[AlikeSegments, ...]:
-    """All segments that break the unique-geometry rules, within each tool and between every two."""
-    within = [
-        AlikeSegments(name, name, *pair)
-        for name, tool in tools.items()
-        for pair in alike_segments_mm(tool, tolerance_mm)
-    ]
-    between = [
-        AlikeSegments(name, other_name, *pair)
-        for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2)
-        for pair in shared_segments_mm(tool, other, tolerance_mm)
-    ]
-    return (*within, *between)
-
-
-def shared_triangle(
-    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
-) -> bool:
-    """Whether three markers of one tool are congruent with three of the other."""
-    triangles = [
-        segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
-    ]
-    return any(
-        all(abs(a - b) < tolerance_mm for a, b in zip(lengths, other, strict=True))
-        for corners in itertools.combinations(first.markers_mm, TRIANGLE_CORNERS)
-        for lengths in [segment_lengths_mm(corners)]
-        for other in triangles
-    )
-
-
-def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
-    """Raise NDI-012 when two of the named tools share a triangle of markers."""
-    for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
-        if shared_triangle(tool, other):
-            raise SameGeometry(
-                f"tools {name} and {other_name} share a triangle of markers",
-                limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",
-            )
-
-
 PER_MARKER = ("markers_mm", "normals", "faces", "face_normals")
 CHECKSUM_BYTES = 2
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One property that differs. `distance_mm` is the distance between two marker positions."""
+    """Property that differs; `distance_mm` is the distance between two marker positions."""
 
     field: str
     first: str
@@ -115,7 +32,7 @@ class Difference:
 
 
 def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[Difference, ...]:
-    """Every difference, in the order of the fields, then the bytes that no published field explains.
+    """List all differences in the order of the fields, then bytes that no published field explains.
 
     The checksum is ignored, since it follows from the rest. Empty if and only if all other bytes agree.
     """
@@ -127,24 +44,13 @@ def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[
         if mine == theirs:
             continue
         if property_.name in PER_MARKER:
-            found += _per_marker(property_.name, mine, theirs)
+            found += _marker_differences(property_.name, mine, theirs)
         else:
-            found.append(Difference(property_.name, _said(mine), _said(theirs)))
-    return (*found, *_unexplained(encode_definition(first), encode_definition(second), found))
+            found.append(Difference(property_.name, _format_value(mine), _format_value(theirs)))
+    return (*found, *_unexplained_differences(encode_definition(first), encode_definition(second), found))
 
 
-def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
-    """Largest difference between segment lengths, independent of the tools' origins.
-
-    Segments are paired in order of length. None for unequal numbers of markers.
-    """
-    if len(first.markers_mm) != len(second.markers_mm):
-        return None
-    pairs = zip(segment_lengths_mm(first.markers_mm), segment_lengths_mm(second.markers_mm), strict=True)
-    return max(abs(a - b) for a, b in pairs)
-
-
-def _per_marker(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> list[Difference]:
+def _marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> list[Difference]:
     found = []
     if len(mine) != len(theirs):
         found.append(Difference(f"number of {name}", str(len(mine)), str(len(theirs))))
@@ -154,12 +60,12 @@ def _per_marker(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> li
         if a == b:
             continue
         moved = math.dist(a, b) if name == "markers_mm" and a is not None and b is not None else None
-        found.append(Difference(f"{name}[{index + 1}]", _said(a), _said(b), moved))
+        found.append(Difference(f"{name}[{index + 1}]", _format_value(a), _format_value(b), moved))
     return found
 
 
-def _unexplained(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
-    """Runs of differing bytes outside all fields, or inside a field whose value is the same."""
+def _unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
+    """Find runs of differing bytes outside all fields, or inside a field whose value is the same."""
     named_fields = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
     explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
     for property_ in FIELDS:
@@ -179,9 +85,101 @@ def _unexplained(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Di
     return found
 
 
-def _said(value: Any) -> str:
+def _format_value(value: Any) -> str:
     if value is None:
         return "-"
     if isinstance(value, tuple):
-        return " ".join(_said(item) for item in value)
+        return " ".join(_format_value(item) for item in value)
     return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
+    """Return the largest difference between segment lengths, independent of the tools' origins.
+
+    Segments are paired in order of length. None for unequal numbers of markers.
+    """
+    if len(first.markers_mm) != len(second.markers_mm):
+        return None
+    pairs = zip(segment_lengths_mm(first.markers_mm), segment_lengths_mm(second.markers_mm), strict=True)
+    return max(abs(a - b) for a, b in pairs)
+
+
+@dataclass(frozen=True)
+class AlikeSegments:
+    """Pair of marker distances that are too similar; both tools are equal within one tool."""
+
+    first_tool: str
+    second_tool: str
+    first_mm: float
+    second_mm: float
+
+    def __str__(self) -> str:
+        lengths = f"{self.first_mm:.1f} and {self.second_mm:.1f} mm"
+        if self.first_tool == self.second_tool:
+            return f"{self.first_tool}: marker distances {lengths} are too similar"
+        return f"{self.first_tool} and {self.second_tool} share a marker distance: {lengths}"
+
+
+def find_alike(
+    tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[AlikeSegments, ...]:
+    """Find all segments that break the unique-geometry rules, within each tool and between every two."""
+    within = [
+        AlikeSegments(name, name, *pair)
+        for name, tool in tools.items()
+        for pair in alike_segments_mm(tool, tolerance_mm)
+    ]
+    between = [
+        AlikeSegments(name, other_name, *pair)
+        for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2)
+        for pair in shared_segments_mm(tool, other, tolerance_mm)
+    ]
+    return (*within, *between)
+
+
+def alike_segments_mm(
+    tool: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[tuple[float, float], ...]:
+    """Return segment lengths of one tool that are too similar; empty for a unique geometry."""
+    lengths = segment_lengths_mm(tool.markers_mm)
+    return tuple((a, b) for a, b in itertools.pairwise(lengths) if b - a < tolerance_mm)
+
+
+def shared_segments_mm(
+    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[tuple[float, float], ...]:
+    """Return segment lengths of two tools that are too similar, as (first, second)."""
+    theirs = segment_lengths_mm(second.markers_mm)
+    return tuple(
+        (a, b) for a in segment_lengths_mm(first.markers_mm) for b in theirs if abs(a - b) < tolerance_mm
+    )
+
+
+def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
+    """Raise NDI-012 when two of the named tools share a triangle of markers."""
+    for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
+        if shared_triangle(tool, other):
+            raise SameGeometry(
+                f"tools {name} and {other_name} share a triangle of markers",
+                limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",
+            )
+
+
+def shared_triangle(
+    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
+) -> bool:
+    """Test whether three markers of one tool are congruent with three of the other."""
+    triangles = [
+        segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
+    ]
+    return any(
+        all(abs(a - b) < tolerance_mm for a, b in zip(lengths, other, strict=True))
+        for corners in itertools.combinations(first.markers_mm, TRIANGLE_CORNERS)
+        for lengths in [segment_lengths_mm(corners)]
+        for other in triangles
+    )
+
+
+def segment_lengths_mm(markers_mm: tuple[Vector3, ...]) -> tuple[float, ...]:
+    """Return the distances between all pairs of markers, ascending."""
+    return tuple(sorted(math.dist(a, b) for a, b in itertools.combinations(markers_mm, 2)))

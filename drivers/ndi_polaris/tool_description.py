@@ -1,4 +1,4 @@
-"""Tool description: the TOML from which `ronna-rom make` writes a definition.
+"""Description of a tool: the TOML from which `ronna-rom make` writes a definition.
 
     part_number = "POINTER-1"
     markers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 0]]
@@ -95,7 +95,7 @@ class ToolDescription(Strict):
         return self
 
     def definition(self) -> ToolDefinition:
-        """The described definition; raises NDI-011 for what a definition cannot express."""
+        """Convert to a definition; raises NDI-011 for what a definition cannot express."""
         count = len(self.markers_mm)
         normals = tuple(_unit(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals
@@ -143,7 +143,7 @@ def read_description(path: Path) -> ToolDescription:
 
 
 def describe(tool: ToolDefinition) -> dict[str, Any]:
-    """A definition in the form of a description, from which `make` writes the same tool."""
+    """Describe a definition in the form from which `make` writes the same tool."""
     return {
         "part_number": tool.part_number,
         "manufacturer": tool.manufacturer,
@@ -174,7 +174,7 @@ def _rounded(vector: Vector3) -> list[float]:
 
 
 def _single(value: float) -> float:
-    """The shortest number that is the same in single precision, as in files."""
+    """Round to the shortest number that is the same in single precision, as in files."""
     return float(f"{value:.7g}")
 
 

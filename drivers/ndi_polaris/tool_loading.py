@@ -1,4 +1,4 @@
-"""Loads the tools of the theatre file into the unit: handle, definition and verification of each."""
+"""Loading of tools into the unit: port handle, definition, verification by PHINF."""
 
 from __future__ import annotations
 
@@ -32,85 +32,15 @@ from ronna_hw.wire.polaris_rom import SERIAL_OFFSET
 
 PHSR_STATUS_DIGITS = 3
 PHSR_BYTES = 2048  # more than 255 handles of five digits each
-
-
-def request_handle(link: CommandLink, argument: str, deadline_s: float) -> int:
-    """A new handle by PHRQ, which is never repeated: a lost reply would leak a handle."""
-    text = link.ask("PHRQ", argument, deadline_s=deadline_s, retry=False)
-    try:
-        handle = int(text, 16)
-    except ValueError as error:
-        raise MalformedReply("PHRQ returned no handle", wire=text.encode()) from error
-    if not handle:
-        raise MalformedReply("PHRQ returned handle 00", wire=text.encode())
-    return handle
-
-
-def free_handles(link: CommandLink, deadline_s: float | None) -> None:
-    """Free every allocated handle, ours or an earlier client's."""
-    for handle in list_handles(link, HandleQuery.ALL, deadline_s):
-        free_handle(link, handle, deadline_s)
-
-
-def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> None:
-    """Free one handle; freeing a free one is not an error."""
-    try:
-        link.ask("PHF", f"{handle:02X}", deadline_s=deadline_s)
-    except HandleRefused:
-        return
-
-
-def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None) -> dict[int, PortStatus]:
-    """Handles selected by a PHSR query, with their status."""
-    text = link.ask("PHSR", f"{query.value:02X}", deadline_s=deadline_s, reply_bytes=PHSR_BYTES)
-    width = HANDLE_DIGITS + PHSR_STATUS_DIGITS
-    try:
-        count = int(text[:2], 16)
-        records = [text[2 + k * width : 2 + (k + 1) * width] for k in range(count)]
-        handles = {int(r[:HANDLE_DIGITS], 16): PortStatus(int(r[HANDLE_DIGITS:], 16)) for r in records}
-    except ValueError as error:
-        raise MalformedReply("unknown form of PHSR", wire=text.encode()) from error
-    if len(text.rstrip()) != 2 + count * width or len(handles) != count:
-        raise MalformedReply(f"PHSR announces {count} handles but sends another number", wire=text.encode())
-    return handles
-
-
 # PHINF 0005: tool information (33 characters), then part number (20).
 TOOL_AND_PART_NUMBER = "0005"
 SERIAL = slice(23, 31)
 PART_NUMBER = slice(33, 53)
 
 
-def check_handle(
-    link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
-) -> str | None:
-    """A notice if serial or part number differs; raises NDI-013 if both do.
-
-    Either byte order of the serial number is accepted, since firmware differs. A unit
-    without PHINF is trusted.
-    """
-    try:
-        text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)
-    except UnitError:
-        return None
-    serial, part_number = text[SERIAL].upper(), text[PART_NUMBER].strip()
-    sent = encode_definition(definition)[SERIAL_OFFSET : SERIAL_OFFSET + 4]
-    same_serial = serial in (sent.hex().upper(), sent[::-1].hex().upper())
-    same_part_number = part_number == definition.part_number
-    if same_serial and same_part_number:
-        return None
-    expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
-    reported = f"part number {part_number or '-'}, serial number {serial or '-'}"
-    if not same_serial and not same_part_number:
-        raise ForeignTool(
-            f"handle {handle:02X} holds another tool than {name}", expected=expected, got=reported
-        )
-    return f"{name}: the unit reports {reported}, the definition has {expected}"
-
-
 @dataclass(frozen=True)
 class LoadedTool:
-    """A tool and its port handle; the dummy tool has neither name nor definition."""
+    """Tool with its port handle; the dummy tool has neither name nor definition."""
 
     handle: int
     name: str | None
@@ -148,7 +78,8 @@ def _load(
     deadline_s: float,
     note: Callable[[str], None],
 ) -> tuple[LoadedTool, ...]:
-    free_handles(link, deadline_s)
+    for handle in list_handles(link, HandleQuery.ALL, deadline_s):  # ours or an earlier client's
+        free_handle(link, handle, deadline_s)
     loaded = []
     for option, definition in tools:
         handle = request_handle(link, PHRQ_ANY_PASSIVE, deadline_s)
@@ -186,3 +117,65 @@ def _initialise(
         note(f"{name}: {warning}")
     elif reply != REPLY_OKAY:
         raise MalformedReply("unknown reply to PINIT", wire=reply.encode())
+
+
+def check_handle(
+    link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
+) -> str | None:
+    """Return a notice if serial or part number differs; raises NDI-013 if both do.
+
+    Either byte order of the serial number is accepted, since firmware differs. A unit
+    without PHINF is trusted.
+    """
+    try:
+        text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)
+    except UnitError:
+        return None
+    serial, part_number = text[SERIAL].upper(), text[PART_NUMBER].strip()
+    sent = encode_definition(definition)[SERIAL_OFFSET : SERIAL_OFFSET + 4]
+    same_serial = serial in (sent.hex().upper(), sent[::-1].hex().upper())
+    same_part_number = part_number == definition.part_number
+    if same_serial and same_part_number:
+        return None
+    expected = f"part number {definition.part_number}, serial number {sent[::-1].hex().upper()}"
+    reported = f"part number {part_number or '-'}, serial number {serial or '-'}"
+    if not same_serial and not same_part_number:
+        raise ForeignTool(
+            f"handle {handle:02X} holds another tool than {name}", expected=expected, got=reported
+        )
+    return f"{name}: the unit reports {reported}, the definition has {expected}"
+
+
+def request_handle(link: CommandLink, argument: str, deadline_s: float) -> int:
+    """Request a handle by PHRQ, which is never repeated: a lost reply would leak a handle."""
+    text = link.ask("PHRQ", argument, deadline_s=deadline_s, retry=False)
+    try:
+        handle = int(text, 16)
+    except ValueError as error:
+        raise MalformedReply("PHRQ returned no handle", wire=text.encode()) from error
+    if not handle:
+        raise MalformedReply("PHRQ returned handle 00", wire=text.encode())
+    return handle
+
+
+def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> None:
+    """Free one handle; freeing a free one is not an error."""
+    try:
+        link.ask("PHF", f"{handle:02X}", deadline_s=deadline_s)
+    except HandleRefused:
+        return
+
+
+def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None) -> dict[int, PortStatus]:
+    """List the handles selected by a PHSR query, with their status."""
+    text = link.ask("PHSR", f"{query.value:02X}", deadline_s=deadline_s, reply_bytes=PHSR_BYTES)
+    width = HANDLE_DIGITS + PHSR_STATUS_DIGITS
+    try:
+        count = int(text[:2], 16)
+        records = [text[2 + k * width : 2 + (k + 1) * width] for k in range(count)]
+        handles = {int(r[:HANDLE_DIGITS], 16): PortStatus(int(r[HANDLE_DIGITS:], 16)) for r in records}
+    except ValueError as error:
+        raise MalformedReply("unknown form of PHSR", wire=text.encode()) from error
+    if len(text.rstrip()) != 2 + count * width or len(handles) != count:
+        raise MalformedReply(f"PHSR announces {count} handles but sends another number", wire=text.encode())
+    return handles

@@ -1,4 +1,4 @@
-"""Tracking, from TSTART to TSTOP: one request per reading, in the order of the unit's frame numbers."""
+"""Tracking from TSTART to TSTOP: one request per reading, in the order of the unit's frame numbers."""
 
 from __future__ import annotations
 
@@ -34,79 +34,11 @@ WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
 LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
 LARGEST_DRIFT = 1e-3  # a quartz is within 1e-4; beyond this the nominal rate is the better estimate
 JUMP_S = 1.0  # a reply this early means that another client has reset the counter
-
-
-class FrameClock:
-    """Frame numbers of one run of tracking, unwrapped and fitted to theatre time."""
-
-    def __init__(self) -> None:
-        self._begin()
-
-    def _begin(self) -> None:
-        self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
-        self._window = 0
-        self._earliest: tuple[int, float] | None = None  # of the current window
-        self._earliest_origin_s = math.inf
-        self._origin_s: float | None = None
-        self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
-
-    def note(self, count: int, arrived_s: float) -> float:
-        """Add a reply for frame `count`; returns the fitted theatre time of that frame."""
-        if self._origin_s is not None and arrived_s < self._time_s(self._origin_s, count) - JUMP_S:
-            self._begin()
-        window = count // WINDOW_FRAMES
-        if window != self._window:
-            self._window = window
-            self._end_window()
-        origin_s = arrived_s - count * self.period_s
-        if origin_s < self._earliest_origin_s:
-            self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
-        if self._origin_s is None or origin_s < self._origin_s:
-            self._origin_s = origin_s
-        return self._time_s(self._origin_s, count)
-
-    def _time_s(self, origin_s: float, count: int) -> float:
-        return origin_s + count * self.period_s
-
-    def _end_window(self) -> None:
-        if self._earliest is None:
-            return
-        self._kept.append(self._earliest)
-        self._earliest, self._earliest_origin_s = None, math.inf
-        if len(self._kept) >= LEAST_WINDOWS:
-            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
-            drift = slope_s / NOMINAL_PERIOD_S - 1.0
-            self.period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
-        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._kept)
-
-
-def counted_on(number: int, last: int | None) -> int:
-    """The unwrapped frame number: the count nearest to `last` that is congruent to `number`.
-
-    A result below `last` is an older frame.
-    """
-    if last is None:
-        return number
-    half = FRAME_NUMBERS // 2
-    return last + (number - last + half) % FRAME_NUMBERS - half
-
-
 FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
 BYTES_PER_HANDLE = 80  # of TX, the longer form
 BYTES_PER_STRAY = 21
 REPLIES_KEPT = 10  # of which the times are reported
-
 _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
-
-
-@dataclass
-class TrackingStatistics:
-    """Counts since `start`, from the unit's frame numbers."""
-
-    frames: int = 0
-    repeated: int = 0
-    disturbed: int = 0  # replies that had to be requested again
-    missed: int = 0  # measurements made between two of our requests
 
 
 class Tracking:
@@ -141,20 +73,16 @@ class Tracking:
         self.frame_clock = FrameClock()
 
     def start(self, deadline_s: float) -> None:
-        """TSTART, with the frame number from 0."""
+        """Send TSTART; frame numbers begin at 0."""
         try:
             self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
         except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
-            self.stop(deadline_s)
+            stop_tracking(self._link, deadline_s)
             self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
         self._begin()
 
-    def stop(self, deadline_s: float) -> None:
-        """TSTOP."""
-        stop_tracking(self._link, deadline_s)
-
     def read(self, deadline_s: float) -> TrackerFrame:
-        """The next frame; raises like `PolarisTracker.read_frame`."""
+        """Read the next frame; raises like `PolarisTracker.read_frame`."""
         asked_s = self._clock.now_s()
         retries = self._link.statistics.retries
         reply, count = self._newest(deadline_s)
@@ -185,10 +113,10 @@ class Tracking:
         )
 
     def _newest(self, deadline_s: float) -> tuple[TrackingReply, int]:
-        """A reply and its frame count; a reply older than the previous one is requested again."""
+        """Request a reply and its frame count, again if it is older than the previous one."""
         for _ in range(2):
             reply = self._request(deadline_s)
-            count = counted_on(frame_number(reply), self._last_count)
+            count = unwrap_frame_number(frame_number(reply), self._last_count)
             if self._last_count is None or count >= self._last_count:
                 return reply, count
             self._link.distrust()  # a late copy of another reply
@@ -216,8 +144,76 @@ class Tracking:
             raise UnitRestarted("the unit is no longer tracking") from error
 
 
+class FrameClock:
+    """Frame numbers of one run of tracking, unwrapped and fitted to theatre time by a line.
+
+    The delay of a reply is never negative, so the least delayed replies lie on the lower edge of time over
+    frame number. The least delayed reply of each second is kept. The slope is the median over all pairs of
+    these (Theil-Sen), the intercept that of the lowest line with no reply below it. The delay common to all
+    replies, the unit's processing and the transfer, cannot be separated from it.
+    """
+
+    def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
+        self._window = 0
+        self._earliest: tuple[int, float] | None = None  # of the current window
+        self._earliest_origin_s = math.inf
+        self._origin_s: float | None = None
+        self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
+
+    def note(self, count: int, arrived_s: float) -> float:
+        """Add a reply for frame `count`; return the fitted theatre time of that frame."""
+        if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
+            self._begin()
+        window = count // WINDOW_FRAMES
+        if window != self._window:
+            self._window = window
+            self._end_window()
+        origin_s = arrived_s - count * self.period_s
+        if origin_s < self._earliest_origin_s:
+            self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
+        if self._origin_s is None or origin_s < self._origin_s:
+            self._origin_s = origin_s
+        return self._origin_s + count * self.period_s
+
+    def _end_window(self) -> None:
+        if self._earliest is None:
+            return
+        self._kept.append(self._earliest)
+        self._earliest, self._earliest_origin_s = None, math.inf
+        if len(self._kept) >= LEAST_WINDOWS:
+            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
+            drift = slope_s / NOMINAL_PERIOD_S - 1.0
+            self.period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
+        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._kept)
+
+
+def unwrap_frame_number(number: int, last: int | None) -> int:
+    """Unwrap a frame number: the count nearest to `last` that is congruent to `number`.
+
+    A result below `last` is an older frame.
+    """
+    if last is None:
+        return number
+    half = FRAME_NUMBERS // 2
+    return last + (number - last + half) % FRAME_NUMBERS - half
+
+
+@dataclass
+class TrackingStatistics:
+    """Counts since `start`, from the unit's frame numbers."""
+
+    frames: int = 0
+    repeated: int = 0
+    disturbed: int = 0  # replies that had to be requested again
+    missed: int = 0  # measurements made between two of our requests
+
+
 def stop_tracking(link: CommandLink, deadline_s: float) -> None:
-    """TSTOP; a unit that is not tracking is not an error."""
+    """Send TSTOP; a unit that is not tracking is not an error."""
     try:
         link.ask("TSTOP", deadline_s=deadline_s)
     except WrongMode:  # it had stopped on its own, or the reply to the first try was lost

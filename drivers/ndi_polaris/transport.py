@@ -1,4 +1,4 @@
-"""Byte transport to the unit: serial line (or pseudo-terminal) and TCP behind one interface."""
+"""Byte transport to the unit: serial line (or pseudo-terminal) or TCP, recorded if wanted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ WRITE_LIMIT_S = 1.0  # a line that does not accept data for this long is dead
 BREAK_MS = 500  # as long as other clients use
 READ_BYTES = 65536
 CLOSED = -1  # no file has this descriptor
-
 _LISTED = "`ronna-procedure doctor` lists the ports of this computer."
 _AT_THE_ADDRESS = "check address and port, and that the unit is on and in the same network."
 _ADVICE = {
@@ -42,7 +41,7 @@ _REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial
 
 
 class Transport(Protocol):
-    """A byte stream in both directions. `baud` is None if a rate has no meaning."""
+    """Byte stream in both directions; `baud` is None where a rate has no meaning."""
 
     @property
     def baud(self) -> int | None: ...
@@ -52,7 +51,7 @@ class Transport(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes received, waiting at most `timeout_s` for the first; empty if none arrived.
+        """Return the bytes received, waiting at most `timeout_s` for the first; empty if none arrived.
 
         Raises NDI-008 when the peer is gone.
         """
@@ -80,7 +79,7 @@ def open_transport(endpoint: Endpoint, timeout_s: float) -> Transport:
 
 
 class _Descriptor:
-    """Reads and writes on a file descriptor, each with a time limit."""
+    """File descriptor that is read and written with time limits."""
 
     def __init__(self, endpoint: Endpoint, descriptor: int) -> None:
         self._endpoint = endpoint
@@ -128,7 +127,7 @@ class _Descriptor:
                 raise self._lost(error) from error
 
     def _forget(self) -> None:
-        """After closing, no read or write may reach a file that reuses the descriptor."""
+        """Keep later calls from reaching a file that reuses the closed descriptor."""
         self._descriptor = CLOSED
 
     def _lost(self, error: OSError) -> LinkLost:
@@ -136,7 +135,7 @@ class _Descriptor:
 
 
 class SerialTransport(_Descriptor):
-    """A serial port, 8N1 without handshake, opened exclusively."""
+    """Serial port, 8N1 without handshake, opened exclusively."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         try:
@@ -180,7 +179,7 @@ class SerialTransport(_Descriptor):
 
 
 class TcpTransport(_Descriptor):
-    """A TCP stream with TCP_NODELAY."""
+    """TCP stream with TCP_NODELAY."""
 
     def __init__(self, endpoint: Endpoint, timeout_s: float) -> None:
         try:
@@ -208,7 +207,7 @@ class TcpTransport(_Descriptor):
 
 
 def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
-    """The error, with advice for its cause."""
+    """Return the error with advice for its cause."""
     number, reason = _number(error), _reason(error)
     users = users_of_serial_port(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
     by = f", {' and '.join(map(str, users))}" if users else ""
@@ -218,7 +217,7 @@ def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 
 def _number(error: Exception) -> int | None:
-    """The errno of an error; for a file that is not a port, pyserial keeps it in the cause."""
+    """Return the errno of an error; for a file that is not a port, pyserial keeps it in the cause."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):
@@ -235,7 +234,7 @@ def _reason(error: Exception) -> str:
 
 
 class RecordedTransport:
-    """Wraps a transport and reports its traffic."""
+    """Transport that passes its traffic on to a recorder."""
 
     def __init__(self, transport: Transport, link: str, sink: ByteSink) -> None:
         self._transport = transport

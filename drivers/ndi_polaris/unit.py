@@ -1,4 +1,4 @@
-"""Identity of the unit, checked against the theatre file."""
+"""State of the unit: identity, user parameters, alerts, illuminator rate, time limits."""
 
 from __future__ import annotations
 
@@ -18,11 +18,13 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import DeviceError
 from ronna_hw.wire.polaris import (
     COMMAND_TIMEOUT_S,
+    ILLUMINATOR_RATES_HZ,
     LF,
     PARAMETER_ALERTS,
     PARAMETER_BUMP_CLEAR,
     PARAMETER_BUMPED,
     PARAMETER_FIRMWARE,
+    PARAMETER_ILLUMINATOR_RATE,
     PARAMETER_NEW_ALERTS,
     PARAMETER_TIMEOUT_PREFIX,
     Alert,
@@ -31,42 +33,46 @@ from ronna_hw.wire.polaris import (
 
 PARAMETER_REPLY_BYTES = 256
 MOST_DIGITS = 10  # of 32 bits
-
-
-def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
-    """Value of one parameter; raises NDI-036 if the unit does not have it, NDI-006 for another one."""
-    for _ in range(2):
-        text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
-        answered, _, value = text.partition("=")
-        if answered.endswith(name):  # some firmware prefixes the name with the device
-            return value.strip()
-        link.distrust()  # a late copy of another reply
-    raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())
-
-
-def whole_number(value: str) -> int | None:
-    """The number that a parameter is; None if it is no whole number of 32 bits."""
-    return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
-
-
 VENDOR = "NDI"
 FAMILY = "Polaris"
 VERSION_TEXT_BYTES = 512
+FAILURE_ALERTS = (
+    Alert.FATAL_PARAMETER
+    | Alert.SENSOR_PARAMETER
+    | Alert.MAIN_VOLTAGE
+    | Alert.SENSOR_VOLTAGE
+    | Alert.ILLUMINATOR_VOLTAGE
+    | Alert.ILLUMINATOR_CURRENT
+    | Alert.LEFT_SENSOR_TEMPERATURE
+    | Alert.RIGHT_SENSOR_TEMPERATURE
+    | Alert.MAIN_BOARD_TEMPERATURE
+    | Alert.FIRMWARE_INCOMPATIBLE
+)
+TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
+DOUBTFUL_STATUS = int(
+    SystemStatus.SYNC_ERROR
+    | SystemStatus.TOO_MUCH_INFRARED
+    | SystemStatus.CRC_ERROR
+    | SystemStatus.RECOVERABLE_EXCEPTION
+)
+# All other bits leave poses valid: wired tools plugged in or out.
+ALARMING_STATUS = int(
+    SystemStatus.HARDWARE_FAILURE | SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE
+)
+TIME_LIMITS_BYTES = 2048  # about sixty lines of thirty characters
+LONGEST_BELIEVED_S = 60.0  # no command takes longer; a longer limit would only hide a dead link
 _MODEL_ENDS_AT = " Control Firmware"
 
 
 def read_identity(link: CommandLink, deadline_s: float) -> Identity:
-    """Model, serial number and firmware from VER, GET and APIREV; raises NDI-003 for another device."""
+    """Read model, serial number and firmware by VER, GET and APIREV; raises NDI-003 for another device."""
     text = _ask_or(link, "VER", "4", deadline_s) or _ask_or(link, "VER", "0", deadline_s)
     lines = text.split(LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
         raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
     fields = _fields(lines[1:])
-    try:
-        firmware = read_parameter(link, PARAMETER_FIRMWARE, deadline_s)
-    except UnitError:
-        firmware = ""
+    firmware = parameter_or(link, PARAMETER_FIRMWARE, "", deadline_s)
     details = {
         "freeze tag": fields.get("freeze tag", ""),
         "characterization date": fields.get("characterization date", ""),
@@ -91,7 +97,7 @@ def check_identity(identity: Identity, model: str | None, serial: str | None) ->
 
 
 def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> str:
-    """The reply, or an empty text when the unit does not have the command or parameter."""
+    """Return the reply, or an empty text when the unit lacks the command or parameter."""
     try:
         return link.ask(name, argument, deadline_s=deadline_s, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:
@@ -103,33 +109,18 @@ def _fields(lines: list[str]) -> dict[str, str]:
     return {name.strip().lower(): value.strip() for name, _, value in pairs}
 
 
-FAILURE_ALERTS = (
-    Alert.FATAL_PARAMETER
-    | Alert.SENSOR_PARAMETER
-    | Alert.MAIN_VOLTAGE
-    | Alert.SENSOR_VOLTAGE
-    | Alert.ILLUMINATOR_VOLTAGE
-    | Alert.ILLUMINATOR_CURRENT
-    | Alert.LEFT_SENSOR_TEMPERATURE
-    | Alert.RIGHT_SENSOR_TEMPERATURE
-    | Alert.MAIN_BOARD_TEMPERATURE
-    | Alert.FIRMWARE_INCOMPATIBLE
-)
-TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
-DOUBTFUL_STATUS = int(
-    SystemStatus.SYNC_ERROR
-    | SystemStatus.TOO_MUCH_INFRARED
-    | SystemStatus.CRC_ERROR
-    | SystemStatus.RECOVERABLE_EXCEPTION
-)
-# All other bits leave poses valid: wired tools plugged in or out.
-ALARMING_STATUS = int(
-    SystemStatus.HARDWARE_FAILURE | SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE
-)
+def refuse_pending_alerts(link: CommandLink, deadline_s: float) -> None:
+    """Raise NDI-020 or NDI-021 for an unread fault or bump from before this connection."""
+    value = parameter_or(link, PARAMETER_ALERTS, "0", deadline_s)
+    alerts = Alert(whole_number(value) or 0)
+    if alerts & FAILURE_ALERTS:
+        raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
+    if Alert.BUMP in alerts or parameter_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
+        raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
 
 
 def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None:
-    """The fault or hold indicated by the system status, or None.
+    """Return the fault or hold indicated by the system status, or None.
 
     While diagnostics are pending the alerts are read, which also makes the unit send poses again.
     """
@@ -147,22 +138,12 @@ def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None
 
 
 def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
-    """Alerts raised since they were last read; reading clears the pending bit."""
+    """Read the alerts raised since the last reading; this clears the pending bit."""
     value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
     alerts = whole_number(value)
     if alerts is None:
         raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(alerts)
-
-
-def refuse_standing_trouble(link: CommandLink, deadline_s: float) -> None:
-    """Raise NDI-020 or NDI-021 for a fault or a bump from before this connection that is still unread."""
-    value = _value_or(link, PARAMETER_ALERTS, "0", deadline_s)
-    alerts = Alert(whole_number(value) or 0)
-    if alerts & FAILURE_ALERTS:
-        raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
-    if Alert.BUMP in alerts or _value_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
-        raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
 
 
 def clear_bump(link: CommandLink, deadline_s: float) -> None:
@@ -173,24 +154,21 @@ def clear_bump(link: CommandLink, deadline_s: float) -> None:
         raise SensorBumped("the unit still reports a bump after it was cleared")
 
 
-def _value_or(link: CommandLink, name: str, missing: str, deadline_s: float) -> str:
-    try:
-        return read_parameter(link, name, deadline_s)
-    except UnitError:  # the unit does not have this parameter
-        return missing
-
-
-def _names(status: SystemStatus, alerts: Alert) -> str:
-    text = f"system status {status.value:04X}"
-    return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text
-
-
-TIME_LIMITS_BYTES = 2048  # about sixty lines of thirty characters
-LONGEST_BELIEVED_S = 60.0  # no command takes longer; a longer limit would only hide a dead link
+def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
+    """Set the rate by SET, or IRATE on older firmware; return the rate in use, Hz."""
+    code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
+    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
+        try:
+            link.ask(name, argument, deadline_s=deadline_s)
+        except UnitError:
+            continue
+        return rate_hz
+    kept = whole_number(parameter_or(link, PARAMETER_ILLUMINATOR_RATE, "", deadline_s))
+    return ILLUMINATOR_RATES_HZ.get(kept or 0, min(ILLUMINATOR_RATES_HZ.values()))
 
 
 def read_time_limits(link: CommandLink, deadline_s: float) -> dict[str, float]:
-    """The unit's time limits in seconds by command; empty when it has none to report."""
+    """Read the unit's time limits in seconds by command; empty when it reports none."""
     try:
         text = link.ask(
             "GET", f"{PARAMETER_TIMEOUT_PREFIX}*", deadline_s=deadline_s, reply_bytes=TIME_LIMITS_BYTES
@@ -205,6 +183,35 @@ def read_time_limits(link: CommandLink, deadline_s: float) -> dict[str, float]:
         if found and command in COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
             limits_s[command] = limit_s
     return limits_s
+
+
+def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
+    """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 for another one."""
+    for _ in range(2):
+        text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
+        answered, _, value = text.partition("=")
+        if answered.endswith(name):  # some firmware prefixes the name with the device
+            return value.strip()
+        link.distrust()  # a late copy of another reply
+    raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())
+
+
+def whole_number(value: str) -> int | None:
+    """Parse a parameter as a whole number of 32 bits; None if it is none."""
+    return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
+
+
+def parameter_or(link: CommandLink, name: str, missing: str, deadline_s: float) -> str:
+    """Read one parameter; return `missing` if the unit lacks it."""
+    try:
+        return read_parameter(link, name, deadline_s)
+    except UnitError:
+        return missing
+
+
+def _names(status: SystemStatus, alerts: Alert) -> str:
+    text = f"system status {status.value:04X}"
+    return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text
 
 
 def _seconds(text: str) -> float:

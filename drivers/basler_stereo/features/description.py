@@ -27,6 +27,7 @@ MOST_SHARED_FIELDS = 32  # of a register shared by several nodes: each of them i
 LARGEST_NUMBER = 1 << 64  # registers hold 64 bits
 Number = int | float
 CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that determine whether this one is available
+_FLOATS = {4: "f", 8: "d"}
 
 
 @dataclass(frozen=True)
@@ -175,9 +176,6 @@ def real_number(text: str, what: str) -> float:
 
 def _local(tag: str) -> str:
     return tag.rsplit("}", 1)[-1]
-
-
-_FLOATS = {4: "f", 8: "d"}
 
 
 def register_length(node: Node) -> int:

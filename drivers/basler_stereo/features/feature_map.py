@@ -33,7 +33,6 @@ DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
 # visited nodes and characters of formulas. Features of real cameras cost some hundreds.
 COST_LIMIT = 100_000
 REGISTER_COST = 100  # for a query to the camera: a thousand of them take a second
-
 _WHOLE = {"IntSwissKnife", "IntConverter"}
 _CONVERTERS = {"Converter", "IntConverter"}
 _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}

@@ -26,79 +26,11 @@ from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
 
-
-class PylonFeatures:
-    """Wraps the node map of an open camera. Unknown names and values raise GEV-010."""
-
-    def __init__(self, nodes: Any, genicam: Any) -> None:
-        self._nodes = nodes
-        self._genicam = genicam
-
-    def has(self, name: str) -> bool:
-        """Whether the camera has this feature and it is available now."""
-        node = self._nodes.GetNode(name)
-        return node is not None and bool(self._genicam.IsAvailable(node))
-
-    def number(self, name: str) -> Number:
-        """Value of a feature."""
-        value: Number = self._node(name).GetValue()
-        return value
-
-    def whole(self, name: str) -> int:
-        """Value of an integer feature."""
-        return int(self._node(name).GetValue())
-
-    def entries(self, name: str) -> tuple[str, ...]:
-        """Names of an enumeration's currently available entries."""
-        return tuple(self._node(name).Symbolics)
-
-    def limits(self, name: str) -> Limits:
-        """The values that a feature may have now."""
-        node = self._node(name)
-        step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
-        return Limits(node.GetMin(), node.GetMax(), step)
-
-    def set_number(self, name: str, value: Number) -> None:
-        """Set a number; raises GEV-011."""
-        node = self._node(name)
-        try:
-            node.SetValue(value)
-        except self._genicam.OutOfRangeException as error:
-            raise OutOfRange(f"{name} {value}", got=str(error).splitlines()[0]) from error
-        except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
-
-    def choose(self, name: str, entry: str) -> None:
-        """Set an enumeration to one of its entries."""
-        try:
-            self._node(name).SetValue(entry)
-        except self._genicam.GenericException as error:
-            raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
-
-    def execute(self, name: str) -> None:
-        """Execute a command."""
-        self._node(name).Execute()
-
-    def _node(self, name: str) -> Any:
-        if not self.has(name):
-            raise MissingFeature(f"the camera has no feature {name}")
-        return self._nodes.GetNode(name)
-
-
 TAKEN = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
 UNSEEN = f"{NoCamera.action} If `ronna-procedure doctor` shows that it replies, use the driver basler_stereo."
 LONGEST_WAIT_S = 60.0
 READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ignored
-
-
-@dataclass(frozen=True)
-class PylonFrame:
-    """One image from the library; `pixels` is our own copy, None if the image is incomplete."""
-
-    block_id: int
-    ticks: int
-    pixels: NDArray[Any] | None
 
 
 def load_pylon() -> tuple[Any, Any]:
@@ -111,6 +43,15 @@ def load_pylon() -> tuple[Any, Any]:
     except ImportError as error:
         raise NoPylon("pypylon is not installed") from error
     return pylon, genicam
+
+
+@dataclass(frozen=True)
+class PylonFrame:
+    """One image from the library; `pixels` is our own copy, None if the image is incomplete."""
+
+    block_id: int
+    ticks: int
+    pixels: NDArray[Any] | None
 
 
 class PylonCamera:
@@ -242,3 +183,61 @@ class _Released:
 
     def close(self) -> None:
         self.result.Release()
+
+
+class PylonFeatures:
+    """Wraps the node map of an open camera. Unknown names and values raise GEV-010."""
+
+    def __init__(self, nodes: Any, genicam: Any) -> None:
+        self._nodes = nodes
+        self._genicam = genicam
+
+    def has(self, name: str) -> bool:
+        """Whether the camera has this feature and it is available now."""
+        node = self._nodes.GetNode(name)
+        return node is not None and bool(self._genicam.IsAvailable(node))
+
+    def number(self, name: str) -> Number:
+        """Value of a feature."""
+        value: Number = self._node(name).GetValue()
+        return value
+
+    def whole(self, name: str) -> int:
+        """Value of an integer feature."""
+        return int(self._node(name).GetValue())
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """Names of an enumeration's currently available entries."""
+        return tuple(self._node(name).Symbolics)
+
+    def limits(self, name: str) -> Limits:
+        """The values that a feature may have now."""
+        node = self._node(name)
+        step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
+        return Limits(node.GetMin(), node.GetMax(), step)
+
+    def set_number(self, name: str, value: Number) -> None:
+        """Set a number; raises GEV-011."""
+        node = self._node(name)
+        try:
+            node.SetValue(value)
+        except self._genicam.OutOfRangeException as error:
+            raise OutOfRange(f"{name} {value}", got=str(error).splitlines()[0]) from error
+        except self._genicam.GenericException as error:
+            raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
+
+    def choose(self, name: str, entry: str) -> None:
+        """Set an enumeration to one of its entries."""
+        try:
+            self._node(name).SetValue(entry)
+        except self._genicam.GenericException as error:
+            raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
+
+    def execute(self, name: str) -> None:
+        """Execute a command."""
+        self._node(name).Execute()
+
+    def _node(self, name: str) -> Any:
+        if not self.has(name):
+            raise MissingFeature(f"the camera has no feature {name}")
+        return self._nodes.GetNode(name)

@@ -18,8 +18,22 @@ from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 if TYPE_CHECKING:
     from ronna_hw.devices.readings import AreaOfInterest
 
+RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet; then give up
+AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other
+OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are resent
+PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
+Claim = Callable[[], tuple[int, bytearray | memoryview]]
+"""Memory for the next frame, of the payload's size, and its number."""
 _PACKET_HEADER = struct.Struct(gev.GVSP_HEADER)
 _LEADER = struct.Struct(gev.GVSP_LEADER)
+_UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
+_GONE = frozenset(
+    {
+        GevStatus.PACKET_UNAVAILABLE,
+        GevStatus.PACKET_REMOVED,
+        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
+    }
+)
 
 
 class PacketHeader(NamedTuple):
@@ -76,20 +90,6 @@ def following(block_id: int) -> int:
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST
 
 
-RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet; then give up
-AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other
-OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are resent
-PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
-_UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
-_GONE = frozenset(
-    {
-        GevStatus.PACKET_UNAVAILABLE,
-        GevStatus.PACKET_REMOVED,
-        GevStatus.PACKET_AND_PREVIOUS_REMOVED,
-    }
-)
-
-
 @dataclass(frozen=True)
 class Frame:
     """One received image: raw bytes and the leader (None when it never came)."""
@@ -127,10 +127,6 @@ class _Block:
     requested: list[int] = field(default_factory=list)  # packets of the last resend request
     last_packet_s: float = 0.0
     gone: set[int] = field(default_factory=set)
-
-
-Claim = Callable[[], tuple[int, bytearray | memoryview]]
-"""Memory for the next frame, of the payload's size, and its number."""
 
 
 class FrameAssembler:

@@ -35,6 +35,12 @@ from ronna_hw.wire.gige_vision import Bootstrap
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
 LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a hopeless wait is noticed
+SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
+# largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
+CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
+DEFAULT_BYTES = 1500  # for a device that sends no test packets: any Ethernet carries it
+PROBE_LIMIT_S = 0.1
+PROBES = 2  # per size: one may be lost by chance
 
 
 class ReceiverProcess:
@@ -175,9 +181,6 @@ class StreamReceiver:
         return note
 
 
-SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
-
-
 def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
     """A socket for the stream on a free port of the host's address."""
     stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -199,13 +202,6 @@ def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s
         if host == sender and len(datagram) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
             return True
     return False
-
-
-# largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
-CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
-DEFAULT_BYTES = 1500  # for a device that sends no test packets: any Ethernet carries it
-PROBE_LIMIT_S = 0.1
-PROBES = 2  # per size: one may be lost by chance
 
 
 def choose_packet_bytes(

@@ -16,6 +16,11 @@ from ronna_hw.host.shared_layout import FieldCode, RowCodec
 
 LONGEST_ORDER_BYTES = 4096
 MOST_DESCRIPTORS = 4
+SLOTS = 32  # more than can be in reception at a time; the others stay complete for a third of a second
+_MAP = MemoryMap(b"frames")
+_COUNTERS = _MAP.counters(len(fields(StreamCounters)))
+_USE_COUNTS = _MAP.counters(SLOTS)
+_DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,8 @@ class EndKeepAlive:
 
 
 Order = OpenStream | CloseStream | ExpectBlock | KeepAlive | EndKeepAlive
+
+
 _KINDS: dict[str, type[Order]] = {
     kind.__name__: kind for kind in (OpenStream, CloseStream, ExpectBlock, KeepAlive, EndKeepAlive)
 }
@@ -78,13 +85,6 @@ def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
         return None
     fields = json.loads(text)
     return _KINDS[fields.pop("order")](**fields), descriptors
-
-
-SLOTS = 32  # more than can be in reception at a time; the others stay complete for a third of a second
-_MAP = MemoryMap(b"frames")
-_COUNTERS = _MAP.counters(len(fields(StreamCounters)))
-_USE_COUNTS = _MAP.counters(SLOTS)
-_DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
 
 
 def _packed_leader(leader: Leader | None) -> tuple[int, ...]:
@@ -107,6 +107,8 @@ class _FrameNote(NamedTuple):
 
 
 _NOTE = RowCodec(_FrameNote)
+
+
 NOTE_BYTES = _NOTE.size_bytes
 
 

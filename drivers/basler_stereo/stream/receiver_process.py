@@ -37,6 +37,8 @@ PACKETS_AT_ONCE = 64  # of one stream before the other's turn
 # computer every wake-up has to wait.
 GATHER_S = 0.002
 GATHER_BUFFER_BYTES = 2 << 20  # in the kernel's units; a 1 Gbit/s link fills a quarter of it in that time
+EXIT_NOT_STARTED = 2
+NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 class _Stream:
@@ -207,10 +209,6 @@ class ReceiverLoop:
             case EndKeepAlive():
                 if (keep_alive := self._keep_alives.pop(order.camera, None)) is not None:
                     keep_alive.close()
-
-
-EXIT_NOT_STARTED = 2
-NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 def main(arguments: list[str]) -> int:

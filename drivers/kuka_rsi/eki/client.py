@@ -37,9 +37,14 @@ CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
 ASK_AGAIN_S = 0.2  # two periods of the unsolicited state
 QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
-_TIMEVAL = struct.Struct("ll")
-
 T = TypeVar("T")
+NOT_TAKEN_UP = (
+    "A controller serves one program at a time: another run or another computer has the arm. Stop that "
+    f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
+)
+AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could alter
+DEFAULT_TIMEOUT_S = 5.0
+_TIMEVAL = struct.Struct("ll")
 
 
 class Ack(NamedTuple):
@@ -63,12 +68,6 @@ class Listener(Protocol):
     def controller_lost(self, failure: RonnaError) -> None:
         """The connection broke; not called for one closed by us."""
         ...
-
-
-NOT_TAKEN_UP = (
-    "A controller serves one program at a time: another run or another computer has the arm. Stop that "
-    f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
-)
 
 
 class EkiClient:
@@ -278,10 +277,6 @@ def _keep(store: dict[int, T], number: int, value: T) -> None:
     store.setdefault(number, value)
     while len(store) > ACKS_KEPT:
         del store[next(iter(store))]
-
-
-AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could alter
-DEFAULT_TIMEOUT_S = 5.0
 
 
 class ControllerCommands:

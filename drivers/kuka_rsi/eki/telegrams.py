@@ -31,7 +31,7 @@ from ronna_hw.wire.kuka_eki import (
 
 LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
 ROOTS = (STATE.encode(), ACK.encode())  # root tags with which a controller begins a telegram
-
+IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, Timeout and Precision"
 _MARK = re.compile(rb"[<>\"']")
 _NAME = re.compile(rb"[^\s/>]*")
 
@@ -120,9 +120,6 @@ def parse_telegram(telegram: bytes) -> ElementTree.Element:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:
         raise BadEkiTelegram(f"not a well-formed telegram: {error.summary}", wire=telegram) from error
-
-
-IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, Timeout and Precision"
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,11 @@ IPOC_WRAP = 2**32
 STALE_CYCLES = 25  # a telegram this far back was overtaken on the way; farther back it belongs to another run
 STALE_IN_A_ROW = 3  # more are no coincidence
 RESTART_MS = 10_000  # a jump of the time stamp beyond this is another run, not a gap
+AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
+FIRST_EDGE_US = 2.0
+RATIO = 1.25  # a bin is a quarter wider than the previous one: the last of 64 ends above 3 s
+EDGES_US = (0.0, *(FIRST_EDGE_US * RATIO**k for k in range(HISTOGRAM_BINS)))
+_SCALE = 1.0 / log(RATIO)
 
 
 class Losses:
@@ -98,9 +103,6 @@ class Losses:
             self.degraded = False
 
 
-AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at different moments of rest
-
-
 class Strangers:
     """Counts since a stream was opened."""
 
@@ -128,13 +130,6 @@ class Strangers:
             return True
         self.disagreeing += 1
         return False
-
-
-FIRST_EDGE_US = 2.0
-RATIO = 1.25  # a bin is a quarter wider than the previous one: the last of 64 ends above 3 s
-_SCALE = 1.0 / log(RATIO)
-
-EDGES_US = (0.0, *(FIRST_EDGE_US * RATIO**k for k in range(HISTOGRAM_BINS)))
 
 
 def bin_of(turnaround_us: float) -> int:

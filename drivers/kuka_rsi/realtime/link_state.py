@@ -14,6 +14,50 @@ from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 
+VIOLATIONS = ("", *ViolationKind)
+NOTHING_AROUND = Surroundings()
+STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
+STOP_KIND = (1 << STOP_KIND_BITS) - 1
+AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """One line of JSON. Tags come from the context description; the process itself reads no files."""
+
+    host: str
+    port: int
+    parent_pid: int
+    mailbox_fd: int
+    event_fd: int
+    variant: str
+    cycle_ms: int
+    sentype: str
+    send_tags: tuple[str, ...]
+    receive_tags: tuple[str, ...]
+    axis_tags: tuple[str, ...]  # which received tags feed AXISCORR A1..A6
+    stop_tag: str  # which one feeds STOP
+    silence_limit_s: float
+    heartbeat_limit_s: float
+    settle_tolerance_deg: float
+    real_time_priority: int
+    rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
+    controller_host: str = ""  # only telegrams from this host open a stream; "" for any
+    keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
+
+    def to_json(self) -> str:
+        """One line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> LinkSettings:
+        """The inverse; raises TypeError or ValueError if the line is not from `to_json`."""
+        values = json.loads(line)
+        for name in ("send_tags", "receive_tags", "axis_tags"):
+            values[name] = tuple(values[name])
+        return cls(**values)
+
 
 class CommandKind(IntEnum):
     """Kind of a command in the command block."""
@@ -85,12 +129,6 @@ class Choice(IntEnum):
     HOLD = 3  # the point that the controller holds: only correct after it has held it for some cycles
 
 
-VIOLATIONS = ("", *ViolationKind)
-NOTHING_AROUND = Surroundings()
-STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
-STOP_KIND = (1 << STOP_KIND_BITS) - 1
-
-
 class Orders(NamedTuple):
     """The three words that the real-time process reads in every cycle."""
 
@@ -144,7 +182,6 @@ class LinkState(NamedTuple):
     errno: Annotated[int, "i"]
 
 
-_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NO_STATE = LinkState(
     cycles=0,
     IPOC=0,
@@ -187,43 +224,3 @@ class Record(NamedTuple):
     measured_rad: Annotated[JointVector, "6d"]
     sent_rad: Annotated[JointVector, "6d"]
     choice: Annotated[Choice, "B"]
-
-
-AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
-
-
-@dataclass(frozen=True)
-class LinkSettings:
-    """One line of JSON. Tags come from the context description; the process itself reads no files."""
-
-    host: str
-    port: int
-    parent_pid: int
-    mailbox_fd: int
-    event_fd: int
-    variant: str
-    cycle_ms: int
-    sentype: str
-    send_tags: tuple[str, ...]
-    receive_tags: tuple[str, ...]
-    axis_tags: tuple[str, ...]  # which received tags feed AXISCORR A1..A6
-    stop_tag: str  # which one feeds STOP
-    silence_limit_s: float
-    heartbeat_limit_s: float
-    settle_tolerance_deg: float
-    real_time_priority: int
-    rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
-    controller_host: str = ""  # only telegrams from this host open a stream; "" for any
-    keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
-
-    def to_json(self) -> str:
-        """One line."""
-        return json.dumps(asdict(self))
-
-    @classmethod
-    def from_json(cls, line: str) -> LinkSettings:
-        """The inverse; raises TypeError or ValueError if the line is not from `to_json`."""
-        values = json.loads(line)
-        for name in ("send_tags", "receive_tags", "axis_tags"):
-            values[name] = tuple(values[name])
-        return cls(**values)

@@ -23,6 +23,8 @@ from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
+NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
 
 class SetPoints:
     """Call in turn: `prepare`, then one `commit` with what was sent."""
@@ -147,9 +149,6 @@ class SetPoints:
         state = state_from_history(self.monitor.history_rad, self._cycle_s)
         self._joint_stop = StopMotion(state, self._limits, self._cycle_s)
         self.stop_rad = self._joint_stop.prepare().stop_rad
-
-
-NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PreparedReply(NamedTuple):

@@ -19,11 +19,17 @@ from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
 
 IDLE_LOOK_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
 ANY_HOST = "0.0.0.0"
-_NO_BYTES = struct.pack("i", 0)
-_TIMEVAL = struct.Struct("ll")
-
 Address = tuple[str, int]
 Received = tuple[bytes, Address]
+STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
+NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
+MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
+# Shares of a deviation applied to the schedule's phase and interval: two clocks never run alike.
+EARLY_GAINS = (1.0, 1.0 / 32.0)
+LATE_GAINS = (1.0 / 16.0, 1.0 / 256.0)
+_NO_BYTES = struct.pack("i", 0)
+_TIMEVAL = struct.Struct("ll")
+_NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
@@ -116,48 +122,6 @@ def _limit_waiting(link: socket.socket) -> None:
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
 
 
-STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
-NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
-MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
-# Shares of a deviation applied to the schedule's phase and interval: two clocks never run alike.
-EARLY_GAINS = (1.0, 1.0 / 32.0)
-LATE_GAINS = (1.0 / 16.0, 1.0 / 256.0)
-
-
-class Pace:
-    """Fed with every arrival, host time in ns."""
-
-    def __init__(self) -> None:
-        self._place_ns = 0.0  # scheduled time of the last arrival
-        self._interval_ns = 0.0
-        self._steady = 0
-
-    @property
-    def due_ns(self) -> int:
-        """When the next telegram arrives unless delayed; 0 while no schedule is known."""
-        return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
-
-    def arrived(self, now_ns: int) -> None:
-        """A telegram has arrived."""
-        gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
-        steps = round(gap_ns / interval_ns) if interval_ns else 0
-        off_ns = gap_ns - steps * interval_ns
-        if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
-            self._steady, self._place_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
-            return
-        self._steady += 1
-        place_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
-        self._place_ns = now_ns - (1.0 - place_gain) * off_ns
-        self._interval_ns += interval_gain * off_ns / steps
-
-    def forget(self) -> None:
-        """Discard the schedule."""
-        self._steady, self._interval_ns = 0, 0.0
-
-
-_NS = 1e9
-
-
 class TelegramReceiver:
     """Waits for one telegram after another."""
 
@@ -209,6 +173,37 @@ class TelegramReceiver:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
         if 0.0 < pause_s < IDLE_LOOK_S and not self._sockets.sleep(pause_s):
             self._rehearse()
+
+
+class Pace:
+    """Fed with every arrival, host time in ns."""
+
+    def __init__(self) -> None:
+        self._place_ns = 0.0  # scheduled time of the last arrival
+        self._interval_ns = 0.0
+        self._steady = 0
+
+    @property
+    def due_ns(self) -> int:
+        """When the next telegram arrives unless delayed; 0 while no schedule is known."""
+        return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
+
+    def arrived(self, now_ns: int) -> None:
+        """A telegram has arrived."""
+        gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
+        steps = round(gap_ns / interval_ns) if interval_ns else 0
+        off_ns = gap_ns - steps * interval_ns
+        if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
+            self._steady, self._place_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
+            return
+        self._steady += 1
+        place_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
+        self._place_ns = now_ns - (1.0 - place_gain) * off_ns
+        self._interval_ns += interval_gain * off_ns / steps
+
+    def forget(self) -> None:
+        """Discard the schedule."""
+        self._steady, self._interval_ns = 0, 0.0
 
 
 class Rehearsal:

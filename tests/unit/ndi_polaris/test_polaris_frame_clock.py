@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.tracking import FRAME_NUMBERS, NOMINAL_PERIOD_S, FrameClock, counted_on
+from drivers.ndi_polaris.tracking import FRAME_NUMBERS, NOMINAL_PERIOD_S, FrameClock, unwrap_frame_number
 
 LEAST_DELAY_S = 0.004
 TRUE_PERIOD_S = 1 / 60 * (1 + 40e-6)  # a slow quartz
@@ -81,7 +81,7 @@ def test_an_implausible_frame_rate_is_rejected() -> None:
     ],
 )
 def test_frame_numbers_are_extended_across_their_wrap(number: int, last: int | None, count: int) -> None:
-    assert counted_on(number, last) == count
+    assert unwrap_frame_number(number, last) == count
 
 
 def test_readings_carry_the_units_clock_theatre_time_and_measurement_time(
