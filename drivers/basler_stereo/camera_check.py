@@ -1,4 +1,4 @@
-"""State of a camera's address: who replies, who controls it, which packet size arrives.
+"""Check of a camera's address: who replies, who controls it, which packet size arrives, what that means.
 
 Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
 packets, and is released; a controlled one is left alone.
@@ -34,7 +34,7 @@ SECTION = "cameras"
 
 
 class Response(StrEnum):
-    """Whether anything replies at an address."""
+    """Kind of reply from an address."""
 
     ANSWERED = "answered"
     NO_ROUTE = "no way"
@@ -44,7 +44,7 @@ class Response(StrEnum):
 
 @dataclass(frozen=True)
 class Controller:
-    """The application in control: none, or one with an address if the camera reports it."""
+    """Application in control: none, or one with an address if the camera reports it."""
 
     taken: bool
     address: str = ""
@@ -55,7 +55,7 @@ class Controller:
 
 @dataclass(frozen=True)
 class CameraState:
-    """What was found; fields are None for stages not reached."""
+    """Observations at one address; fields are None for stages not reached."""
 
     endpoint: Endpoint
     response: Response
@@ -67,7 +67,7 @@ class CameraState:
 
 
 def look_at_camera(endpoint: Endpoint) -> CameraState:
-    """Check one camera's address, in a second or two. Never raises, whatever is at the other end."""
+    """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
     try:
         with contextlib.closing(ControlChannel(endpoint.host)) as control:
             return _look_through(control, endpoint)
@@ -101,7 +101,7 @@ def _controller(control: ControlChannel) -> Controller:
 
 
 def _largest_packet(control: ControlChannel) -> int | None:
-    """The largest test packet that arrives; None if the camera does not grant control."""
+    """Find the largest test packet that arrives; None if the camera does not grant control."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _soon())
     except (CommandRefused, NoReply):
@@ -122,7 +122,7 @@ def _largest_packet(control: ControlChannel) -> int | None:
 
 
 def _read(control: ControlChannel, register: int) -> int | None:
-    """A register, or None if the camera refuses or does not reply."""
+    """Read a register; None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _soon())
     except (CommandRefused, NoReply, MalformedReply):
@@ -134,7 +134,7 @@ def _soon() -> float:
 
 
 class Expected(NamedTuple):
-    """A camera's address, and its expected identity, if known."""
+    """Address of a camera, and its expected identity, if known."""
 
     endpoint: Endpoint
     serial: str | None = None
@@ -142,7 +142,7 @@ class Expected(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """One line for display."""
+    """Observation and advice for display."""
 
     well: bool
     seen: str
@@ -150,7 +150,7 @@ class Diagnosis(NamedTuple):
 
 
 def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
-    """The camera for the doctor, including figures. `found` replied to broadcast discovery."""
+    """Return the doctor's entry for a camera, with figures; `found` replied to broadcast discovery."""
     well, seen, advice = diagnose(camera, found, expected)
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
@@ -168,7 +168,7 @@ def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expe
 
 
 def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
-    """The cameras on one network, with those whose serial number replied several times."""
+    """List the cameras on one network, and serial numbers that replied several times."""
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     advice = (
@@ -182,7 +182,7 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
 
 
 def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
-    """State the observation, and what it means."""
+    """Interpret the state of a camera's address: observation, likely cause, advice."""
     identity, controller = camera.identity, camera.controller
     if identity is None or controller is None:
         return _unanswered(camera, found)

@@ -1,4 +1,7 @@
-"""The control channel to one camera: commands with retries, acknowledges matched by request id."""
+"""Control channel to one camera: commands with retries, control privilege, heartbeat.
+
+A camera keeps the privilege of a dead client until that client's heartbeat times out.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ JOIN_LIMIT_S = 1.5
 
 
 class ControlChannel:
-    """One socket, one command at a time; safe to use from several threads.
+    """Channel with one socket and one command at a time; safe to use from several threads.
 
     Retries reuse the request id, so that a device that replies late does not execute a command twice.
     """
@@ -46,7 +49,7 @@ class ControlChannel:
         monotonic: Callable[[], float] = time.monotonic,
         passed: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """`passed` is called with every datagram. Raises OSError when there is no route to the address."""
+        """Open the channel; `passed` gets every datagram. Raises OSError without a route to the address."""
         self._passed = passed
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -68,29 +71,25 @@ class ControlChannel:
 
     @property
     def peer_address(self) -> str:
-        """The camera's address in numbers."""
+        """Address of the camera in numbers."""
         return str(self._socket.getpeername()[0])
 
     @property
     def local_address(self) -> str:
-        """The host's own address on the route to the camera."""
+        """Address of the host on the route to the camera."""
         return str(self._socket.getsockname()[0])
 
     @property
     def link(self) -> socket.socket:
-        """For the receiver process, which sends resend requests and keep-alives through it."""
+        """Socket for the receiver process, which sends resend requests and keep-alives through it."""
         return self._socket
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
 
-    def discover(self, deadline_s: float) -> bytes:
-        """The bootstrap registers in a device's reply to discovery; raises GEV-007."""
-        return self.ask(GvcpCommand.DISCOVERY, b"", deadline_s, "discovery")
-
     def read_register(self, address: int, deadline_s: float) -> int:
-        """Value of one 32-bit register; raises GEV-006, GEV-007, GEV-008."""
+        """Read one 32-bit register; raises GEV-006, GEV-007, GEV-008."""
         what = f"reading register 0x{address:X}"
         payload = self.ask(GvcpCommand.READREG, gvcp.read_register_command(address), deadline_s, what)
         return gvcp.register_value(payload, what)
@@ -101,7 +100,7 @@ class ControlChannel:
         self.ask(GvcpCommand.WRITEREG, gvcp.write_register_command(address, value), deadline_s, what)
 
     def read_memory(self, address: int, count: int, deadline_s: float) -> bytes:
-        """`count` bytes from `address`, in as many requests as needed; raises GEV-006, GEV-007, GEV-008."""
+        """Read `count` bytes, in as many requests as needed; raises GEV-006, GEV-007, GEV-008."""
         data = bytearray()
         while len(data) < count:
             start = address + len(data)
@@ -154,7 +153,7 @@ class ControlChannel:
     def _receive(
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
     ) -> gvcp.Acknowledge | None:
-        """The acknowledge with this request id, or None if it has not arrived by `until_s`."""
+        """Receive the acknowledge with this request id; None if it has not arrived by `until_s`."""
         while True:
             # even after the deadline: whatever arrived while the host stalled was in time
             left_s = until_s - self._monotonic()
@@ -193,7 +192,7 @@ class ControlChannel:
 
 
 def register_write(address: int, value: int) -> Command:
-    """The command that sets one register."""
+    """Return the command that sets one register."""
     return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
 
 
@@ -248,7 +247,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
 
 
 def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
-    """None if we have control, otherwise the reason for the refusal."""
+    """Ask for control; None if we have it, otherwise the reason for the refusal."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -260,7 +259,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
-    """When a controller that is dead now will lose control; never later than the deadline."""
+    """Return when a controller that is dead now will lose control; never later than the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
     except CommandRefused:  # exclusive access: others cannot even read
@@ -269,7 +268,7 @@ def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
 
 
 class Heartbeat:
-    """A thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
+    """Thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
 
     A silent camera is lost only after its time-out: until then it keeps us as its controller. Any command
     would restart the camera's timer, but reading the privilege also shows whether the camera has restarted or

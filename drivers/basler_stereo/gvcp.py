@@ -18,7 +18,7 @@ _U32 = struct.Struct(gev.READREG_ITEM)
 
 @dataclass(frozen=True)
 class Acknowledge:
-    """A decoded acknowledge; `status` 0 is success."""
+    """Decoded acknowledge; `status` 0 is success."""
 
     status: int
     command: int
@@ -29,18 +29,18 @@ class Acknowledge:
 def encode(
     command: GvcpCommand, request_id: int, payload: bytes = b"", flags: GvcpFlag = GvcpFlag.ACK_REQUIRED
 ) -> bytes:
-    """A complete command datagram."""
+    """Encode a complete command datagram."""
     return _HEADER.pack(gev.GVCP_KEY, flags, command, len(payload), request_id) + payload
 
 
 def encode_resend(request_id: int, block_id: int, first: int, last: int) -> bytes:
-    """Request packets `first`..`last` of a block again; there is no acknowledge."""
+    """Encode a request for packets `first`..`last` of a block; there is no acknowledge."""
     payload = struct.pack(gev.PACKETRESEND_COMMAND, 0, block_id, first, last)
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
 
 def decode(datagram: bytes) -> Acknowledge | None:
-    """An acknowledge, or None for a datagram that is too short or of the wrong length."""
+    """Decode an acknowledge; None for a datagram that is too short or of the wrong length."""
     if len(datagram) < gev.GVCP_HEADER_BYTES:
         return None
     status, command, length, request_id = _ACK_HEADER.unpack_from(datagram)
@@ -52,7 +52,7 @@ def decode(datagram: bytes) -> Acknowledge | None:
 
 
 def require_success(acknowledge: Acknowledge, what: str) -> bytes:
-    """The payload of a successful acknowledge; raises GEV-006 with the status by name."""
+    """Return the payload of a successful acknowledge; raises GEV-006 with the status by name."""
     if acknowledge.status != GevStatus.SUCCESS:
         refused = CommandRefused(f"{what} was rejected", got=status_name(acknowledge.status))
         refused.status = acknowledge.status
@@ -61,7 +61,7 @@ def require_success(acknowledge: Acknowledge, what: str) -> bytes:
 
 
 def status_name(status: int) -> str:
-    """A status in words and as the number on the wire."""
+    """Name a status in words and by its number on the wire."""
     try:
         return f"{GevStatus(status).name.lower().replace('_', ' ')} (0x{status:04X})"
     except ValueError:
@@ -69,12 +69,12 @@ def status_name(status: int) -> str:
 
 
 def read_register_command(address: int) -> bytes:
-    """Payload of a READREG of one register."""
+    """Return the payload of a READREG of one register."""
     return _U32.pack(address)
 
 
 def register_value(payload: bytes, what: str) -> int:
-    """The value in the acknowledge of a READREG of one register; raises GEV-008."""
+    """Return the value in the acknowledge of a READREG of one register; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES:
         raise MalformedReply(
             f"{what}: the reply has the wrong length",
@@ -86,22 +86,22 @@ def register_value(payload: bytes, what: str) -> int:
 
 
 def action_command(device_key: int, group_key: int, group_mask: int) -> bytes:
-    """Payload of an ACTION for immediate execution."""
+    """Return the payload of an ACTION for immediate execution."""
     return struct.pack(gev.ACTION_COMMAND, device_key, group_key, group_mask)
 
 
 def write_register_command(address: int, value: int) -> bytes:
-    """Payload of a WRITEREG of one register."""
+    """Return the payload of a WRITEREG of one register."""
     return struct.pack(gev.WRITEREG_ITEM, address, value)
 
 
 def read_memory_command(address: int, count: int) -> bytes:
-    """Payload of a READMEM; `count` is a multiple of 4 and at most 536."""
+    """Return the payload of a READMEM; `count` is a multiple of 4 and at most 536."""
     return struct.pack(gev.READMEM_COMMAND, address, 0, count)
 
 
 def memory_data(payload: bytes, address: int, count: int) -> bytes:
-    """The data in the acknowledge of a READMEM; raises GEV-008."""
+    """Return the data in the acknowledge of a READMEM; raises GEV-008."""
     if len(payload) != gev.REGISTER_BYTES + count or _U32.unpack_from(payload)[0] != address:
         raise MalformedReply(
             f"reading memory at 0x{address:X}: the reply has the wrong address or length",
@@ -113,12 +113,12 @@ def memory_data(payload: bytes, address: int, count: int) -> bytes:
 
 
 def write_memory_command(address: int, data: bytes) -> bytes:
-    """Payload of a WRITEMEM; the data are a multiple of 4 bytes."""
+    """Return the payload of a WRITEMEM; the data are a multiple of 4 bytes."""
     return _U32.pack(address) + data
 
 
 def pending_ms(payload: bytes) -> int:
-    """How much longer the device asks us to wait, ms; 0 if it does not say."""
+    """Return how much longer the device asks us to wait, ms; 0 if it does not say."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

@@ -1,4 +1,4 @@
-"""Identity of the device at an address, from the bootstrap registers in its reply to GVCP discovery."""
+"""Identity of cameras from their replies to GVCP discovery, by address or by broadcast."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ class CameraIdentity:
 def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
     """Identify the device at the channel's address; raises GEV-001, GEV-008."""
     try:
-        memory = control.discover(deadline_s)
+        memory = control.ask(GvcpCommand.DISCOVERY, b"", deadline_s, "discovery")
     except NoReply as error:
         raise NoCamera(f"no camera replied at {control.address}", expected="a reply to discovery") from error
     return decode_identity(memory, control.address)
 
 
 def decode_identity(memory: bytes, address: str) -> CameraIdentity:
-    """The identity in a reply to discovery; raises GEV-008."""
+    """Decode the identity in a reply to discovery; raises GEV-008."""
     if len(memory) != gev.DISCOVERY_BYTES:
         raise MalformedReply(
             f"{address}: the reply to discovery has the wrong length",
@@ -73,7 +73,7 @@ def _text(memory: bytes, register: Bootstrap) -> str:
 
 
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
-    """Every GigE Vision device that replies on one network interface, by address; needs no control.
+    """Find all GigE Vision devices that reply on one network interface; needs no control.
 
     A device also replies if its address belongs to another subnet.
     """
@@ -85,13 +85,13 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
         deadline_s = time.monotonic() + limit_s
         while (left_s := deadline_s - time.monotonic()) > 0.0 and select.select([caller], [], [], left_s)[0]:
             with contextlib.suppress(MalformedReply):
-                identity = _replied(*caller.recvfrom(DATAGRAM_LIMIT_BYTES))
+                identity = _decode_reply(*caller.recvfrom(DATAGRAM_LIMIT_BYTES))
                 found[identity.address, identity.serial] = identity
     return tuple(sorted(found.values(), key=lambda identity: IPv4Address(identity.address)))
 
 
 def cameras_near(address: str) -> str:
-    """For messages: the cameras on the network of an address. No other network is queried."""
+    """List in words the cameras on the network of an address; no other network is queried."""
     if (interface := interface_of(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):
@@ -99,8 +99,8 @@ def cameras_near(address: str) -> str:
     return "broadcast discovery found " + ", ".join(f"{each.serial} at {each.address}" for each in cameras)
 
 
-def _replied(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
-    """Raises GEV-008 for anything but a reply to discovery."""
+def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
+    """Decode a reply to broadcast discovery; raises GEV-008 for anything else."""
     acknowledge = gvcp.decode(datagram)
     if (
         acknowledge is None

@@ -1,4 +1,4 @@
-"""Common base of stereo drivers: the cameras, their identities, and the device state."""
+"""Base of stereo drivers: the cameras, their identities, and the device state."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.errors import RonnaError
 
 
 class HasArea(Protocol):
-    """A camera that reads part of its sensor."""
+    """Camera that reads part of its sensor."""
 
     area: AreaOfInterest
 
@@ -26,7 +26,7 @@ C = TypeVar("C", bound=HasArea)
 
 
 class PairDevice(Generic[C]):
-    """The part of a `StereoPair` that is independent of how its cameras are accessed."""
+    """Part of a `StereoPair` that is independent of how its cameras are accessed."""
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock, options: BaslerOptions) -> None:
         self._name = name
@@ -51,7 +51,7 @@ class PairDevice(Generic[C]):
 
     @property
     def fault(self) -> RonnaError | None:
-        """What latched FAULT, if anything."""
+        """The error that latched FAULT, if any."""
         return self._guard.fault
 
     @property
@@ -61,7 +61,7 @@ class PairDevice(Generic[C]):
 
     @property
     def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """The sensor areas that are read, left and right; known from `configure` on."""
+        """Sensor areas that are read, left and right; known from `configure` on."""
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area
@@ -70,7 +70,7 @@ class PairDevice(Generic[C]):
         return self._guard.last_known(self._last_pair, counted_fact("unusable pairs", self._unusable))
 
     def _keep(self, pair: StereoReading) -> StereoReading:
-        """Note a new pair for `observe`."""
+        """Keep a new pair for `observe`."""
         self._last_pair = pair
         self._unusable += pair.validity is not Validity.OK
         return pair
@@ -107,7 +107,7 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
 
 
 def pair_identity(left: CameraIdentity, right: CameraIdentity) -> Identity:
-    """Both cameras as the identity of one device."""
+    """Combine the identities of both cameras into that of one device."""
     return Identity(
         vendor=left.vendor,
         model=left.model,

@@ -1,4 +1,4 @@
-"""Diagnoses a camera that does not reply: checks each address, then connects as a procedure would."""
+"""Diagnosis of cameras that do not reply, and search for pairs on the networks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ CAMERAS_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class BaslerProbe:
-    """The probe of this driver; its `look_at` also serves bare endpoints, its `find` a new theatre file."""
+    """Probe of this driver; `look_at` also serves bare endpoints, `find` a new theatre file."""
 
     endpoint_schemes = frozenset({"gev"})
     table = "stereo"
@@ -51,10 +51,11 @@ class BaslerProbe:
         return find_pairs(search, progress)
 
     def example(self, search: Search) -> Proposal:
-        return example_pair()
+        chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
+        return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), _options(chosen), (WHICH_IS_LEFT,))
 
     def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Diagnostic]:
-        """Broadcast discovery on the cameras' own networks, then each address."""
+        """Broadcast on the cameras' own networks, then check each address."""
         networks = {network: discover_cameras(network) for network in dict.fromkeys(_networks(cameras))}
         named = {camera.endpoint.host for camera in cameras}
         replies = [each for replied in networks.values() for each in replied]
@@ -78,7 +79,7 @@ def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:
 
 
 def _expected(config: DeviceConfig) -> list[Expected]:
-    """The cameras of a theatre file; invalid options and endpoints are reported by the driver itself."""
+    """List the cameras of a theatre file; the driver itself reports invalid options and endpoints."""
     model = _text(config, "expected_model")
     sides = {side: parse_endpoint(text) for side, text in config.endpoints.items()}
     return [
@@ -94,7 +95,7 @@ def _text(config: DeviceConfig, option: str) -> str | None:
 
 
 def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every ordered pair of cameras of one model, starting with those whose own names say left and right.
+    """Propose every ordered pair of cameras of one model, first those named left and right.
 
     Each network is queried with one broadcast; no camera is controlled.
     """
@@ -109,12 +110,6 @@ def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
 
 def _a_pair(one: CameraIdentity, other: CameraIdentity) -> bool:
     return one.model == other.model and one.serial != other.serial
-
-
-def example_pair() -> Proposal:
-    """The table for a pair that was not found."""
-    chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
-    return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), _options(chosen), (WHICH_IS_LEFT,))
 
 
 def _proposal(left: CameraIdentity, right: CameraIdentity, *, named: bool) -> Proposal:

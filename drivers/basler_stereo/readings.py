@@ -1,4 +1,4 @@
-"""From received frames to readings: read-only pixel arrays and their validity."""
+"""Readings of a pair: read-only images with their validity, paired by the cameras' own clocks. No I/O."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def camera_image(
     theatre_time_s: float,
     measured_s: float | None = None,
 ) -> CameraImage | None:
-    """The reading of one side; None without a leader, since such a frame has neither time nor shape.
+    """Make the reading of one side; None without a leader, which carries time and shape.
 
     CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing,
     and their pixels are 0.
@@ -63,7 +63,7 @@ def stereo_reading(
     theatre_time_s: float,
     match: Validity = Validity.OK,
 ) -> StereoReading:
-    """Both sides of one trigger; its validity is the worst of left, right and `match`.
+    """Combine both sides of one trigger; the validity is the worst of left, right and `match`.
 
     Its device clock is the left camera's.
     """
@@ -78,7 +78,7 @@ def stereo_reading(
 def pixels_of(
     data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Grey values (height, width), 8 or 12 bits; read-only."""
+    """Return grey values (height, width), 8 or 12 bits; read-only."""
     pixels: NDArray[np.uint8] | NDArray[np.uint16]
     if pixel_format is PixelFormat.MONO8:
         pixels = np.frombuffer(data, dtype=np.uint8)
@@ -92,7 +92,7 @@ def pixels_of(
 
 
 def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
-    """Mono12Packed: two values in three bytes, the low four bits of both in the middle byte."""
+    """Unpack Mono12Packed: two values in three bytes, the low four bits of both in the middle byte."""
     whole = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
     whole[: len(packed)] = packed
     first, shared, second = whole[0::3], whole[1::3], whole[2::3]
@@ -104,7 +104,7 @@ def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class Tie:
-    """A camera's tick count at a theatre time, known to within `uncertainty_s`."""
+    """Tick count of a camera at a theatre time, known to within `uncertainty_s`."""
 
     ticks: int
     frequency_hz: int
@@ -112,16 +112,21 @@ class Tie:
     uncertainty_s: float
 
     def moment_s(self, ticks: int) -> float:
-        """Theatre time of a tick count."""
+        """Return the theatre time of a tick count."""
         return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
 
     def error_s(self, now_s: float) -> float:
-        """Bound on the present error of `moment_s`."""
+        """Return a bound on the present error of `moment_s`."""
         return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
 
 
 class PairClock:
-    """Judges the pairs of one stream. `skew_s`: largest difference between one trigger's exposure starts."""
+    """Judge of whether two images come from the same trigger.
+
+    Each camera counts ticks from its own zero. Latching the counter at the start of the stream ties it to
+    theatre time; every correctly paired image renews the tie, so that clock drift does not accumulate.
+    `skew_s` is the largest difference between the exposure starts of one trigger.
+    """
 
     def __init__(self, ties: tuple[Tie | None, Tie | None], skew_s: float) -> None:
         self._ties = ties
@@ -129,18 +134,18 @@ class PairClock:
 
     @property
     def tied(self) -> bool:
-        """Whether the counts of both cameras are tied to theatre time."""
+        """True if the counts of both cameras are tied to theatre time."""
         return None not in self._ties
 
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
-        """Theatre time at which each exposure began, if known."""
+        """Return the theatre time at which each exposure began, if known."""
         left, right = (
             tie.moment_s(count) if tie else None for tie, count in zip(self._ties, ticks, strict=True)
         )
         return left, right
 
     def judge(self, ticks: tuple[int, int], triggered_s: float, now_s: float) -> Validity:
-        """UNPAIRED if left and right come from different triggers; STALE if both are older; else OK.
+        """Return UNPAIRED if left and right come from different triggers, STALE if both are older, else OK.
 
         `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
         ties the first pair cannot be judged.
@@ -157,7 +162,7 @@ class PairClock:
     def confirm(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> None:
-        """The pair is valid: tie both clocks to a time between its trigger and now."""
+        """Tie both clocks to a time between the trigger of a valid pair and now."""
         known = [moment_s for moment_s in self.moments_s(ticks) if moment_s is not None]
         moment_s = min(max(triggered_s, sum(known) / len(known) if known else triggered_s), now_s)
         left, right = (

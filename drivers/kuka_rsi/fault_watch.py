@@ -1,4 +1,4 @@
-"""Latches faults: of the real-time process, the EKI channel, and the controller itself.
+"""Latching of faults of the real-time process, the EKI channel, and the controller itself.
 
 The real-time process stops the arm for faults that it detects itself. What only EKI reports (emergency stop,
 guard, mode, drives, a message, or a broken channel) is noticed here as soon as it arrives, and stops the arm.
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
-from drivers.kuka_rsi.eki.telegrams import ControllerState, what_forbids_motion
+from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
 from drivers.kuka_rsi.fault_errors import attach_flight_record, error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
@@ -30,7 +30,7 @@ EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for r
 
 
 class _Asked(NamedTuple):
-    """A request for the controller's state, and the end of the wait for its reply, in host time."""
+    """Request for the controller's state, and the end of the wait for its reply, in host time."""
 
     eki: EkiClient
     number: int
@@ -38,7 +38,7 @@ class _Asked(NamedTuple):
 
 
 class FaultWatch:
-    """One per arm. Also the listener of its EKI connection."""
+    """Watch over one arm; listener of its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
@@ -63,18 +63,18 @@ class FaultWatch:
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
             elif parked is not None and not parked.alive:
-                self._guard.latch(parked.death())
+                self._guard.latch(parked.death_error())
             return
         link = self._connections.link
         error = self._error_of(link.state)
-        if error is not None and eki is not None and eki.failure is None and _no_longer_follows(link.state):
+        if error is not None and eki is not None and eki.failure is None and _has_following_error(link.state):
             error = self._reason(error, eki)
             if error is None:
                 return
         else:
             self._asked = None
         if error is None and not link.alive:
-            error = link.death()
+            error = link.death_error()
         if error is None and link.stalled_s > self._stall_limit_s:
             error = LinkProcessStalled(
                 f"{self._name}: the real-time process has not run for {link.stalled_s:.1f} s",
@@ -90,7 +90,7 @@ class FaultWatch:
             self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
     def settle(self) -> None:
-        """As `notice`; waits for the controller's reason if the axes no longer follow."""
+        """Latch faults like `notice`, but wait for the controller's reason if the axes no longer follow."""
         self.notice()
         eki, asked = self._connections.open_eki, self._asked
         if eki is not None and asked is not None:
@@ -123,7 +123,7 @@ class FaultWatch:
             raise fault
 
     def controller_said(self, state: ControllerState) -> None:
-        """From the EKI reader: a state from the controller, requested or not."""
+        """Check a state from the controller, requested or not. Called by the EKI reader."""
         self.notice()
         if self._guard.state not in RUNNING:
             return
@@ -132,18 +132,18 @@ class FaultWatch:
             self._stop_for(stopped)
 
     def controller_quiet(self) -> None:
-        """From the EKI reader: nothing has arrived for a while. A silence that is too long is latched."""
+        """Check for a silence that is too long. Called by the EKI reader."""
         self.notice()
 
     def controller_lost(self, failure: RonnaError) -> None:
-        """From the EKI reader: the channel broke, so an emergency stop would no longer be reported."""
+        """Stop for a broken channel: an emergency stop would no longer be reported."""
         if self._guard.state in RUNNING:
             with contextlib.suppress(Exception):  # it may be what the reader failed at: the stop comes anyway
                 self.notice()
             self._stop_for(failure)
 
     def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:
-        causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
+        causes = unmet_conditions(state, drives=True, modes=(self.mode,))
         if not causes:
             return None
         link = self._connections.open_link
@@ -156,7 +156,7 @@ class FaultWatch:
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
     def _reason(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
-        """Why the axes no longer follow: the controller's own reason if it has one, None before it is known.
+        """Return why the axes no longer follow: the controller's reason if it has one; None while unknown.
 
         Axes that the controller has braked leave their set-points before its unsolicited state has arrived:
         its reply to a request made after that is what counts.
@@ -195,5 +195,5 @@ class FaultWatch:
         return error_of_fault(self._name, state, self._options, self.mode, message, around)
 
 
-def _no_longer_follows(state: LinkState) -> bool:
+def _has_following_error(state: LinkState) -> bool:
     return state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR

@@ -1,4 +1,4 @@
-"""The driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
+"""Driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the num
 
 
 class LinkClient:
-    """One real-time process and its mailbox. All calls may come from any thread."""
+    """Real-time process with its mailbox. All calls may come from any thread."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class LinkClient:
         timeout_s: float = START_TIMEOUT_S,
         kept: Kept | None = None,
     ) -> None:
-        """`settings` is called with the descriptors of mailbox and event. Raises RSI-001.
+        """Start the process; `settings` gets the descriptors of mailbox and event. Raises RSI-001.
 
         `kept` is called from a thread of this object with the link's traffic.
         """
@@ -88,18 +88,18 @@ class LinkClient:
 
     @property
     def state(self) -> LinkState:
-        """The last state the process published."""
+        """The last state published by the process."""
         return self._mailbox.read_state()
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """True while the process runs."""
         return self._process.poll() is None
 
     @property
     def stalled_s(self) -> float:
         """Host time since the process was last seen running; it reports every 10 ms."""
-        said_ns = self._mailbox.said_alive_ns()
+        said_ns = self._mailbox.alive_ns()
         return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
 
     @property
@@ -115,7 +115,7 @@ class LinkClient:
         axes_rad: JointVector | None = None,
         limits: MotionLimits | None = None,
     ) -> int:
-        """Give a command; returns its number. A motion is overridden by any stop after `stop_number`.
+        """Give a command; return its number. A motion is overridden by any stop after `stop_number`.
 
         For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
         """
@@ -128,8 +128,13 @@ class LinkClient:
             self._mailbox.write_command(command)
             return self._commands
 
+    def surround(self, surroundings: Surroundings) -> None:
+        """Set the surroundings that the next motions are monitored against."""
+        if surroundings != self.surroundings:  # the real-time process reads only changes
+            self.surroundings = surroundings
+
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop; it takes effect with the next reply. Returns its number.
+        """Order a stop, which takes effect with the next reply; return its number.
 
         A weaker one does not take the place of a stronger one of the same stream, which the process may not
         have seen yet.
@@ -141,7 +146,7 @@ class LinkClient:
             return self._stops
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """The first state that meets the condition, or None after the time limit (host time).
+        """Wait for a state that meets the condition; None after the time limit (host time).
 
         Raises RSI-007 when the process has ended.
         """
@@ -152,28 +157,28 @@ class LinkClient:
                 if condition(state):
                     return state
                 if not self.alive:
-                    raise self.death()
+                    raise self.death_error()
                 rest = deadline - time.monotonic()
                 if rest <= 0.0:
                     return None
                 self._changed.wait(min(rest, HEARTBEAT_S))
 
-    def death(self) -> LinkProcessDied:
-        """The error for a process that ended unexpectedly."""
+    def death_error(self) -> LinkProcessDied:
+        """Return the error for a process that ended unexpectedly."""
         if self._words is None:
             self._words = self._last_words()
         return LinkProcessDied(f"the real-time process ended: {self._words}")
 
     def histogram(self) -> tuple[int, ...]:
-        """Turnaround counts since the stream began; edges are in `drivers.kuka_rsi.realtime.link_health`."""
+        """Return turnaround counts of the stream; edges are in `drivers.kuka_rsi.realtime.link_health`."""
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:
-        """The same for jitter."""
+        """Return jitter counts of the stream, in the same bins."""
         return self._mailbox.jitter_histogram()
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """The last cycles, oldest first; frozen while a fault is latched."""
+        """Return the last cycles, oldest first; frozen while a fault is latched."""
         return tuple(
             RecordedCycle(
                 cycle=r.cycle,

@@ -1,4 +1,4 @@
-"""The micro-move: tests what an unverified controller does with a correction.
+"""Micro-move: a test of what an unverified controller does with a correction.
 
 Each axis moves out and back so little that nothing on the arm moves by more than 0.05 mm. The last axis comes
 first: it moves almost nothing, and a controller that accumulates corrections is exposed there.
@@ -34,10 +34,11 @@ PROBE_RAD = 1e-4
 def verify_by_motion(
     name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
 ) -> None:
-    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded, RSI-010 when more
-    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended.
+    """Move each axis out and back by a micro-move.
 
-    The caller then ends the stream, since accumulating corrections continue as long as they are sent.
+    Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
+    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended. The caller then
+    ends the stream, since accumulating corrections continue as long as they are sent.
     """
     _require_cycle(name, link)
     start = link.state.commanded_rad
@@ -52,7 +53,7 @@ def verify_by_motion(
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
-    """Angle that moves no point of arm and tool by more than 0.05 mm, towards the middle of the range."""
+    """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
     beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
     here, there = kinematics.forward(joints_rad), kinematics.forward(_turned(joints_rad, axis, PROBE_RAD))
     moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
@@ -92,7 +93,7 @@ def _go(
         if state.cycles - begun > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
         if not link.alive:  # no cycle will come, and no fault
-            raise link.death()
+            raise link.death_error()
         if link.stalled_s > TELEGRAMS_LIMIT_S:
             _refuse(name, link, f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
         time.sleep(LOOK_S)

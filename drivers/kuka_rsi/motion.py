@@ -1,4 +1,4 @@
-"""Plans the motions of one arm: within its limits and mode, and clear of its surroundings."""
+"""Motions of one arm: planned within its limits and clear of its surroundings, then followed to their end."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionNotFinished, MotionRefused, MotionStopped
 from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, furthest_text, losses_text
 from drivers.kuka_rsi.fault_watch import FaultWatch
-from drivers.kuka_rsi.link_client import Condition, LinkClient
+from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -31,7 +31,7 @@ STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
 class MotionPlanner:
-    """`surroundings` may be replaced between motions."""
+    """Planner of one arm's motions; `surroundings` may be replaced between motions."""
 
     def __init__(self, name: str, kinematics: Kinematics, options: KukaOptions, cycle_s: float) -> None:
         self._name = name
@@ -46,66 +46,64 @@ class MotionPlanner:
         self.surroundings = Surroundings()
 
     def limits(self, mode: OperatingMode) -> MotionLimits:
-        """Limits of every motion in an operating mode."""
+        """Return the limits of every motion in an operating mode."""
         if mode is OperatingMode.REDUCED_SPEED:
             return self._limits.at_reduced_speed(self._kinematics)
         return self._limits
 
     def plan(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> MotionPlan:
-        """The path of a motion from `start_rad`; raises the errors of `plan_motion`."""
+        """Plan the path of a motion from `start_rad`; raises the errors of `plan_motion`."""
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
-    def clear(self, plan: MotionPlan, link: LinkClient, mode: OperatingMode) -> MotionPlan:
-        """The plan with its speed limits along the path, if nothing comes too close; raises ARM-007."""
-        if self.surroundings != link.surroundings:  # the real-time process reads only changes
-            link.surroundings = self.surroundings
-        path = sweep_path(self._kinematics, plan, link.surroundings)
+    def clear(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
+        """Return the plan with speed limits along its path; raises ARM-007 if anything comes too close."""
+        path = sweep_path(self._kinematics, plan, self.surroundings)
         path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path, self.limits(mode).body_speed_mm_s)
 
     def preview(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> PathPreview:
-        """What `plan` and `clear` would make the arm do; raises the errors of `plan`."""
+        """Preview a motion as planned and cleared; raises the errors of `plan`."""
         return preview_motion(self._kinematics, start_rad, motion, self.surroundings, self.limits(mode))
 
 
 class MotionFollower:
-    """One motion at a time."""
+    """Hands a motion to the real-time process and follows it; one motion at a time."""
 
     def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name
         self._connections = connections
         self._watch = watch
         self._cycle_s = cycle_s
-        self._under_way = threading.Lock()  # held while a motion is followed
+        self._motion_lock = threading.Lock()  # held while a motion is followed
 
     def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
-        """Execute a plan made when `stops` stops were known; returns the state once it has settled.
+        """Execute a plan made when `stops` stops were known; return the state once the arm has settled.
 
         Raises RSI-010 when it was stopped, also before it began, RSI-011 when it used up `timeout_s` of
         controller cycles or did not settle at the end of its path, RSI-012 when it was refused, and the fault
         that ended it.
         """
-        if not self._under_way.acquire(blocking=False):
+        if not self._motion_lock.acquire(blocking=False):
             raise MotionRefused(f"{self._name}: another motion is running")
         try:
-            return self._carry_out(plan, stops, timeout_s)
+            return self._execute(plan, stops, timeout_s)
         finally:
-            self._under_way.release()
+            self._motion_lock.release()
 
     def await_end(self, timeout_s: float) -> None:
         """Let another thread notice that its motion was stopped, before the link ends."""
-        if self._under_way.acquire(timeout=max(0.0, timeout_s)):
-            self._under_way.release()
+        if self._motion_lock.acquire(timeout=max(0.0, timeout_s)):
+            self._motion_lock.release()
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """Like `LinkClient.wait`; also latches the death of the real-time process."""
+        """Wait like `LinkClient.wait`, and latch the end of the real-time process."""
         try:
             return self._connections.link.wait(condition, timeout_s)
         except LinkProcessDied as error:
             self._watch.latch(error)
             raise
 
-    def _carry_out(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
+    def _execute(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
         link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
         begun = link.state

@@ -1,4 +1,4 @@
-"""Options of the driver in the theatre file, and their defaults."""
+"""Options of the arm in the theatre file, and the RSI context that they name."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ ControllerHost = Annotated[str, AfterValidator(_ip_address)]
 
 
 class KukaOptions(Strict):
-    """`[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
+    """Table `[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
@@ -108,13 +108,13 @@ def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
         ) from None
 
 
-def usable_context(device: str, options: KukaOptions) -> RsiContext:
-    """The context from the options; raises WIR-001 for a broken file, RSI-017 listing every objection."""
+def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
+    """Load the context of the options; raises WIR-001 for a broken file, RSI-017 with all objections."""
     context = load_context(options.context)
     if options.cycle_ms is not None:
         program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
         context = context.model_copy(update={"program": program})
-    reasons = list(reasons_against(context))
+    reasons = list(objections_to(context))
     if context.program.variant != options.variant.value:
         reasons.append(f"its program is for {context.program.variant}, option variant is {options.variant}")
     if reasons:
@@ -123,8 +123,8 @@ def usable_context(device: str, options: KukaOptions) -> RsiContext:
     return context
 
 
-def reasons_against(context: RsiContext) -> Iterator[str]:
-    """Everything that makes a context unsafe, or that it fails to report."""
+def objections_to(context: RsiContext) -> Iterator[str]:
+    """Find everything that makes a context unsafe, or that it fails to report."""
     holdon = {element.indx: element.holdon for element in context.receive}
     axes = [w for w in context.wiring if w.object == "AXISCORR"]
     stops = [w for w in context.wiring if w.object == "STOP"]
@@ -156,8 +156,9 @@ def reasons_against(context: RsiContext) -> Iterator[str]:
 
 
 def _limits(context: RsiContext) -> Iterator[str]:
-    """The driver's own monitor checks up to the end switches: the controller must neither clamp nor trip
-    before, and what AXISCORR passes must not trip AXISCORRMON.
+    """Check that the controller neither clamps nor trips before the driver's own monitor does.
+
+    That monitor allows motion up to the end switches, and what AXISCORR passes must not trip AXISCORRMON.
     """
     correction, monitor = context.axis_correction, context.axis_monitor
     if correction is None:

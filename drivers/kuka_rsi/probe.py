@@ -1,4 +1,4 @@
-"""Finds out why an arm does not answer: whether its stream port is free, and what EKI reports.
+"""Diagnosis of an arm that does not answer, and search for controllers on the networks.
 
 A controller serves one EKI client at a time and needs a moment before the next, so there is only one
 connection, the driver's own.
@@ -50,14 +50,14 @@ STREAM = (
 
 
 class KukaProbe:
-    """The probe of this driver; its `find` serves a new theatre file."""
+    """Probe of this driver; `find` serves a new theatre file."""
 
     table = "robot"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
+        """Check the stream's port, then the controller. Sends nothing to the stream, moves nothing."""
         streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
         ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
         return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
@@ -66,14 +66,15 @@ class KukaProbe:
         return find_controllers(search, progress)
 
     def example(self, search: Search) -> Proposal:
-        return example_arm(search)
+        endpoints = _endpoints(EXAMPLE_CONTROLLER, stream_address(search))
+        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM))
 
 
 probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Whether the driver can listen on the controller's destination: bind as it would, and release."""
+    """Test by binding and releasing whether the driver can listen where the controller sends."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
@@ -83,7 +84,7 @@ def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
 
 
 def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
-    """(observation, what to do)."""
+    """Return observation and advice for a port that cannot be bound."""
     if error.errno == errno.EADDRINUSE:
         if user := user_of_udp_port(endpoint.host, endpoint.port):
             return f"in use by {user}", "Stop that program; it may be another run of the robot."
@@ -105,35 +106,28 @@ def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
 
 
 def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every controller with our EKI server: at the given addresses, or else on the networks.
+    """Propose every controller with our EKI server: at the given addresses, or else on the networks.
 
     A controller serves one EKI client at a time; one that serves another is found but not identified.
     """
     known = search.controllers or tuple(_listening(search.interfaces))
     found = []
     for number, controller in enumerate(known, start=1):
-        proposal = _proposal(controller, stream_of(search))
+        proposal = _proposal(controller, stream_address(search))
         if search.controllers or not proposal.absent:  # on a network, other machines also listen
             found.append(proposal)
         progress(number / len(known))
     return found
 
 
-def example_arm(search: Search) -> Proposal:
-    """The table for an arm that was not found."""
-    return Proposal(
-        DRIVER, "", _endpoints(EXAMPLE_CONTROLLER, stream_of(search)), _options(), (VARIANT, STREAM)
-    )
-
-
-def stream_of(search: Search) -> str:
-    """Receiving address for telegrams: as given, or as in the shipped Ethernet file."""
+def stream_address(search: Search) -> str:
+    """Return the receiving address for telegrams: as given, or as in the shipped Ethernet file."""
     ethernet = load_context().ethernet
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
 
 
 def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
-    """Addresses on the networks that accept a connection on the port of our EKI server."""
+    """Find addresses on the networks that accept a connection on the port of our EKI server."""
     hosts = [host for each in interfaces for host in _hosts(each)]
     with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
         for host, taken in zip(hosts, pool.map(_listens, hosts), strict=True):
@@ -142,7 +136,7 @@ def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
 
 
 def _hosts(interface: Interface) -> list[str]:
-    """Addresses of one network except our own; on loopback only its own."""
+    """List the addresses of one network except our own; on loopback only its own."""
     if interface.loopback:
         return [interface.address]
     network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
@@ -158,7 +152,7 @@ def _listens(host: str) -> bool:
 
 
 def _proposal(controller: Endpoint, stream: str) -> Proposal:
-    """As far as it can be identified: one that serves another client, or is silent, is also proposed."""
+    """Propose a controller as far as it can be identified, even if it is silent or serves another client."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
     what, variant, absent = "a controller", None, ""
     try:

@@ -1,4 +1,4 @@
-"""Readings of the arm: from the stream while it runs, otherwise from the controller's EKI state."""
+"""Readings and readiness of the arm, from the stream and from the controller's EKI state."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at
 
 
 class ArmReadings:
-    """Numbers the readings of one arm, and keeps the latest for observers."""
+    """Numbered readings of one arm; keeps the latest for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections
@@ -34,22 +34,22 @@ class ArmReadings:
         self._newest: ArmReading | None = None
 
     def stamp(self, device_clock: int = 0) -> Stamp:
-        """The stamp of the next reading."""
+        """Return the stamp of the next reading."""
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
 
-    def of_stream(self, state: LinkState) -> ArmReading:
-        """Axes of the last telegram."""
+    def from_stream(self, state: LinkState) -> ArmReading:
+        """Make a reading of the last telegram's axes."""
         self._newest = self._streamed(state, self.stamp(state.IPOC))
         return self._newest
 
-    def of_controller(self, state: ControllerState) -> ArmReading:
-        """Axes of a requested `State`."""
+    def from_controller(self, state: ControllerState) -> ArmReading:
+        """Make a reading of the axes in a requested `State`."""
         self._newest = self._reported(state, self.stamp())
         return self._newest
 
     def newest(self, *, streaming: bool) -> ArmReading | None:
-        """The latest, requested or unsolicited; never raises, in any thread."""
+        """Return the latest reading, requested or unsolicited; never raises, in any thread."""
         eki, link = self._connections.open_eki, self._connections.open_link
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
@@ -79,13 +79,13 @@ class ArmReadings:
         )
 
 
-def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:
-    """Settings made by a person and reported by the controller unsolicited; empty before its first report."""
-    return () if state is None else tuple(_standing(state))
+def standing_facts(state: ControllerState | None) -> Iterator[Fact]:
+    """List what a person has set and the controller reports unsolicited; nothing before its first report.
 
-
-def _standing(state: ControllerState) -> Iterator[Fact]:
-    """Drives that are off are no objection: `activate` switches them on."""
+    Drives that are off are no objection: `activate` switches them on.
+    """
+    if state is None:
+        return
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
@@ -102,7 +102,7 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
 
 
 def _brakes(state: ControllerState) -> Fact:
-    """With drives on they may be closed: after a long standstill the controller closes them by itself."""
+    """State the brakes. With drives on they may be closed: the controller closes them after a while."""
     if state.open_brakes is None:
         said = "normally released while the drives are on" if state.drives else "the drives are off"
         return Fact("brakes", f"not reported; {said}")
@@ -125,9 +125,9 @@ def _message(number: int) -> str:
     )
 
 
-def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
-    """Everything that `activate` checks."""
-    yield from _standing(state)
+def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
+    """List everything that `activate` checks."""
+    yield from standing_facts(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
         "A message ended it: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT

@@ -1,6 +1,6 @@
-"""A camera's own description of its features: fetched from the camera, read as strict XML.
+"""A camera's own description of its features: fetched, read as strict XML, its registers decoded.
 
-Only the form is checked here; `feature_map` interprets the nodes.
+`feature_map` interprets the nodes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _FLOATS = {4: "f", 8: "d"}
 
 @dataclass(frozen=True)
 class Field:
-    """One child of a node: tag, text, attributes."""
+    """Child of a node: tag, text, attributes."""
 
     tag: str
     text: str
@@ -41,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Node:
-    """One named node: its kind (the tag, such as IntReg) and its fields in order."""
+    """Named node: its kind (the tag, such as IntReg) and its fields in order."""
 
     kind: str
     name: str
@@ -50,16 +50,16 @@ class Node:
     conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
 
     def text(self, tag: str) -> str | None:
-        """Text of the first field with that tag, or None."""
+        """Return the text of the first field with that tag, or None."""
         return next((each.text for each in self.fields if each.tag == tag), None)
 
     def all(self, tag: str) -> Iterator[Field]:
-        """Every field with that tag."""
+        """Return every field with that tag."""
         return (each for each in self.fields if each.tag == tag)
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
-    """The description file as XML, from the first address on the camera itself.
+    """Fetch the description as XML from the first address on the camera itself.
 
     Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
     """
@@ -69,12 +69,12 @@ def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
         if url.lower().startswith(gev.URL_LOCAL.lower()):
             name, address, length = parse_url(url)
             data = control.read_memory(address, length, deadline_s)
-            return unpacked(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
+            return unzip_description(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
     raise BadDescription(f"{control.address} has no description on board", got=url or "an empty address")
 
 
 def parse_url(url: str) -> tuple[str, int, int]:
-    """Name, address and length of `Local:name;address;length`; raises GEV-009."""
+    """Parse `Local:name;address;length` into name, address and length; raises GEV-009."""
     try:
         name, address, length = url[len(gev.URL_LOCAL) :].split("?", 1)[0].split(";")
         place = int(address, 16), int(length, 16)
@@ -87,8 +87,8 @@ def parse_url(url: str) -> tuple[str, int, int]:
     return name.lstrip("/"), *place
 
 
-def unpacked(data: bytes) -> bytes:
-    """The single member of a ZIP file; raises GEV-009."""
+def unzip_description(data: bytes) -> bytes:
+    """Return the single member of a ZIP file; raises GEV-009."""
     try:
         return unzip(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -96,7 +96,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
-    """All named nodes by name; raises GEV-009 for malformed XML or a document type."""
+    """Parse all named nodes, by name; raises GEV-009 for malformed XML or a document type."""
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -107,7 +107,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
 
 
 def _nodes(group: ElementTree.Element) -> Iterator[Node]:
-    """Named elements, including those inside groups, and the entries of shared registers."""
+    """Yield named elements, including those inside groups, and the entries of shared registers."""
     for element in group:
         kind = _local(element.tag)
         if kind == "Group":
@@ -119,7 +119,7 @@ def _nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """The named parts of one register; a part inherits what it does not state itself."""
+    """Yield the named parts of one register; a part inherits what it does not state itself."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
@@ -153,7 +153,7 @@ def _field(element: ElementTree.Element) -> Field:
 
 
 def whole_number(text: str | None, what: str) -> int:
-    """An integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
+    """Parse an integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
     try:
         number = int((text or "").strip(), 0)
     except ValueError as error:
@@ -164,7 +164,7 @@ def whole_number(text: str | None, what: str) -> int:
 
 
 def real_number(text: str, what: str) -> float:
-    """A finite number; raises GEV-009."""
+    """Parse a finite number; raises GEV-009."""
     try:
         number = float(text)
     except ValueError as error:
@@ -179,7 +179,7 @@ def _local(tag: str) -> str:
 
 
 def register_length(node: Node) -> int:
-    """Length of a register in bytes; raises GEV-009."""
+    """Return the length of a register in bytes; raises GEV-009."""
     length = whole_number(node.text("Length"), f"length of {node.name}")
     if length not in (_FLOATS if node.kind == "FloatReg" else (1, 2, 4, 8)):
         raise BadDescription(f"{node.name} has a length of {length} bytes")
@@ -187,13 +187,13 @@ def register_length(node: Node) -> int:
 
 
 def shares_register(node: Node) -> bool:
-    """Whether a node uses only some bits of its register, so that writing must preserve the others."""
+    """Test whether a node uses only some bits of its register: writing must preserve the others."""
     length = register_length(node)
     return register_bits(node, length)[1] < 8 * length
 
 
 def decode_register(node: Node, data: bytes) -> Number:
-    """The value in the bytes of a register."""
+    """Decode the value in the bytes of a register."""
     if node.kind == "FloatReg":
         number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
         if not math.isfinite(number):
@@ -205,7 +205,7 @@ def decode_register(node: Node, data: bytes) -> Number:
 
 
 def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
-    """The bytes that set a register to a value; `current`: its present bytes, for the bits to preserve."""
+    """Encode a value for a register; `current` holds its present bytes, for the bits to preserve."""
     length = register_length(node)
     if node.kind == "FloatReg":
         try:
@@ -227,7 +227,7 @@ def _is_signed(node: Node) -> bool:
 
 
 def register_bits(node: Node, length: int) -> tuple[int, int]:
-    """Lowest bit and number of bits of a register's value.
+    """Return the lowest bit and the number of bits of a register's value.
 
     In a big-endian register the description counts bits from the most significant one.
     """

@@ -8,7 +8,6 @@ whose conditions are false counts as absent. Nothing is cached, since a camera m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
@@ -38,44 +37,53 @@ _CONVERTERS = {"Converter", "IntConverter"}
 _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 
-class Memory(Protocol):
-    """The memory that a description's registers are in."""
-
-    def read(self, address: int, count: int) -> bytes:
-        """`count` bytes, a multiple of 4."""
-        ...
-
-    def write(self, address: int, data: bytes) -> None:
-        """A multiple of 4 bytes."""
-        ...
-
-
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest value and step; None if the description gives none."""
+    """Smallest and largest value and step; None where the description gives none."""
 
     minimum: Number | None
     maximum: Number | None
     step: Number | None
 
 
-class FeatureMap:
-    """The features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
+class RegisterMemory:
+    """Memory addressed by the description, through the control channel until `deadline_s`."""
 
-    def __init__(self, nodes: dict[str, Node], memory: Memory) -> None:
+    def __init__(self, control: ControlChannel) -> None:
+        self._control = control
+        self.deadline_s = 0.0
+
+    def read(self, address: int, count: int) -> bytes:
+        """Read `count` bytes, a multiple of 4; raises GEV-006, GEV-007, GEV-008."""
+        if count == REGISTER_BYTES:
+            return self._control.read_register(address, self.deadline_s).to_bytes(REGISTER_BYTES, "big")
+        return self._control.read_memory(address, count, self.deadline_s)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write a multiple of 4 bytes; raises GEV-006, GEV-007."""
+        if len(data) == REGISTER_BYTES:
+            self._control.write_register(address, int.from_bytes(data, "big"), self.deadline_s)
+        else:
+            self._control.write_memory(address, data, self.deadline_s)
+
+
+class FeatureMap:
+    """Features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
+
+    def __init__(self, nodes: dict[str, Node], memory: RegisterMemory) -> None:
         self._nodes = nodes
         self._memory = memory
         self._held: dict[str, Number] = {}  # nodes with their own value and no register
-        self._left = COST_LIMIT
+        self._budget = COST_LIMIT
 
     def has(self, name: str) -> bool:
-        """Whether the camera has this feature and it is available now."""
-        self._left = COST_LIMIT
+        """Test whether the camera has this feature and it is available now."""
+        self._budget = COST_LIMIT
         return name in self._nodes and self._usable(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Names and values of an enumeration's currently available entries."""
-        self._left = COST_LIMIT
+        """Return names and values of an enumeration's currently available entries."""
+        self._budget = COST_LIMIT
         node = self._node(name)
         return {
             entry: value
@@ -84,16 +92,16 @@ class FeatureMap:
         }
 
     def number(self, name: str) -> Number:
-        """Current value of a feature."""
-        self._left = COST_LIMIT
+        """Read a feature."""
+        self._budget = COST_LIMIT
         return self._read(name, 0)
 
     def whole(self, name: str) -> int:
-        """Current value of an integer feature."""
+        """Read an integer feature."""
         return int(self.number(name))
 
     def choice(self, name: str) -> str:
-        """Current entry of an enumeration, by name."""
+        """Read an enumeration; return the name of its entry."""
         value = self.whole(name)
         for entry, number in self._node(name).entries.items():
             if number == value:
@@ -102,7 +110,7 @@ class FeatureMap:
 
     def set_number(self, name: str, value: Number) -> None:
         """Set a feature; the camera checks the value."""
-        self._left = COST_LIMIT
+        self._budget = COST_LIMIT
         self._write(name, value, 0)
 
     def choose(self, name: str, entry: str) -> None:
@@ -117,8 +125,8 @@ class FeatureMap:
         self._memory.write(*self.command_write(name))
 
     def command_write(self, name: str) -> tuple[int, bytes]:
-        """Address and bytes that execute a command."""
-        self._left = COST_LIMIT
+        """Return the address and bytes that execute a command."""
+        self._budget = COST_LIMIT
         node = self._node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
@@ -128,8 +136,8 @@ class FeatureMap:
         return self._address(register, 0), self._encoded(register, 1 if value is None else value)
 
     def limits(self, name: str) -> Limits:
-        """The values that a feature may have now: its own limits, within those of the nodes below it."""
-        self._left = COST_LIMIT
+        """Return a feature's present limits: its own, within those of the nodes below it."""
+        self._budget = COST_LIMIT
         node: Node | None = self._node(name)
         found: list[Number | None] = [None, None, None]
         depth = 0
@@ -190,8 +198,8 @@ class FeatureMap:
         return node
 
     def _spend(self, cost: int, name: str) -> None:
-        self._left -= cost
-        if self._left < 0:
+        self._budget -= cost
+        if self._budget < 0:
             raise BadDescription(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
 
     def _final_register(self, name: str, depth: int) -> Node:
@@ -201,7 +209,7 @@ class FeatureMap:
         return self._final_register(self._below(node, depth) or "", depth + 1)
 
     def _usable(self, name: str, depth: int) -> bool:
-        """Whether a node's conditions hold, and those of the node with its value."""
+        """Test a node's conditions, and those of the node with its value."""
         node = self._checked(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
@@ -210,7 +218,7 @@ class FeatureMap:
         return below is None or self._usable(below, depth + 1)
 
     def _below(self, node: Node, depth: int) -> str | None:
-        """The node with a node's value; if there are several, the one selected by the index."""
+        """Return the node with a node's value, selected by the index if there are several."""
         chooser = None if node.kind in _REGISTERS else node.text("pIndex")
         if chooser is None:
             return node.text("pValue")
@@ -221,7 +229,7 @@ class FeatureMap:
         return node.text("pValueDefault")
 
     def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
-        """The number in a field, or that of the node named by its twin `p...`; None without either."""
+        """Return the number in a field, or in the node named by its twin `p...`; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
             read = real_number if node.kind == "Float" else whole_number
@@ -229,7 +237,7 @@ class FeatureMap:
         return None if other is None else self._read(other, depth + 1)
 
     def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
-        """The value of a node's formula, given its variables, constants and expressions."""
+        """Evaluate a node's formula with its variables, constants and expressions."""
         values = dict(given)
         for field in node.fields:
             name = field.attributes.get("Name", "")
@@ -280,24 +288,3 @@ class FeatureMap:
         if shares_register(node):
             current = self._memory.read(self._address(node, 0), length)
         return encode_register(node, value, current)
-
-
-class RegisterMemory:
-    """Reads and writes through the control channel until `deadline_s`, which each operation sets."""
-
-    def __init__(self, control: ControlChannel) -> None:
-        self._control = control
-        self.deadline_s = 0.0
-
-    def read(self, address: int, count: int) -> bytes:
-        """`count` bytes, a multiple of 4; raises GEV-006, GEV-007, GEV-008."""
-        if count == REGISTER_BYTES:
-            return self._control.read_register(address, self.deadline_s).to_bytes(REGISTER_BYTES, "big")
-        return self._control.read_memory(address, count, self.deadline_s)
-
-    def write(self, address: int, data: bytes) -> None:
-        """A multiple of 4 bytes; raises GEV-006, GEV-007."""
-        if len(data) == REGISTER_BYTES:
-            self._control.write_register(address, int.from_bytes(data, "big"), self.deadline_s)
-        else:
-            self._control.write_memory(address, data, self.deadline_s)

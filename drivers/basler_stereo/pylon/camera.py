@@ -1,4 +1,4 @@
-"""One real camera through the vendor's library pypylon, which is an optional extra."""
+"""Camera through the vendor's library pypylon, an optional extra."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ig
 
 
 def load_pylon() -> tuple[Any, Any]:
-    """The library's modules `pylon` and `genicam`; raises GEV-018."""
+    """Load the library's modules `pylon` and `genicam`; raises GEV-018."""
     try:
         with warnings.catch_warnings():
             # the binding warns about its own types; with warnings as errors that crashes the interpreter
@@ -47,7 +47,7 @@ def load_pylon() -> tuple[Any, Any]:
 
 @dataclass(frozen=True)
 class PylonFrame:
-    """One image from the library; `pixels` is our own copy, None if the image is incomplete."""
+    """Image from the library; `pixels` is our own copy, None if the image is incomplete."""
 
     block_id: int
     ticks: int
@@ -55,7 +55,7 @@ class PylonFrame:
 
 
 class PylonCamera:
-    """Found by address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
+    """Camera found by address, or by serial number if emulated. Deadlines are host monotonic time."""
 
     def __init__(
         self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
@@ -115,7 +115,7 @@ class PylonCamera:
 
     @property
     def features(self) -> PylonFeatures:
-        """The features; only while controlled."""
+        """Features; only while controlled."""
         return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
 
     def set_area(self, area: AreaOfInterest) -> None:
@@ -124,7 +124,7 @@ class PylonCamera:
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
-        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
+        """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def start(self) -> None:
@@ -145,7 +145,7 @@ class PylonCamera:
             raise self._lost(error) from error
 
     def take(self, deadline_s: float) -> PylonFrame | None:
-        """The next frame, or None if none arrived by the deadline. Raises GEV-014."""
+        """Return the next frame, or None if none arrived by the deadline. Raises GEV-014."""
         left_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
         try:
             result = self._camera.RetrieveResult(round(left_s * 1e3), self._pylon.TimeoutHandling_Return)
@@ -155,12 +155,14 @@ class PylonCamera:
             raise CameraLost(f"the {self.side} camera was removed")
         if not result.IsValid():
             return None
-        with contextlib.closing(_Released(result)):
+        try:
             pixels = None
             if result.GrabSucceeded():
                 pixels = np.array(result.GetArray())
                 pixels.flags.writeable = False
             return PylonFrame(result.BlockID, result.TimeStamp, pixels)
+        finally:
+            result.Release()  # returns the buffer to the library
 
     def close(self) -> None:
         """Release control and close; never raises."""
@@ -175,43 +177,33 @@ class PylonCamera:
         return CameraLost(f"the {self.side} camera no longer replies", got=str(error).splitlines()[0])
 
 
-@dataclass(frozen=True)
-class _Released:
-    """Returns a grab result's buffer to the library."""
-
-    result: Any
-
-    def close(self) -> None:
-        self.result.Release()
-
-
 class PylonFeatures:
-    """Wraps the node map of an open camera. Unknown names and values raise GEV-010."""
+    """Features of an open camera through its node map. Unknown names and values raise GEV-010."""
 
     def __init__(self, nodes: Any, genicam: Any) -> None:
         self._nodes = nodes
         self._genicam = genicam
 
     def has(self, name: str) -> bool:
-        """Whether the camera has this feature and it is available now."""
+        """Test whether the camera has this feature and it is available now."""
         node = self._nodes.GetNode(name)
         return node is not None and bool(self._genicam.IsAvailable(node))
 
     def number(self, name: str) -> Number:
-        """Value of a feature."""
+        """Read a feature."""
         value: Number = self._node(name).GetValue()
         return value
 
     def whole(self, name: str) -> int:
-        """Value of an integer feature."""
+        """Read an integer feature."""
         return int(self._node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
-        """Names of an enumeration's currently available entries."""
+        """Return the names of an enumeration's currently available entries."""
         return tuple(self._node(name).Symbolics)
 
     def limits(self, name: str) -> Limits:
-        """The values that a feature may have now."""
+        """Return a feature's present limits."""
         node = self._node(name)
         step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
         return Limits(node.GetMin(), node.GetMax(), step)

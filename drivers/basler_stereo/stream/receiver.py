@@ -1,4 +1,4 @@
-"""The driver's side of the receiver process: starts it, gives it orders, fetches frames."""
+"""Driver's end of a stream: its socket, the packet size that arrives, and the receiver process."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from ronna_hw.wire.gige_vision import Bootstrap
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
-LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a hopeless wait is noticed
+LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a lost camera is noticed
 SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
 # largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
 CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
@@ -44,7 +44,7 @@ PROBES = 2  # per size: one may be lost by chance
 
 
 class ReceiverProcess:
-    """One process for the streams of all cameras; it ends when `close` is called or its parent dies."""
+    """Process for the streams of all cameras; it ends when `close` is called or its parent dies."""
 
     def __init__(self) -> None:
         self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -84,7 +84,7 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send keep-alives to a camera; returns the number for ending them. Raises GEV-017."""
+        """Send keep-alives to a camera; return the number for ending them. Raises GEV-017."""
         number = next(self._numbers)
         self.tell(KeepAlive(number, period_s), control.fileno())
         return number
@@ -95,7 +95,7 @@ class ReceiverProcess:
             self.tell(EndKeepAlive(number))
 
     def ended(self, got: OSError | None = None) -> ReceiverEnded:
-        """The error for a process that no longer answers, with how it ended."""
+        """Return the error for a process that no longer answers, with how it ended."""
         try:
             how = describe_exit(self._process.wait(LOOK_UP_S))  # its end follows that of its channels
         except subprocess.TimeoutExpired:
@@ -112,7 +112,7 @@ class ReceiverProcess:
             self._process.wait()
 
     def tell(self, order: Order, *descriptors: int) -> None:
-        """Send it an order. Raises GEV-017."""
+        """Send an order. Raises GEV-017."""
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
@@ -120,7 +120,7 @@ class ReceiverProcess:
 
 
 class StreamReceiver:
-    """The frames of one stream, fetched from shared memory in the order of their completion."""
+    """Frames of one stream, fetched from shared memory in the order of their completion."""
 
     def __init__(
         self, process: ReceiverProcess, number: int, slots: FrameSlots, notes: socket.socket
@@ -137,18 +137,18 @@ class StreamReceiver:
 
     @property
     def begun(self) -> bool:
-        """Whether any image packet has arrived since the stream was opened."""
+        """True once an image packet has arrived since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
-        """A block was triggered; request it if it has not begun after `patience_s`."""
+        """Expect a triggered block; it is requested if it has not begun after `patience_s`."""
         self._process.tell(ExpectBlock(self._number, block_id, patience_s))
 
-    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
-        """The oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
+    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
+        """Return the oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
 
-        Also None as soon as `hopeless()`. Raises GEV-017.
+        Also None as soon as `give_up()`. Raises GEV-017.
         """
         while True:
             left_s = deadline_s - time.monotonic()
@@ -157,7 +157,7 @@ class StreamReceiver:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:
                     return frame
-            elif left_s <= 0 or hopeless():
+            elif left_s <= 0 or give_up():
                 return None
 
     def discard(self) -> None:
@@ -182,7 +182,7 @@ class StreamReceiver:
 
 
 def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
-    """A socket for the stream on a free port of the host's address."""
+    """Open a socket for the stream on a free port of the host's address."""
     stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     # The kernel caps the size at net.core.rmem_max, except for the superuser; packets that do not fit are
     # lost and requested again.
@@ -194,7 +194,7 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
 
 
 def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
-    """Whether a datagram of this packet size arrives from the sender within the limit; others are dropped."""
+    """Wait for a datagram of this packet size from the sender; others are dropped."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even if the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
@@ -207,7 +207,7 @@ def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s
 def choose_packet_bytes(
     control: ControlChannel, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
 ) -> tuple[int, bool]:
-    """The packet size to use, and whether a test packet proved it; sets it in the camera.
+    """Find the packet size and set it in the camera; True if a test packet proved it.
 
     Uses the largest candidate that arrives, or checks the wanted size. For a device that sends
     no test packets, the wanted or the default size is used. Raises GEV-012 when only sizes below
@@ -248,6 +248,6 @@ def _size_arrives(control: ControlChannel, stream: socket.socket, size: int, dea
 
 
 def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
-    """Set the size and return what the camera accepted."""
+    """Set the size; return what the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

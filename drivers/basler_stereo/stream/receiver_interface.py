@@ -1,4 +1,10 @@
-"""Orders from the driver to its receiver process: one per datagram, with the file descriptors it needs."""
+"""Interface between the driver and its receiver process: orders one way, frames in shared memory the other.
+
+An order is one datagram with the file descriptors it needs. The memory is anonymous and passed by file
+descriptor, so nothing is left behind whichever process dies. Frames rotate through a few slots. Each slot has
+a use count, which a reader compares before and after copying to detect a frame overwritten in between.
+Neither side ever waits for the other.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +31,7 @@ _DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
 
 @dataclass(frozen=True)
 class OpenStream:
-    """Receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
+    """Order to receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
 
     stream: int
     payload_bytes: int
@@ -35,14 +41,14 @@ class OpenStream:
 
 @dataclass(frozen=True)
 class CloseStream:
-    """Stop receiving a stream."""
+    """Order to stop receiving a stream."""
 
     stream: int
 
 
 @dataclass(frozen=True)
 class ExpectBlock:
-    """A block was triggered; request it if it has not begun after `patience_s`."""
+    """Order to request a triggered block if it has not begun after `patience_s`."""
 
     stream: int
     block_id: int
@@ -51,7 +57,7 @@ class ExpectBlock:
 
 @dataclass(frozen=True)
 class KeepAlive:
-    """Send keep-alives to a camera. Descriptor: the control socket."""
+    """Order to send keep-alives to a camera. Descriptor: the control socket."""
 
     camera: int
     period_s: float
@@ -59,7 +65,7 @@ class KeepAlive:
 
 @dataclass(frozen=True)
 class EndKeepAlive:
-    """Stop sending them."""
+    """Order to stop keep-alives."""
 
     camera: int
 
@@ -73,13 +79,13 @@ _KINDS: dict[str, type[Order]] = {
 
 
 def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
-    """Raises OSError when the process is gone."""
+    """Send an order; raises OSError when the process is gone."""
     text = json.dumps({"order": type(order).__name__, **asdict(order)}).encode()
     socket.send_fds(channel, [text], list(descriptors))
 
 
 def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
-    """The next order and its descriptors; None when the driver is gone."""
+    """Receive the next order and its descriptors; None when the driver is gone."""
     text, descriptors, _, _ = socket.recv_fds(channel, LONGEST_ORDER_BYTES, MOST_DESCRIPTORS)
     if not text:
         return None
@@ -97,7 +103,7 @@ def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
 
 
 class _FrameNote(NamedTuple):
-    """What a reader needs to fetch a finished frame."""
+    """Note about a finished frame, for fetching it."""
 
     slot: Annotated[int, "I"]
     use_count: Annotated[int, "Q"]
@@ -113,7 +119,7 @@ NOTE_BYTES = _NOTE.size_bytes
 
 
 class FrameSlots:
-    """Either side's view of one stream's memory."""
+    """View of one stream's memory, for either side."""
 
     def __init__(self, fd: int, payload_bytes: int) -> None:
         self._payload_bytes = payload_bytes
@@ -125,13 +131,13 @@ class FrameSlots:
 
     @staticmethod
     def allocate(payload_bytes: int) -> int:
-        """Descriptor of fresh memory for frames of that size."""
+        """Allocate memory for frames of that size; return its descriptor."""
         fd = os.memfd_create("basler_stereo")
         os.ftruncate(fd, _size(payload_bytes))
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
-        """The least recently written slot, to be overwritten: its number and memory."""
+        """Claim the least recently written slot for overwriting: its number and memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
         self._use_counts[slot] = self._claimed
@@ -139,7 +145,7 @@ class FrameSlots:
         return slot, self._view[begin : begin + self._payload_bytes]
 
     def note(self, frame: Frame) -> bytes:
-        """A finished frame's note for the reader."""
+        """Write the note about a finished frame."""
         return _NOTE.pack(
             _FrameNote(
                 frame.slot,
@@ -151,7 +157,7 @@ class FrameSlots:
         )
 
     def fetch(self, note: bytes) -> Frame | None:
-        """A copy of the frame, or None if newer ones have overwritten it."""
+        """Return a copy of the frame, or None if newer ones have overwritten it."""
         slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
         if self._use_counts[slot] != use_count:
             return None
@@ -167,7 +173,7 @@ class FrameSlots:
             self._counters[index] = count
 
     def counters(self) -> StreamCounters:
-        """The counters published by the other side."""
+        """Read the counters published by the other side."""
         return StreamCounters(*self._counters)
 
 

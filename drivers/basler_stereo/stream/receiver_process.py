@@ -1,8 +1,8 @@
-"""The receiver process: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
+"""Receiver process of both streams: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
 
-Started only by the driver. It receives both cameras' streams, so that a stalled driver loses no packets. The
-channel FD carries orders; when it closes, the driver is gone. It never sees Ctrl-C: the driver started it in
-a session of its own with SIGINT blocked.
+The driver starts it, so that a stalled driver loses no packets. The channel FD carries orders; when it
+closes, the driver is gone. Ctrl-C never reaches it: the driver starts it in a session of its own with
+SIGINT blocked.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 class _Stream:
-    """One camera's stream: socket, assembler, memory, and the channel on which frames are announced."""
+    """Stream of one camera: socket, assembler, memory, and the channel on which frames are announced."""
 
     def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
         stream, control, memory, notes = descriptors
@@ -65,7 +65,7 @@ class _Stream:
 
     @property
     def gathers(self) -> bool:
-        """Whether packets may wait in the socket for a moment."""
+        """True if packets may wait in the socket for a moment."""
         return self._may_gather and self._assembler.waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
@@ -112,7 +112,7 @@ class _Stream:
 
 
 class _KeepAlive:
-    """Keep-alives for one camera.
+    """Keep-alives to one camera.
 
     They request no acknowledge: the driver's own heartbeat checks who is in control. They continue while the
     driver is busy or gets no CPU time.
@@ -140,7 +140,7 @@ class _KeepAlive:
 
 
 class ReceiverLoop:
-    """One thread for everything; waits only for packets and orders."""
+    """Loop of the process; waits only for packets and orders."""
 
     def __init__(self, orders: socket.socket) -> None:
         self._orders = orders
@@ -212,7 +212,7 @@ class ReceiverLoop:
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until the driver is gone; returns 2 if not started by it."""
+    """Serve until the driver is gone; return 2 if not started by it."""
     try:
         orders = socket.socket(fileno=int(arguments[0]))
     except (IndexError, ValueError, OSError) as error:

@@ -1,7 +1,7 @@
-"""The EKI channel: commands with answers, and the controller's state, which is also sent unsolicited.
+"""Client of the EKI channel: commands with answers, and the controller's state, also sent unsolicited.
 
-A thread reads everything the controller sends, since it also sends unsolicited telegrams and closes the
-connection if they are not read.
+A thread reads everything the controller sends, since it closes the connection if unsolicited telegrams are
+not read.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ACKS_KEPT = 64
 ASK_AGAIN_S = 0.2  # two periods of the unsolicited state
 QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
 T = TypeVar("T")
-NOT_TAKEN_UP = (
+NOT_SERVED = (
     "A controller serves one program at a time: another run or another computer has the arm. Stop that "
     f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
 )
@@ -48,30 +48,30 @@ _TIMEVAL = struct.Struct("ll")
 
 
 class Ack(NamedTuple):
-    """The controller's answer to a command."""
+    """Controller's answer to a command."""
 
     code: AckCode
     text: str
 
 
 class Listener(Protocol):
-    """Called from the reader's thread: be quick."""
+    """Listener to an EKI connection, called from the reader's thread: be quick."""
 
     def controller_said(self, state: ControllerState) -> None:
-        """A state arrived, requested or unsolicited."""
+        """Handle a state, requested or unsolicited."""
         ...
 
     def controller_quiet(self) -> None:
-        """Nothing was received for `QUIET_S`; called repeatedly."""
+        """Handle a silence of `QUIET_S`; called repeatedly."""
         ...
 
     def controller_lost(self, failure: RonnaError) -> None:
-        """The connection broke; not called for one closed by us."""
+        """Handle a broken connection; not called for one closed by us."""
         ...
 
 
 class EkiClient:
-    """One connection. Calls may come from any thread."""
+    """EKI connection. Calls may come from any thread."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class EkiClient:
 
     @property
     def latest(self) -> ControllerState | None:
-        """The last state the controller sent, requested or unsolicited."""
+        """The last state sent by the controller, requested or unsolicited."""
         return self._latest
 
     @property
@@ -119,7 +119,7 @@ class EkiClient:
 
     @property
     def failure(self) -> RonnaError | None:
-        """Why the connection is broken, if it is."""
+        """Error that broke the connection, if any."""
         return self._failure
 
     def listen(self, listener: Listener) -> None:
@@ -136,15 +136,15 @@ class EkiClient:
         return state
 
     def ask(self) -> int:
-        """Request the state without waiting for it; returns the request's number. Raises EKI-002."""
+        """Request the state without waiting for it; return the request's number. Raises EKI-002."""
         return self._send(CommandName.STATUS, {})
 
     def reply(self, number: int) -> ControllerState | None:
-        """The state sent in reply to a request, None before it has come."""
+        """Return the state sent in reply to a request; None before it has come."""
         return self._states.get(number)
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
-        """The same, None after the time limit. Raises EKI-002 or EKI-004 on a broken link."""
+        """Wait for the reply to a request; None after the time limit. Raises EKI-002 or EKI-004."""
         return self._await(lambda: self._states.get(number), timeout_s)
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
@@ -156,7 +156,7 @@ class EkiClient:
         return ack
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
-        """As `command`; raises EKI-008 unless the answer is OK."""
+        """Send a command like `command`; raises EKI-008 unless the answer is OK."""
         ack = self.command(name, timeout_s, **values)
         if ack.code is not AckCode.OK:
             raise CommandRefused(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
@@ -164,7 +164,7 @@ class EkiClient:
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """The first state that meets the condition, or None after the time limit.
+        """Wait for a state that meets the condition; None after the time limit.
 
         States arrive unsolicited; one is nevertheless requested now and then.
         """
@@ -236,13 +236,13 @@ class EkiClient:
             self._listener.controller_lost(failure)
 
     def _lost(self, how: str) -> ControllerLost:
-        """The error for a broken connection; one that never delivered a state was never really open."""
+        """Return the error for a broken connection; without any state it was never really open."""
         if self._latest is None:
-            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_TAKEN_UP)
+            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
     def _next(self) -> bytes:
-        """The next bytes from the controller; empty when it has closed the connection."""
+        """Receive the next bytes; empty when the controller has closed the connection."""
         while True:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
@@ -280,15 +280,18 @@ def _keep(store: dict[int, T], number: int, value: T) -> None:
 
 
 class ControllerCommands:
-    """`arm.controller`. Each call raises EKI-003 without an answer and EKI-008 when refused."""
+    """Commands of `arm.controller`: tool, base and override, neither motion nor the RSI stream.
+
+    Each raises EKI-003 without an answer and EKI-008 when refused.
+    """
 
     def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
-        """`eki` returns the open connection; it raises EKI-001 if there is none."""
+        """Take `eki`, which returns the open connection or raises EKI-001."""
         self._guard = guard
         self._eki = eki
 
     def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
-        """The controller's present state."""
+        """Request the controller's present state."""
         self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
         return self._eki().status(timeout_s)
 
@@ -311,7 +314,7 @@ class ControllerCommands:
         self._give(CommandName.SET_BASE, timeout_s, No=number, **_frame(base_in_world))
 
     def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Program override, 1..100; does not scale RSI corrections."""
+        """Set the program override, 1..100; it does not scale RSI corrections."""
         self._give(CommandName.SET_OV, timeout_s, Val=percent)
 
     def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:

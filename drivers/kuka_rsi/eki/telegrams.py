@@ -1,7 +1,8 @@
-"""Splits a byte stream into telegrams: EKI has no framing, a telegram ends with its root element.
+"""Telegrams of the EKI channel: split from the byte stream, and the controller's `State` read from them.
 
-A truncated telegram is detected by the first bytes of the next one. Otherwise the next would count as part of
-it, and the controller would go unheard until the longest telegram is full.
+EKI has no framing: a telegram ends with its root element. A truncated one is detected by the first bytes of
+the next, which would otherwise count as part of it, and the controller would go unheard until the longest
+telegram is full.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ _NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
-    """Feed it received bytes; it yields the complete root elements.
+    """Splitter of received bytes into complete root elements.
 
     Padding and anything else before a root is skipped. A document type declaration is refused.
     """
@@ -49,7 +50,7 @@ class TelegramScanner:
         self._depth = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Complete telegrams, in order. Raises EKI-004 if one is truncated, grows too long or is not XML."""
+        """Yield complete telegrams, in order; raises EKI-004 if one is truncated, too long or not XML."""
         self._buffer += data
         while (tag := self._next_tag()) is not None:
             start, end = tag
@@ -63,7 +64,7 @@ class TelegramScanner:
                     continue  # the end of something whose beginning was lost
                 self._begin, self._depth = start, 0
             elif _name(inner) in ROOTS:
-                self._break_off()
+                self._refuse_truncated()
             if inner[:1] == b"/":
                 self._depth -= 1
             elif inner[-1:] != b"/":
@@ -78,7 +79,7 @@ class TelegramScanner:
             )
 
     def _next_tag(self) -> tuple[int, int] | None:
-        """Positions of the next "<" and its ">", respecting quotes; None until both have arrived."""
+        """Find the next "<" and its ">", respecting quotes; None until both have arrived."""
         buffer = self._buffer
         start = buffer.find(b"<", self._place)
         if start < 0:
@@ -93,7 +94,7 @@ class TelegramScanner:
         for mark in _MARK.finditer(buffer, start + 1):
             found = mark[0]
             if found == b"<":
-                self._break_off()  # no tag contains one, not even in quotes
+                self._refuse_truncated()  # no tag contains one, not even in quotes
             if quote:
                 quote = b"" if found == quote else quote
             elif found != b">":
@@ -104,18 +105,18 @@ class TelegramScanner:
         self._place = start
         return None
 
-    def _break_off(self) -> NoReturn:
+    def _refuse_truncated(self) -> NoReturn:
         raise BadEkiTelegram("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
 
 
 def _name(tag: bytes) -> bytes:
-    """Name of an opening tag; empty for a closing one."""
+    """Return the name of an opening tag; empty for a closing one."""
     found = _NAME.match(tag)
     return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
-    """The root element; raises EKI-004 when the bytes are not well-formed."""
+    """Parse the root element; raises EKI-004 when the bytes are not well-formed."""
     try:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:
@@ -124,7 +125,7 @@ def parse_telegram(telegram: bytes) -> ElementTree.Element:
 
 @dataclass(frozen=True)
 class ControllerState:
-    """One `State`. The last seven are None if the controller does not report them."""
+    """Content of a `State`. The last seven are None if the controller does not report them."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -181,7 +182,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
 
 
 def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
-    """What the controller does not report; raises EKI-005 listing every reported value that differs."""
+    """Return the facts not reported; raises EKI-005 listing every reported value that differs from ours."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
         ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
@@ -207,15 +208,13 @@ def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
     """Raise EKI-007 listing everything that forbids motion; `drives`: they must already be on."""
-    unmet = what_forbids_motion(state, drives=drives, modes=modes)
+    unmet = unmet_conditions(state, drives=drives, modes=modes)
     if unmet:
         raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
 
 
-def what_forbids_motion(
-    state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]
-) -> list[str]:
-    """All of them, in words."""
+def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]) -> list[str]:
+    """List in words everything that forbids motion."""
     unmet = []
     if state.mode not in modes:
         unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
@@ -231,7 +230,7 @@ def what_forbids_motion(
 
 
 def _number(text: str) -> float:
-    """Rejects NaN, for which every comparison would be false."""
+    """Parse a number; reject NaN, for which every comparison would be false."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(f"{text!r} is not a number")

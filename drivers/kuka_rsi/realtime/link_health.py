@@ -1,9 +1,4 @@
-"""Counts losses on the real-time link: which replies took effect, and when the arm should slow down.
-
-A telegram that never arrived shows as a gap in the time stamps. A reply that was lost or late shows in the
-controller's own count in the next telegram. The controller also counts the cycles of a gap, since they were
-not answered: only a count beyond the gap means that our last reply was not accepted.
-"""
+"""Health of the link: losses, foreign senders, and histograms of turnaround and jitter."""
 
 from __future__ import annotations
 
@@ -32,7 +27,12 @@ _SCALE = 1.0 / log(RATIO)
 
 
 class Losses:
-    """Fed with every telegram's time stamp and the controller's own count of late packets."""
+    """Counts of lost telegrams and replies, and when the arm should slow down.
+
+    A telegram that never arrived shows as a gap in the time stamps. A reply that was lost or late shows in
+    the controller's own count in the next telegram. The controller also counts the cycles of a gap, since
+    they were not answered: only a count beyond the gap means that our last reply was not accepted.
+    """
 
     def __init__(self, cycle_ms: int) -> None:
         self._cycle_ms = cycle_ms
@@ -51,7 +51,7 @@ class Losses:
         self.standing = 0  # consecutive cycles, up to now, without an effective reply
 
     def count(self, ipoc: int, delay: int) -> int | None:
-        """Cycles missing before this telegram; -1 for a repeated or overtaken one, None for another run's."""
+        """Count cycles missing before this telegram; -1 if repeated or overtaken, None if another run's."""
         if self._last_ipoc is None:
             self._last_ipoc, self._last_delay, self.reported_late = ipoc, max(delay, 0), delay
             return 0
@@ -79,7 +79,7 @@ class Losses:
 
     @property
     def unusable(self) -> bool:
-        """Whether losses have been too high for too long for any motion to progress."""
+        """True when losses have been too high for too long for any motion to progress."""
         return self._bad_windows >= UNUSABLE_WINDOWS
 
     def _judge_window(self, cycles: int, losses: int) -> None:
@@ -103,25 +103,25 @@ class Losses:
             self.degraded = False
 
 
-class Strangers:
-    """Counts since a stream was opened."""
+class SenderCheck:
+    """Foreign senders since a stream was opened: counted, never answered, named if needed."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
-        """`expected_rad` are the axes as reported by the controller; None if it was not asked."""
+        """Expect the axes reported by the controller; None if it was not asked."""
         self._expected_rad = expected_rad
         self.count = 0
         self.host = ""  # of the last one
         self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
         self.sent_last = False  # someone else has, since the controller's last telegram
 
-    def met(self, host: str) -> None:
-        """A telegram from a sender other than the controller."""
+    def count_foreign(self, host: str) -> None:
+        """Count a telegram from a sender other than the controller."""
         self.count += 1
         self.host = host
         self.sent_last = True
 
-    def agrees(self, axes_deg: JointVector) -> bool:
-        """Whether a possible first telegram of the controller reports the expected axes."""
+    def matches_expected(self, axes_deg: JointVector) -> bool:
+        """Test whether a possible first telegram of the controller has the expected axes."""
         expected = self._expected_rad
         if expected is None or all(
             abs(axis - degrees(angle)) <= AXES_AGREE_DEG
@@ -133,14 +133,14 @@ class Strangers:
 
 
 def bin_of(turnaround_us: float) -> int:
-    """Number of the bin for a turnaround; the last one includes everything longer."""
+    """Return the number of the bin for a time in us of host time; the last one is open."""
     if turnaround_us < FIRST_EDGE_US:
         return 0
     return min(1 + int(log(turnaround_us / FIRST_EDGE_US) * _SCALE), HISTOGRAM_BINS - 1)
 
 
 def percentile_us(counts: Sequence[int], share: float) -> float:
-    """Turnaround that `share` (0..1) of the cycles stay below, interpolated in its bin; 0 without cycles."""
+    """Return the time that `share` (0..1) of the cycles stay below, interpolated; 0 without cycles."""
     total = sum(counts)
     if not total:
         return 0.0
@@ -153,7 +153,7 @@ def percentile_us(counts: Sequence[int], share: float) -> float:
 
 
 def link_statistics(state: LinkState, counts: Sequence[int], jitter: Sequence[int] = ()) -> LinkStatistics:
-    """The health of the link in the form of the device interface; no counts before a link was opened."""
+    """Convert to the device interface's statistics; no counts before a link was opened."""
     return LinkStatistics(
         cycles=state.cycles,
         late_cycles=state.late,

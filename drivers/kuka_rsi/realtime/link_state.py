@@ -1,4 +1,4 @@
-"""Vocabulary between the driver and its real-time process: orders, commands, states, faults, results."""
+"""Vocabulary between the driver and its real-time process: settings, orders, commands, states, results."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """One line of JSON. Tags come from the context description; the process itself reads no files."""
+    """Settings of the process, one line of JSON on its standard input; it reads no files itself."""
 
     host: str
     port: int
@@ -47,12 +47,12 @@ class LinkSettings:
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
-        """One line."""
+        """Encode as one line."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str) -> LinkSettings:
-        """The inverse; raises TypeError or ValueError if the line is not from `to_json`."""
+        """Decode; raises TypeError or ValueError if the line is not from `to_json`."""
         values = json.loads(line)
         for name in ("send_tags", "receive_tags", "axis_tags"):
             values[name] = tuple(values[name])
@@ -60,7 +60,7 @@ class LinkSettings:
 
 
 class CommandKind(IntEnum):
-    """Kind of a command in the command block."""
+    """Kind of a command."""
 
     MOVE = 1
     OPEN = 2  # answer the next telegrams; the first correction is zero
@@ -69,7 +69,7 @@ class CommandKind(IntEnum):
 
 
 class StopOrder(IntEnum):
-    """Kinds of stop, as in `ronna_hw.devices.StopKind`; the weakest first."""
+    """Kinds of stop, see `ronna_hw.devices.StopKind`; the weakest first."""
 
     HOLD = 1
     PROTECTIVE = 2
@@ -91,7 +91,7 @@ class Phase(IntEnum):
 
 
 class Fault(IntEnum):
-    """Why FAULT is latched."""
+    """Cause of a latched FAULT."""
 
     NONE = 0
     MONITOR = 1
@@ -121,7 +121,7 @@ class Result(IntEnum):
 
 
 class Choice(IntEnum):
-    """What a reply carries."""
+    """Content of a reply."""
 
     GO = 0
     STOP = 1
@@ -130,7 +130,7 @@ class Choice(IntEnum):
 
 
 class Orders(NamedTuple):
-    """The three words that the real-time process reads in every cycle."""
+    """Words that the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int
@@ -138,7 +138,7 @@ class Orders(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
+    """Command to the process; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
 
     number: int
     kind: CommandKind
@@ -215,7 +215,7 @@ NO_STATE = LinkState(
 
 
 class Record(NamedTuple):
-    """One cycle in the recorder."""
+    """Cycle in the flight recorder."""
 
     cycle: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]

@@ -1,4 +1,4 @@
-"""The set-points of one stream: prepared between telegrams, judged, and one of them sent.
+"""Set-points of one stream: prepared between telegrams, judged, and one of them sent in a reply.
 
 Generator and monitor meet only here. If the monitor rejects the path's own stop, a stop computed only from
 what was actually sent replaces it: onwards along the arm's present motion.
@@ -27,7 +27,7 @@ NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class SetPoints:
-    """Call in turn: `prepare`, then one `commit` with what was sent."""
+    """Points of the next reply: call `prepare`, then `commit` with the choice that was sent."""
 
     def __init__(
         self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
@@ -52,12 +52,12 @@ class SetPoints:
 
     @property
     def held_rad(self) -> JointVector:
-        """The controller's current point, according to its last report."""
+        """The controller's present point, according to its last report."""
         return self.monitor.held_rad
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way."""
+        """True while a motion is under way."""
         return self._motion is not None
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
@@ -110,7 +110,7 @@ class SetPoints:
             self._use_joint_stop()
 
     def commit(self, choice: Choice) -> None:
-        """Record which one was sent."""
+        """Record which point was sent."""
         if choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
@@ -130,7 +130,7 @@ class SetPoints:
             self._motion = None
 
     def abandon(self) -> None:
-        """The arm has been at rest at the last point for long: drop the motion."""
+        """Drop the motion: the arm has long been at rest at the last point."""
         if self._motion is not None:
             self.stopped_early = True
         self._motion = None
@@ -152,7 +152,7 @@ class SetPoints:
 
 
 class PreparedReply(NamedTuple):
-    """The complete reply to the next expected telegram, valid if that telegram contains nothing new."""
+    """Complete reply to the next expected telegram, valid if that contains nothing new."""
 
     delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
     stop_word: int  # no new stop
@@ -161,7 +161,7 @@ class PreparedReply(NamedTuple):
 
 
 class Replies:
-    """Corrections are relative to `begin`'s axes; a head is everything before the IPOC."""
+    """Replies of one stream; corrections are relative to the axes of `begin`, a head ends before the IPOC."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._writer = ReplyWriter(
@@ -183,14 +183,16 @@ class Replies:
             hold = self.head(points.last_rad, ending)
             self.heads = (hold, hold)
 
-    def whole(self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int) -> PreparedReply:
-        """The complete reply to the next telegram."""
+    def complete(
+        self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int
+    ) -> PreparedReply:
+        """Return the complete reply to the next telegram."""
         ipoc = str(last_ipoc + self._cycle_ms).encode()
         delay = str(reported_late).encode() if reported_late >= 0 else b""
         return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
 
     def head(self, joints_rad: JointVector, stop: bool) -> bytes:
-        """Everything before the IPOC; corrections in deg with six decimals."""
+        """Write everything before the IPOC; corrections in deg with six decimals."""
         base = self._base_deg
         a, b, c, d, e, f = joints_rad
         return self._writer.head(

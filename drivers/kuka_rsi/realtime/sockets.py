@@ -1,7 +1,8 @@
-"""The sockets of one link: an unconnected one, and during a stream one connected to its controller.
+"""Sockets of the link, and the wait for the next telegram with warm caches.
 
-A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
-reply. The kernel also records which processor received the last one.
+A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
+controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
+reply without any effect, and goes back to sleep. Not immediately before: the sender may need this processor.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """The socket that the controller sends to. No address reuse: a second listener would take telegrams."""
+    """Open the socket for the controller. No address reuse: a second listener would take telegrams."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         link.bind((host, port))
@@ -45,16 +46,20 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """Telegrams arrive on the stream's socket between `meet` and `part`."""
+    """An unconnected socket, and during a stream one connected to its controller.
+
+    A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
+    reply. The kernel also records which processor received the last one.
+    """
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
         self._line = listening  # the socket that telegrams arrive on now
         self._peer: Address | None = None  # only while the stream has its own socket
 
-    def meet(self, peer: Address) -> None:
-        """A stream with this controller begins."""
-        self.part()
+    def connect_to(self, peer: Address) -> None:
+        """Open the socket of a stream with this controller."""
+        self.disconnect()
         own: Address = self._listening.getsockname()
         if own[0] == ANY_HOST:
             return  # the controller may send to another of our addresses than the kernel would choose
@@ -74,21 +79,21 @@ class LinkSockets:
         finally:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
-    def part(self) -> None:
-        """The stream is over: a telegram may come from anywhere again."""
+    def disconnect(self) -> None:
+        """Close the socket of the stream: a telegram may come from anywhere again."""
         if self._peer is not None:
             self._line.close()
             self._line, self._peer = self._listening, None
 
     def receive(self, flags: int = 0) -> Received:
-        """The next datagram; raises OSError if none arrived for a while, or the network refused a reply."""
+        """Receive a datagram; raises OSError if none arrived for a while, or a reply was refused."""
         if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
         return received
 
     def send(self, reply: bytes, address: Address) -> None:
-        """One reply; raises OSError."""
+        """Send a reply; raises OSError."""
         if self._peer is not None:
             self._line.send(reply)
         else:
@@ -98,12 +103,12 @@ class LinkSockets:
         """Wait for a datagram; False if none arrived in time."""
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
-    def something_there(self) -> bool:
-        """Whether a datagram is waiting. Cheaper than the exception of an empty socket."""
+    def datagram_waiting(self) -> bool:
+        """Test for a datagram, more cheaply than by the exception of an empty socket."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
-    def stranger(self) -> Address | None:
-        """Sender of the next datagram that is not the stream's; None if there is none."""
+    def foreign_sender(self) -> Address | None:
+        """Take a datagram that is not the stream's; return its sender, or None."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:
@@ -113,7 +118,7 @@ class LinkSockets:
         return address
 
     def processor(self) -> int:
-        """Number of the processor that received the last telegram; -1 when unknown."""
+        """Return the number of the processor that received the last telegram; -1 when unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 
@@ -123,7 +128,7 @@ def _limit_waiting(link: socket.socket) -> None:
 
 
 class TelegramReceiver:
-    """Waits for one telegram after another."""
+    """Receiver of one telegram after another."""
 
     def __init__(
         self,
@@ -133,7 +138,7 @@ class TelegramReceiver:
         rehearse: Callable[[], None],
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
-        """`rehearse` is called `lead_ns` before a telegram is due; 0 is never."""
+        """Call `rehearse` `lead_ns` before a telegram is due; never if that is 0."""
         self._sockets = sockets
         self._lead_ns = lead_ns
         self._rehearse = rehearse
@@ -144,19 +149,19 @@ class TelegramReceiver:
         self.queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
-        """The next datagram, from any sender, or None if none arrived for a while."""
+        """Receive the next datagram, from any sender; None if none arrived for a while."""
         try:
-            self.queued = self._sockets.something_there()
+            self.queued = self._sockets.datagram_waiting()
             if self._lead_ns and not self.queued:
-                self._await_the_moment()
+                self._sleep_until_rehearsal()
             received = self._sockets.receive()
         except OSError:  # timed out, or the network reported something about an earlier reply
             return None
         self.received_ns = self._now_ns()
         return received
 
-    def paced(self) -> bool:
-        """The last datagram was a telegram of the stream, a whole cycle after the previous one.
+    def note_paced(self) -> bool:
+        """Note that the last datagram came a whole cycle after the previous one; True at a known pace.
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
@@ -164,19 +169,23 @@ class TelegramReceiver:
         self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
         return self._keeps_pace
 
-    def hurried(self) -> None:
-        """It followed as soon as the reply was out: lock-step, so there is no schedule."""
+    def note_lock_step(self) -> None:
+        """Note that it followed as soon as the reply was out: there is no schedule."""
         self._pace.forget()
         self._keeps_pace = False
 
-    def _await_the_moment(self) -> None:
+    def _sleep_until_rehearsal(self) -> None:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
         if 0.0 < pause_s < IDLE_LOOK_S and not self._sockets.sleep(pause_s):
             self._rehearse()
 
 
 class Pace:
-    """Fed with every arrival, host time in ns."""
+    """Prediction of the next telegram: the controller keeps an absolute schedule. Host time in ns.
+
+    The pace is learnt from arrivals alone. A telegram may be delayed on its way, but never arrives before it
+    was sent: an early one corrects the schedule at once, a late one only slightly.
+    """
 
     def __init__(self) -> None:
         self._place_ns = 0.0  # scheduled time of the last arrival
@@ -185,11 +194,11 @@ class Pace:
 
     @property
     def due_ns(self) -> int:
-        """When the next telegram arrives unless delayed; 0 while no schedule is known."""
+        """Arrival of the next telegram unless delayed; 0 while no schedule is known."""
         return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
 
     def arrived(self, now_ns: int) -> None:
-        """A telegram has arrived."""
+        """Add an arrival."""
         gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
         steps = round(gap_ns / interval_ns) if interval_ns else 0
         off_ns = gap_ns - steps * interval_ns
@@ -207,7 +216,7 @@ class Pace:
 
 
 class Rehearsal:
-    """A socket connected to itself on loopback; nothing leaves this machine."""
+    """Dry run of receiving and sending, on a loopback socket connected to itself."""
 
     def __init__(self) -> None:
         self._own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

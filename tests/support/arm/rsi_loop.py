@@ -85,9 +85,9 @@ class InProcessLink:
     def open(self) -> None:
         """A session as after a start of the stream, whatever was before."""
         self.give(Command(0, CommandKind.CLOSE))
-        self.loop._look_around()
+        self.loop._check_orders()
         self.give(Command(0, CommandKind.OPEN, limits=LIMITS))
-        self.loop._look_around()
+        self.loop._check_orders()
 
     def stop(self, kind: StopOrder) -> None:
         self._stops += 1

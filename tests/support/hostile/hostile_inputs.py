@@ -54,7 +54,7 @@ from simulator_inputs import simulator_parsers
 
 from console.feed.recorded import RecordedCase
 from drivers.basler_stereo import gvcp
-from drivers.basler_stereo.features.description import parse_description, parse_url, unpacked
+from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
 from drivers.basler_stereo.identity import decode_identity
@@ -306,7 +306,9 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "control line": Parser((b'{"do": "fault", "line": "now: x"}',), _control),
         "fault script": Parser((FAULTS,), lambda data: parse_faults(data.decode("utf-8", "replace"))),
         "GenICam XML": Parser((DESCRIPTION,), _features),
-        "GenICam ZIP": Parser((zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unpacked),
+        "GenICam ZIP": Parser(
+            (zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unzip_description
+        ),
         "GenICam formula": Parser(FORMULAS, _formula),
         "GVCP": Parser(
             tuple(

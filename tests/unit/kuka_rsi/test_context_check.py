@@ -9,7 +9,7 @@ import pytest
 import tomli_w
 
 from drivers.kuka_rsi.errors import ContextUnusable
-from drivers.kuka_rsi.options import KukaOptions, read_options, usable_context
+from drivers.kuka_rsi.options import KukaOptions, load_usable_context, read_options
 from ronna_hw.wire.kuka_context import load_context
 
 OURS: dict[str, Any] = load_context().model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -63,7 +63,7 @@ def test_an_unsafe_context_is_refused_with_the_reason(
     path = tmp_path / "context.toml"
     path.write_text(tomli_w.dumps(context))
     with pytest.raises(ContextUnusable, match=reason) as refused:
-        usable_context("robot.master", KukaOptions(context=path))
+        load_usable_context("robot.master", KukaOptions(context=path))
     assert str(path) in str(refused.value)
 
 
@@ -71,10 +71,10 @@ def test_all_reasons_are_reported_at_once(tmp_path: Path) -> None:
     path = tmp_path / "context.toml"
     path.write_text(tomli_w.dumps(_with(axis_correction=None, stop=None)))
     with pytest.raises(ContextUnusable, match=r"no STOP object.*AXISCORR are missing"):
-        usable_context("robot.master", KukaOptions(context=path))
+        load_usable_context("robot.master", KukaOptions(context=path))
 
 
 def test_the_shipped_context_is_usable_with_both_cycle_times() -> None:
-    assert usable_context("robot.master", KukaOptions()).program.cycle_ms == 4
+    assert load_usable_context("robot.master", KukaOptions()).program.cycle_ms == 4
     options = read_options("robot.master", {"cycle_ms": 12})
-    assert usable_context("robot.master", options).program.cycle_ms == 12
+    assert load_usable_context("robot.master", options).program.cycle_ms == 12

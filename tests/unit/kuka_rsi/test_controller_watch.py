@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi import arm as kuka_arm
 from drivers.kuka_rsi import micro_move
+from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import (
     ControllerNotReady,
     HandshakeFailed,
@@ -254,14 +254,14 @@ def test_a_stop_during_a_start_leaves_the_arm_in_hold(
     arm = make_arm()
     arm.connect()
     arm.configure()
-    start = kuka_arm.start_stream
+    start = Connections.start_stream
 
     def started(*details: Any) -> Any:
         mode = start(*details)
         arm.stop()
         return mode
 
-    monkeypatch.setattr(kuka_arm, "start_stream", started)
+    monkeypatch.setattr(Connections, "start_stream", started)
     arm.activate()
     assert arm.state is Lifecycle.HOLD
 

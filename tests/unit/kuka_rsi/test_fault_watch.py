@@ -58,7 +58,7 @@ class Link:
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         return ()
 
-    def death(self) -> RonnaError:
+    def death_error(self) -> RonnaError:
         return LinkProcessDied("the real-time process ended: killed by SIGKILL")
 
 

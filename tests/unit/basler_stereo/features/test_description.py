@@ -8,7 +8,7 @@ import zipfile
 import pytest
 
 from drivers.basler_stereo.errors import BadDescription
-from drivers.basler_stereo.features.description import parse_description, parse_url, unpacked
+from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
 
 GOOD = b"""<?xml version="1.0"?>
 <RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
@@ -71,9 +71,9 @@ def test_a_packed_description_is_unpacked_and_a_broken_one_refused():
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", GOOD)
-    assert unpacked(file.getvalue()) == GOOD
+    assert unzip_description(file.getvalue()) == GOOD
     with pytest.raises(BadDescription, match="GEV-009"):
-        unpacked(file.getvalue()[:40])
+        unzip_description(file.getvalue()[:40])
 
 
 def test_a_packed_description_that_expands_too_far_is_refused():
@@ -81,4 +81,4 @@ def test_a_packed_description_that_expands_too_far_is_refused():
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", bytes(9 * 1024 * 1024))
     with pytest.raises(BadDescription, match="expands beyond the limit"):
-        unpacked(file.getvalue())
+        unzip_description(file.getvalue())

@@ -10,7 +10,7 @@ import pytest
 from bounded_cost import bounded_cost
 
 from drivers.basler_stereo.errors import BadDescription
-from drivers.basler_stereo.features.description import parse_description, unpacked
+from drivers.basler_stereo.features.description import parse_description, unzip_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
 
@@ -55,7 +55,7 @@ def packed_zeros(method: int, claimed: int, content: bytes) -> bytes:
 
 def test_a_packed_description_of_a_few_bytes_does_not_fill_the_memory():
     with bounded_cost(), pytest.raises(BadDescription, match=r"GEV-009.*stored or deflated"):
-        unpacked(packed_zeros(zipfile.ZIP_BZIP2, 1000, zeros()))
+        unzip_description(packed_zeros(zipfile.ZIP_BZIP2, 1000, zeros()))
 
 
 def test_a_zip_file_whose_member_lies_beyond_all_files_is_refused():
@@ -70,7 +70,7 @@ def test_a_zip_file_whose_member_lies_beyond_all_files_is_refused():
     last = bytearray(stored[end:])
     last[12:16] = struct.pack("<I", len(entry) + len(extra))
     with bounded_cost(), pytest.raises(BadDescription, match="GEV-009"):
-        unpacked(stored[:begin] + entry + extra + last)
+        unzip_description(stored[:begin] + entry + extra + last)
 
 
 @pytest.mark.parametrize(

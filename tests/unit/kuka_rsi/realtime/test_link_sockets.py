@@ -32,7 +32,7 @@ def controller(listening: socket.socket) -> Iterator[socket.socket]:
 def sockets(listening: socket.socket) -> Iterator[LinkSockets]:
     sockets = LinkSockets(listening)
     yield sockets
-    sockets.part()
+    sockets.disconnect()
 
 
 @pytest.fixture
@@ -46,21 +46,21 @@ def test_the_controllers_telegram_is_received_next_despite_a_flood_from_a_strang
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
     peer: Address = controller.getsockname()
-    sockets.meet(peer)
+    sockets.connect_to(peer)
     for _ in range(FLOOD):
         stranger.sendto(b"mine", listening.getsockname())
-    assert not sockets.something_there()
+    assert not sockets.datagram_waiting()
     controller.send(b"telegram")
-    assert sockets.something_there()
+    assert sockets.datagram_waiting()
     assert sockets.receive() == (b"telegram", peer)
-    assert [sockets.stranger() for _ in range(FLOOD)] == [stranger.getsockname()] * FLOOD
-    assert sockets.stranger() is None
+    assert [sockets.foreign_sender() for _ in range(FLOOD)] == [stranger.getsockname()] * FLOOD
+    assert sockets.foreign_sender() is None
 
 
 def test_the_reply_is_sent_from_the_port_the_controller_sends_to(
     sockets: LinkSockets, controller: socket.socket
 ) -> None:
-    sockets.meet(controller.getsockname())
+    sockets.connect_to(controller.getsockname())
     sockets.send(b"reply", controller.getsockname())
     assert controller.recv(100) == b"reply"  # connected: it takes nothing from elsewhere
 
@@ -68,8 +68,8 @@ def test_the_reply_is_sent_from_the_port_the_controller_sends_to(
 def test_any_controller_may_start_the_next_session(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
-    sockets.meet(controller.getsockname())
-    sockets.part()
+    sockets.connect_to(controller.getsockname())
+    sockets.disconnect()
     stranger.sendto(b"telegram", listening.getsockname())
     assert sockets.receive() == (b"telegram", stranger.getsockname())
     sockets.send(b"reply", stranger.getsockname())
@@ -79,21 +79,21 @@ def test_any_controller_may_start_the_next_session(
 def test_a_new_session_can_be_with_another_controller(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
-    sockets.meet(controller.getsockname())
-    sockets.meet(stranger.getsockname())
+    sockets.connect_to(controller.getsockname())
+    sockets.connect_to(stranger.getsockname())
     controller.send(b"from the last session")
     stranger.sendto(b"telegram", listening.getsockname())
     assert sockets.receive() == (b"telegram", stranger.getsockname())
-    assert sockets.stranger() == controller.getsockname()
+    assert sockets.foreign_sender() == controller.getsockname()
 
 
 @pytest.mark.parametrize("in_session", [False, True])
 def test_no_other_socket_can_bind_the_port_even_with_address_reuse(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, in_session: bool
 ) -> None:
-    sockets.meet(controller.getsockname())
+    sockets.connect_to(controller.getsockname())
     if not in_session:
-        sockets.part()
+        sockets.disconnect()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as second:
         second.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         with pytest.raises(OSError, match="in use"):
@@ -104,7 +104,7 @@ def test_a_link_bound_to_all_addresses_receives_a_controller_on_any_of_them() ->
     with bind("0.0.0.0", 0) as everywhere, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
         controller.bind(("127.0.0.1", 0))
         sockets = LinkSockets(everywhere)
-        sockets.meet(controller.getsockname())
+        sockets.connect_to(controller.getsockname())
         controller.sendto(b"telegram", ("127.0.0.2", everywhere.getsockname()[1]))
         assert sockets.receive() == (b"telegram", controller.getsockname())
         assert sockets.processor() == -1
@@ -125,6 +125,6 @@ def test_the_processor_that_received_a_telegram_is_known_during_a_session(
         return sockets.processor()
 
     assert sockets.processor() == -1
-    sockets.meet(controller.getsockname())
+    sockets.connect_to(controller.getsockname())
     ours = os.sched_getaffinity(0)
     assert {processor: sent_from(processor) for processor in ours} == {each: each for each in ours}

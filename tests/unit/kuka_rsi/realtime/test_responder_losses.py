@@ -88,7 +88,7 @@ def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
 def test_silence_while_only_another_sender_is_heard_latches_the_restarted_fault() -> None:
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
-    stand.responder.strangers.met("10.0.0.3")
+    stand.responder.senders.count_foreign("10.0.0.3")
     stand.responder.idle(orders, stand.now_ns + 240_000_000)
     assert fault_of(stand) is Fault.NONE
     stand.responder.idle(orders, stand.now_ns + 260_000_000)
@@ -97,7 +97,7 @@ def test_silence_while_only_another_sender_is_heard_latches_the_restarted_fault(
 
 def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     stand = moving()
-    stand.responder.strangers.met("10.0.0.3")
+    stand.responder.senders.count_foreign("10.0.0.3")
     stand.run()
     assert stand.responder.result is Result.DONE
     state = stand.responder.state(real_time=False, locked=False)

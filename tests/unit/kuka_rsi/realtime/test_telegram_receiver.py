@@ -40,7 +40,7 @@ class ToldTime:
         self.now_ns = max(self.now_ns, self.arrivals_ns[0]) if came else end_ns
         return came
 
-    def something_there(self) -> bool:
+    def datagram_waiting(self) -> bool:
         return self._is_there(self.now_ns)
 
     def rehearse(self) -> None:
@@ -72,7 +72,7 @@ def served(world: ToldTime, reception: TelegramReceiver) -> int:
         else:
             count += 1
             nothing = 0
-            reception.paced()
+            reception.note_paced()
     return count
 
 
@@ -93,7 +93,7 @@ def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
     for _ in due_ns:
         while reception.next() is None:
             pass
-        reception.paced()
+        reception.note_paced()
     learning = STEADY_ARRIVALS + 2
     assert world.rehearsed_ns == pytest.approx([due - LEAD_NS for due in due_ns[learning:]], abs=1_000)
 
@@ -120,10 +120,10 @@ def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
     reception = world.reception()
     for _ in paced:
         reception.next()
-        reception.paced()
+        reception.note_paced()
     for _ in hurried:
         assert reception.next() is not None
-        reception.hurried()
+        reception.note_lock_step()
     assert [moment for moment in world.rehearsed_ns if moment > paced[-1]] == []
 
 
@@ -135,10 +135,10 @@ def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it()
     said = []
     while world.arrivals_ns:
         if reception.next() is not None:
-            said.append(reception.paced())
+            said.append(reception.note_paced())
     assert said == [False] * (STEADY_ARRIVALS + 1) + [True] * (STEADY_ARRIVALS + 3)
-    reception.hurried()
-    assert not reception.paced()
+    reception.note_lock_step()
+    assert not reception.note_paced()
 
 
 def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
@@ -148,7 +148,7 @@ def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
     reception = world.reception()
     for _ in due_ns:
         reception.next()
-        reception.paced()
+        reception.note_paced()
     assert reception.received_ns == due_ns[-1]
     assert max(world.rehearsed_ns) < due_ns[-2]
 
@@ -159,7 +159,7 @@ def test_telegrams_queued_during_a_stall_are_distinguished_from_awaited_ones() -
     reception = world.reception()
     for _ in due_ns:
         assert reception.next() is not None
-        reception.paced()
+        reception.note_paced()
         assert not reception.queued
     world.now_ns += 6 * CYCLE_NS  # the host stalls
     for _ in range(5):
