@@ -41,7 +41,7 @@ def main() -> None:
         limits = working_limits(model, options.speed_fraction)
         number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
-        print("READY " + json.dumps({"endpoint": endpoint, "pid": link._process.pid}), flush=True)
+        print("READY " + json.dumps({"endpoint": endpoint, "pid": link.process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
             if "busy" in sys.argv:

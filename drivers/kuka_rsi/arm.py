@@ -74,10 +74,10 @@ class KukaRsiArm:
         cycle_s = context.program.cycle_ms / 1000.0
         self._planner = MotionPlanner(name, self._kinematics, options, cycle_s)
         self._guard = LifecycleGuard(name)
-        self._connections = Connections(name, config, options, context)
-        self._watch = FaultWatch(name, self._guard, self._connections, options)
-        self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
-        self._readings = ArmReadings(self._connections, clock, options.silence_limit_s)
+        self.connections = Connections(name, config, options, context)
+        self._watch = FaultWatch(name, self._guard, self.connections, options)
+        self._follower = MotionFollower(name, self.connections, self._watch, cycle_s)
+        self._readings = ArmReadings(self.connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
         self._asked: tuple[str, ...] = ()  # of a person, by `to_confirm`
         self._micro_move_confirmed_by = ""
@@ -97,7 +97,7 @@ class KukaRsiArm:
 
     @property
     def operating_mode(self) -> OperatingMode:
-        said = None if self._guard.state in RUNNING else self._connections.reported
+        said = None if self._guard.state in RUNNING else self.connections.reported
         return _operating_mode(self._watch.mode if said is None else said.mode)
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
@@ -111,7 +111,7 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        says = tuple(standing_facts(self._connections.reported))
+        says = tuple(standing_facts(self.connections.reported))
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
@@ -120,15 +120,15 @@ class KukaRsiArm:
     @property
     def controller(self) -> ControllerCommands:
         """Commands to the controller except motion: tool, base, override; and its state."""
-        return ControllerCommands(self._guard, lambda: self._connections.eki)
+        return ControllerCommands(self._guard, lambda: self.connections.eki)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """The last cycles of the stream, oldest first; frozen once a fault is latched."""
-        return link.recorded_cycles() if (link := self._connections.open_link) is not None else ()
+        return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        self._connections.bytes.sink = sink
+        self.connections.bytes.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.
@@ -136,21 +136,21 @@ class KukaRsiArm:
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
         self._guard.require("connect", (Lifecycle.DISCONNECTED,))
-        identity = self._connections.find_controller(timeout_s, self._watch)
+        identity = self.connections.find_controller(timeout_s, self._watch)
         self._guard.enter(Lifecycle.CONNECTED, identity=identity)
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self._guard.require("configure", (Lifecycle.CONNECTED,))
-        self._connections.start_link(timeout_s)
+        self.connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     @property
     def to_confirm(self) -> str | None:
-        said = self._connections.reported
+        said = self.connections.reported
         asked = []
-        if self._connections.open_eki is not None and not self._connections.verified:
+        if self.connections.open_eki is not None and not self.connections.verified:
             asked.append(UNVERIFIED)
         if said is not None and said.mode is OperationMode.T1:
             asked.append(IN_T1)
@@ -164,7 +164,7 @@ class KukaRsiArm:
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
         """Report everything that `activate` checks, as the controller states it now."""
-        return tuple(readiness_facts(self._ask(timeout_s), verified=self._connections.verified))
+        return tuple(readiness_facts(self._ask(timeout_s), verified=self.connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
         """Let the next `activate` start in T1, with someone next to the arm holding the pendant.
@@ -183,12 +183,12 @@ class KukaRsiArm:
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         person, self._micro_move_confirmed_by = self._micro_move_confirmed_by, ""
-        if not self._connections.verified:
+        if not self.connections.verified:
             if person:
                 self.activate_unverified(person, timeout_s)
                 return
             raise Unverified(f"{self._name}: the controller does not report which context it runs")
-        stops = self._connections.link.stop_number
+        stops = self.connections.link.stop_number
         self._start(timeout_s)
         self._enter_active(stops)
 
@@ -201,7 +201,7 @@ class KukaRsiArm:
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)
-        link = self._connections.link
+        link = self.connections.link
         stops = link.stop_number
         self._start(timeout_s)
         try:
@@ -210,7 +210,7 @@ class KukaRsiArm:
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
-                self._connections.end_stream(time.monotonic() + CLOSING_STOP_S)
+                self.connections.end_stream(time.monotonic() + CLOSING_STOP_S)
             raise
         self._enter_active(stops)
 
@@ -219,15 +219,15 @@ class KukaRsiArm:
         self._watch.settle()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
-        if self._connections.link.state.moving:
+        if self.connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
             self._follower.await_end(remaining_s(deadline))
         try:
-            self._connections.end_stream(deadline)
+            self.connections.end_stream(deadline)
         except RonnaError as error:
             self._watch.latch(error)
             raise
-        ended = self._connections.link.state
+        ended = self.connections.link.state
         if self._guard.state is Lifecycle.FAULT:  # it must be acknowledged, although the program has ended
             self._watch.raise_any()
         self._guard.enter(
@@ -249,7 +249,7 @@ class KukaRsiArm:
         self._watch.notice()
         require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
-        connections = self._connections
+        connections = self.connections
         if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
             connections.acknowledge(deadline)
             return
@@ -270,7 +270,7 @@ class KukaRsiArm:
         """Stop the arm, end the RSI program and the connection. Bounded in time, never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        connections = self._connections
+        connections = self.connections
         with contextlib.suppress(Exception):
             link = connections.open_link
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
@@ -287,7 +287,7 @@ class KukaRsiArm:
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in RUNNING:
-            return self._readings.from_stream(self._connections.link.state)
+            return self._readings.from_stream(self.connections.link.state)
         return self._readings.from_controller(self._ask(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
@@ -299,7 +299,7 @@ class KukaRsiArm:
     def link_statistics(self) -> LinkStatistics:
         """Return the health of the link since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self._connections.open_link
+        link = self.connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
         return link_statistics(link.state, link.histogram(), link.jitter_histogram())
@@ -329,7 +329,7 @@ class KukaRsiArm:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
         self._watch.notice()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
-        link = self._connections.open_link
+        link = self.connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
@@ -340,7 +340,7 @@ class KukaRsiArm:
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
         )
         if kind is StopKind.DRIVES_OFF:
-            self._connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
+            self.connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
             if held:  # HOLD is said of an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
@@ -357,10 +357,10 @@ class KukaRsiArm:
 
     def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
         self._watch.raise_new()
-        open_link = self._connections.open_link
+        open_link = self.connections.open_link
         stops = 0 if open_link is None else open_link.stop_number  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        link, mode = self._connections.link, _operating_mode(self._watch.mode)
+        link, mode = self.connections.link, _operating_mode(self._watch.mode)
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         link.surround(self._planner.surroundings)
         clear = self._planner.clear(planned, mode)
@@ -369,7 +369,7 @@ class KukaRsiArm:
     def _enter_active(self, stops: int) -> None:
         """Enter ACTIVE, or HOLD if more than `stops` stops are known: one was ordered during the start."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
-        if self._connections.link.stop_number != stops:
+        if self.connections.link.stop_number != stops:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
 
     def _start(self, timeout_s: float) -> None:
@@ -377,14 +377,14 @@ class KukaRsiArm:
         modes = (OperationMode.EXT, OperationMode.T1) if t1_allowed else (OperationMode.EXT,)
         limits = {mode: self.limits(_operating_mode(mode)) for mode in modes}
         try:
-            self._watch.mode = self._connections.start_stream(timeout_s, limits)
+            self._watch.mode = self.connections.start_stream(timeout_s, limits)
         except RonnaError as error:
             self._watch.latch(error)
             raise
 
     def _ask(self, timeout_s: float) -> ControllerState:
         try:
-            return self._connections.eki.status(timeout_s)
+            return self.connections.eki.status(timeout_s)
         except RonnaError:
             self._watch.notice()
             raise

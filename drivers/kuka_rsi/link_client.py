@@ -71,7 +71,7 @@ class LinkClient:
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
         with children_uninterrupted():
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
@@ -94,7 +94,7 @@ class LinkClient:
     @property
     def alive(self) -> bool:
         """True while the process runs."""
-        return self._process.poll() is None
+        return self.process.poll() is None
 
     @property
     def stalled_s(self) -> float:
@@ -199,15 +199,15 @@ class LinkClient:
         self._closing.set()
         os.eventfd_write(self._event_fd, 1)  # wakes the heartbeat
         with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+            if self.process.stdin is not None:
+                self.process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_TIMEOUT_S)
+            self.process.wait(END_TIMEOUT_S)
         if self.alive:
-            self._process.kill()
-            self._process.wait()
-        if self._process.stderr is not None:
-            self._process.stderr.close()
+            self.process.kill()
+            self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
         if self._pulse.is_alive():
             self._pulse.join()
         self._hand_over()  # traffic during the end of the process
@@ -216,7 +216,7 @@ class LinkClient:
         os.close(self._event_fd)
 
     def _begin(self, timeout_s: float) -> None:
-        stdin = self._process.stdin
+        stdin = self.process.stdin
         with contextlib.suppress(BrokenPipeError):
             if stdin is not None:
                 stdin.write(self._settings.to_json().encode() + b"\n")
@@ -259,7 +259,7 @@ class LinkClient:
             self._kept(cycles, lost)
 
     def _last_words(self) -> str:
-        stream = self._process.stderr
+        stream = self.process.stderr
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
-        code = self._process.wait()
+        code = self.process.wait()
         return text.splitlines()[-1] if text and code >= 0 else describe_exit(code)

@@ -39,6 +39,7 @@ NORMAL_PARAMETERS = {
 }
 
 Deliveries = list[tuple[float, bytes]]  # delay in seconds, bytes
+Handler = Callable[[str], str | bytes]  # a command's argument to its reply
 
 
 def with_crc(text: str) -> bytes:
@@ -76,6 +77,7 @@ class UnitInProcess:
         self.frame = -1
         self.handles: dict[int, set[str]] = {}
         self.memory: dict[int, bytearray] = {}
+        self._overrides: dict[str, Handler] = {}
         self._arrivals: list[tuple[float, bytes]] = []
         self._typed = b""
         self._last_arrival_s = 0.0
@@ -125,7 +127,19 @@ class UnitInProcess:
         self.unit_baud, self.initialised, self.tracking = 9600, False, False
         self.handles.clear()
 
+    def send_unasked(self, data: bytes) -> None:
+        """Send bytes that answer no command, with the next read."""
+        self._arrivals.append((self.now_s, data))
+
     # --- the unit -----------------------------------------------------------------------------------
+
+    def override(self, name: str, handler: Handler) -> None:
+        """Answer a command by `handler` instead of as usual."""
+        self._overrides[name] = handler
+
+    def usual(self, name: str) -> Any:
+        """Return the handler of a command, None for an unknown one."""
+        return getattr(self, f"_do_{name.lower()}", None)
 
     def _command(self, line: bytes) -> None:
         text = line.decode("latin-1")
@@ -149,7 +163,7 @@ class UnitInProcess:
     def _answer(self, name: str, argument: str) -> bytes:
         if name in self.answers_to:
             return with_crc(self.answers_to[name])
-        handler: Callable[[str], str | bytes] | None = getattr(self, f"_do_{name.lower()}", None)
+        handler = self._overrides.get(name) or self.usual(name)
         if handler is None:
             return with_crc("ERROR01")
         if not self.initialised and name not in ("INIT", "APIREV", "VER", "ECHO", "COMM"):

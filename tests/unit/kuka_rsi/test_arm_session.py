@@ -144,6 +144,6 @@ def test_close_during_motion_brings_the_arm_to_rest_and_ends_the_program(
 
 
 def test_close_leaves_no_process(active_arm: Any) -> None:
-    pid = active_arm._connections.open_link._process.pid
+    pid = active_arm.connections.open_link.process.pid
     active_arm.close()
     assert not os.path.exists(f"/proc/{pid}")

@@ -44,7 +44,7 @@ def test_recovery_is_refused_while_the_cause_persists(
 @pytest.mark.hazard(4)
 def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, active_arm: Any) -> None:
     controller.tells = False
-    eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
+    eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, NoAnswer)
     assert "is silent" in str(active_arm.fault)
     controller.tells = True
@@ -237,15 +237,15 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     def fail_once_moving(name: str, link: Any, state: Any, *limits: Any) -> None:
         require_small(name, link, state, *limits)
         if state.moving:
-            link._process.send_signal(signalled)
+            link.process.send_signal(signalled)
             monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
 
     monkeypatch.setattr(micro_move, "_require_small", fail_once_moving)
     with pytest.raises(error):
         arm.activate_unverified("Ana")
     assert isinstance(arm.fault, error)
-    arm._connections.link._process.kill()  # so that closing need not wait for a stopped one
-    arm._connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
+    arm.connections.link.process.kill()  # so that closing need not wait for a stopped one
+    arm.connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
 def test_a_stop_during_a_start_leaves_the_arm_in_hold(
@@ -277,7 +277,8 @@ def test_a_wrong_fact_reported_by_an_unverified_controller_is_refused(controller
 def test_close_stops_the_eki_reader_before_closing_the_links_memory(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader, link = active_arm._connections.eki._reader, active_arm._connections.link
+    reader = next(thread for thread in threading.enumerate() if thread.name == "eki reader")
+    link = active_arm.connections.link
     heard: list[bool] = []
     close = link.close
 

@@ -45,7 +45,7 @@ def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
     assert controller.standing.wait(HANG_S)
     before = len(controller.replies)
     happen(controller)
-    eventually(lambda: arm._connections.link.stop_number > 0)
+    eventually(lambda: arm.connections.link.stop_number > 0)
     controller.silent.clear()
     mover.join(HANG_S)
     _stopped_at_once(controller.replies, before, {c.IPOC: c.choice for c in arm.recorded_cycles})
@@ -156,6 +156,6 @@ def test_an_unreadable_eki_telegram_stops_the_arm(
 def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, patient_arm: Any) -> None:
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
-    eventually(lambda: patient_arm._connections.eki.latest.tool == 7)
+    eventually(lambda: patient_arm.connections.eki.latest.tool == 7)
     patient_arm.move_joints(THERE)
     assert state_of(patient_arm) is Lifecycle.ACTIVE

@@ -1,22 +1,91 @@
-"""Mutated telegrams through the driver's session: no crash, and no motion."""
+"""A link whose parent is gone keeps running until the controller's program has been sent the stop."""
 
 from __future__ import annotations
 
+import os
 import socket
 import time
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 
+import pytest
 from mutations import mutations
 from responder_stand import LIMITS
-from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, corrections_of, telegram
+from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 from rsi_mutants import answer_mutants
 
+from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.connections import link_settings
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime import loop as link_loop
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
+
+MS = 1_000_000  # ns
+
+
+@pytest.fixture
+def link() -> Iterator[InProcessLink]:
+    made = InProcessLink()
+    made.open()
+    yield made
+    made.close()
+
+
+@pytest.mark.hazard(30)
+def test_a_controller_delayed_by_less_than_its_timeout_is_still_sent_the_stop(
+    link: InProcessLink, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def done_after(quiet_ms: int) -> bool:
+        now_ns = link.now_ns + quiet_ms * MS
+        monkeypatch.setattr(
+            link_loop, "time", SimpleNamespace(monotonic_ns=lambda: now_ns, sleep=lambda _: 0)
+        )
+        return link.loop._done()
+
+    def reply(cycle: int) -> bytes:
+        data = link.receive(telegram(FIRST_IPOC + cycle * CYCLE_MS))
+        assert data is not None
+        return data
+
+    assert b"<Stop>0</Stop>" in reply(0)
+    assert not done_after(10_000)  # its parent is there
+    link.loop.responder.parent_gone = True
+    assert not done_after(390)
+    assert done_after(410)
+    cycle = 1
+    while b"<Stop>1</Stop>" not in reply(cycle):
+        assert not done_after(390)
+        cycle += 1
+    assert cycle < 10  # the arm is at rest
+    assert not done_after(90)
+    assert done_after(110)
+
+
+HEAVY = {"numpy", "scipy", "pydantic", "cv2", "structlog", "pinocchio", "pydicom", "typer"}
+
+
+def test_a_running_link_imports_no_heavy_package(
+    make_arm: Callable[..., KukaRsiArm], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # the process lists each import on standard error
+    arm = make_arm()
+    arm.connect()
+    arm.configure()
+    arm.activate()
+    start = arm.read_state().joints_rad
+    arm.move_joints((start[0] + 0.01, *start[1:]))
+    stream = arm.connections.link.process.stderr
+    assert stream is not None
+    with os.fdopen(os.dup(stream.fileno()), encoding="utf-8") as messages:
+        arm.close()
+        imported = {line.rsplit("|", 1)[-1].strip() for line in messages if line.startswith("import time:")}
+    assert "drivers.kuka_rsi.realtime.loop" in imported
+    assert not HEAVY & {name.split(".")[0] for name in imported}
+
 
 THROUGH_THE_SESSION = 3_000
 OVER_THE_SOCKET = 2_000

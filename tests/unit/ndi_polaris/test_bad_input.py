@@ -218,7 +218,7 @@ def described(part_number: str, serial_number: str) -> str:
 
 @pytest.mark.hazard(17)
 def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: Make, unit: Any) -> None:
-    unit._do_phinf = lambda argument: described("8700339", "34801403")
+    unit.override("PHINF", lambda argument: described("8700339", "34801403"))
     device = make_tracker()
     device.connect()
     with raises_on_one_line("NDI-013", "handle 01 holds another tool than robot_frame", "of this tool"):
@@ -228,7 +228,7 @@ def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: M
 @pytest.mark.parametrize("step", [1, -1])
 def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, unit: Any, step: int) -> None:
     number = encode_definition(ROBOT_FRAME)[20:24][::step].hex().upper()
-    unit._do_phinf = lambda argument: described("RONNA-M", number)
+    unit.override("PHINF", lambda argument: described("RONNA-M", number))
     device = make_tracker()
     device.connect()
     device.configure()
@@ -236,7 +236,7 @@ def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, 
 
 
 def test_a_tool_reported_with_another_serial_number_is_noted(make_tracker: Make, unit: Any) -> None:
-    unit._do_phinf = lambda argument: described("RONNA-M", "00000000")
+    unit.override("PHINF", lambda argument: described("RONNA-M", "00000000"))
     device = make_tracker()
     device.connect()
     device.configure()
@@ -286,7 +286,7 @@ def test_a_restarted_unit_is_reported_and_tracks_again_after_recovery(
     tracker: PolarisTracker, unit: Any
 ) -> None:
     unit.restart()
-    unit._arrivals.append((unit.now_s, b"RESETBE6F\r"))
+    unit.send_unasked(b"RESETBE6F\r")
     with raises_on_one_line("NDI-009", "sent RESET", "recover.*void"):
         tracker.read_frame()
     tracker.recover("tester")

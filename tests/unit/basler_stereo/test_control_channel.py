@@ -9,12 +9,31 @@ import time
 
 import pytest
 
-from drivers.basler_stereo.control_channel import ControlChannel, register_write, send_together
-from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
+from drivers.basler_stereo import control_channel
+from drivers.basler_stereo.control_channel import (
+    SILENT_BEATS,
+    ControlChannel,
+    Heartbeat,
+    register_write,
+    send_together,
+    take_control,
+)
+from drivers.basler_stereo.errors import (
+    BadDescription,
+    CameraLost,
+    CommandRefused,
+    ControlLost,
+    ControlTaken,
+    MalformedReply,
+    NoReply,
+)
 from drivers.basler_stereo.features.description import fetch_description
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, Bootstrap, GevStatus
 
 
 class Answering:
@@ -211,3 +230,123 @@ def test_an_answer_that_arrived_while_the_host_stalled_counts(channel_to):
     _, channel = channel_to(lambda data, _: [ack(data, struct.pack(">I", 7))])
     past_s = time.monotonic() - 1.0
     assert channel.read_register(0, past_s) == 7
+
+
+class HeldCamera:
+    """A camera that refuses control a number of times; `heartbeat_ms` None: reading is refused too."""
+
+    def __init__(
+        self, refusals: int, heartbeat_ms: int | None, status: int = GevStatus.ACCESS_DENIED
+    ) -> None:
+        self.left, self.heartbeat_ms, self.status = refusals, heartbeat_ms, status
+        self.asked = 0
+
+    def write_register(self, address: int, value: int, deadline_s: float) -> None:
+        assert (address, value) == (Bootstrap.CCP, gev.CCP_CONTROL)
+        assert time.monotonic() < deadline_s
+        self.asked += 1
+        if self.asked <= self.left:
+            raise self._refusal()
+
+    def read_register(self, address: int, deadline_s: float) -> int:
+        if address == Bootstrap.CCP:
+            return gev.CCP_CONTROL
+        assert address == Bootstrap.HEARTBEAT_TIMEOUT_MS
+        if self.heartbeat_ms is None:
+            raise self._refusal()
+        return self.heartbeat_ms
+
+    def _refusal(self) -> CommandRefused:
+        error = CommandRefused("refused")
+        error.status = self.status
+        return error
+
+
+def taken(camera: HeldCamera, limit_s: float) -> None:
+    take_control(camera, "the left camera", time.monotonic() + limit_s)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("heartbeat_ms", [3000, None])
+def test_control_held_by_a_dead_client_is_awaited(heartbeat_ms: int | None) -> None:
+    camera = HeldCamera(3, heartbeat_ms)
+    taken(camera, 10.0)
+    assert camera.asked == 4
+
+
+def test_a_client_that_outlives_its_heartbeat_keeps_control() -> None:
+    camera = HeldCamera(1000, 0)
+    with pytest.raises(ControlTaken, match=r"GEV-005.*the left camera"):
+        taken(camera, 60.0)  # the test's own time-out is the limit
+    assert camera.asked > 1
+
+
+@pytest.mark.parametrize("heartbeat_ms", [60_000, None])
+def test_control_is_awaited_no_longer_than_the_time_limit(heartbeat_ms: int | None) -> None:
+    with pytest.raises(ControlTaken, match="GEV-005"):
+        taken(HeldCamera(1000, heartbeat_ms), 0.5)
+
+
+def test_another_refusal_is_not_taken_for_a_second_controller() -> None:
+    camera = HeldCamera(1000, 3000, GevStatus.INVALID_ADDRESS)
+    with pytest.raises(CommandRefused, match="GEV-006"):
+        taken(camera, 10.0)
+    assert camera.asked == 1
+
+
+HANG_LIMIT_S = 30.0
+SILENT = None
+
+
+class ScriptedCamera:
+    """Answers each question for its privilege with the next of `answers`; each takes `takes_s`."""
+
+    address = "192.168.3.11"
+
+    def __init__(self, answers: list[int | None], takes_s: float) -> None:
+        self.answers, self.takes_s = answers, takes_s
+        self.now_s = 0.0
+        self.asked = 0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def read_register(self, _address: int, _deadline_s: float) -> int:
+        self.now_s += self.takes_s
+        answer = self.answers[min(self.asked, len(self.answers) - 1)]
+        self.asked += 1
+        if answer is SILENT:
+            raise NoReply("no answer")
+        return answer
+
+
+def verdict(camera: ScriptedCamera, timeout_ms: int, monkeypatch: pytest.MonkeyPatch) -> RonnaError:
+    said: list[RonnaError] = []
+    heard = threading.Event()
+
+    def lost(error: RonnaError) -> None:
+        said.append(error)
+        heard.set()
+
+    monkeypatch.setattr(control_channel, "SLOWEST_BEAT_S", 0.0)
+    beats = Heartbeat(camera, timeout_ms, lost, "test", monotonic=camera.monotonic)  # type: ignore[arg-type]
+    assert heard.wait(HANG_LIMIT_S)
+    beats.close()
+    return said[0]
+
+
+@pytest.mark.parametrize(("timeout_ms", "beats"), [(500, SILENT_BEATS), (3000, 3), (10_000, 10)])
+def test_a_silent_camera_is_lost_once_its_time_out_has_passed(
+    timeout_ms: int, beats: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    camera = ScriptedCamera([CCP_CONTROL, SILENT], takes_s=1.0)
+    error = verdict(camera, timeout_ms, monkeypatch)
+    assert isinstance(error, CameraLost)
+    assert camera.asked == 1 + beats
+    assert f"silent for {beats}.0 s" in str(error)
+
+
+def test_a_camera_that_answers_in_between_is_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [SILENT, SILENT, CCP_CONTROL, SILENT, SILENT, CCP_CONTROL, CCP_OPEN]
+    camera = ScriptedCamera(answers, takes_s=1.0)
+    assert isinstance(verdict(camera, 3000, monkeypatch), ControlLost)
+    assert camera.asked == len(answers)

@@ -11,8 +11,9 @@ from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import MalformedReply, NoReply
-from ronna_hw.devices import Lifecycle, new_frames
+from ronna_hw.devices import new_frames
 from ronna_hw.devices.errors import NoPose, UnknownTool
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.errors import EXIT_USAGE
@@ -94,7 +95,7 @@ def test_an_unknown_tool_is_refused_with_the_names_of_the_loaded_ones(tracker: P
 def test_strays_are_averaged_over_measurements_and_phantoms_rejected(
     tracker: PolarisTracker, unit: Any
 ) -> None:
-    usual = unit._do_bx
+    usual = unit.usual("BX")
 
     def measuring(argument: str) -> bytes:
         number = unit.frame + 1
@@ -109,7 +110,7 @@ def test_strays_are_averaged_over_measurements_and_phantoms_rejected(
         return bytes(usual(argument))
 
     unit.repeated = False
-    unit._do_bx = measuring
+    unit.override("BX", measuring)
     average = average_strays(new_frames(tracker, 40))
     assert average.frames == 40
     assert [group.count for group in average.groups] == [40, 40]

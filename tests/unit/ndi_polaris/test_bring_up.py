@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,8 @@ import pytest
 from polaris_unit_in_process import bring_up
 
 from drivers.ndi_polaris import PolarisTracker
+from drivers.ndi_polaris.errors import MalformedReply
+from drivers.ndi_polaris.measuring_volume import parse_volumes
 from drivers.ndi_polaris.tool_definition import encode_definition, planar_tool
 
 Make = Callable[..., PolarisTracker]
@@ -42,14 +45,14 @@ def test_a_unit_that_fails_to_initialise_is_reset_and_initialised_again(
     make_tracker: Make, unit: Any
 ) -> None:
     refusals = iter(["ERROR15"])
-    usual = unit._do_init
-    unit._do_init = lambda argument: next(refusals, None) or usual(argument)
+    usual = unit.usual("INIT")
+    unit.override("INIT", lambda argument: next(refusals, None) or usual(argument))
 
     def reset(argument: str) -> str:
         unit.restart()
         return "RESET"
 
-    unit._do_reset = reset
+    unit.override("RESET", reset)
     unit.initialised = True
     make_tracker().connect()
     assert "RESET:0" in unit.commands
@@ -76,9 +79,9 @@ def test_the_negotiated_rate_can_be_limited(make_tracker: Make, unit: Any) -> No
 
 
 def test_a_rate_at_which_the_unit_does_not_answer_is_abandoned(make_tracker: Make, unit: Any) -> None:
-    usual = unit._do_comm
+    usual = unit.usual("COMM")
     # says OKAY to 921600 and stays where it is
-    unit._do_comm = lambda argument: "OKAY" if argument[0] == "6" else usual(argument)
+    unit.override("COMM", lambda argument: "OKAY" if argument[0] == "6" else usual(argument))
     device = make_tracker()
     device.connect()
     device.configure()
@@ -117,10 +120,10 @@ def test_no_rate_is_negotiated_on_a_link_without_one(make_tracker: Make, unit: A
 
 
 def test_plausible_command_time_limits_from_the_unit_are_adopted(make_tracker: Make, unit: Any) -> None:
-    usual = unit._do_get
+    usual = unit.usual("GET")
     said = ["BX=1.5", "TX=9", "GET=0", "INIT=900", "PHSR=soon", "NOPE=3", "TSTOP=7"]
     limits = "\n".join(f"Info.Timeout.{line}" for line in said)
-    unit._do_get = lambda name: limits if name == "Info.Timeout.*" else usual(name)
+    unit.override("GET", lambda name: limits if name == "Info.Timeout.*" else usual(name))
     device = make_tracker(time_limits_s={"TSTOP": 3.0})
     device.connect()
     device.configure()
@@ -134,7 +137,7 @@ def test_the_illuminator_rate_is_set_to_60_hz_by_set_or_by_irate(make_tracker: M
     assert unit.parameters["Param.Tracking.Illuminator Rate"] == "2"
     unit.restart()
     unit.answers_to["SET"] = "ERROR01"
-    unit._do_irate = lambda argument: "OKAY"
+    unit.override("IRATE", lambda argument: "OKAY")
     device = bring_up(make_tracker())
     assert "IRATE:2" in unit.commands
     assert device.notices == ()
@@ -169,8 +172,8 @@ def test_the_tool_definition_arrives_complete_and_zero_padded(make_tracker: Make
 
 
 def test_a_pinit_warning_counts_as_success_and_is_reported(make_tracker: Make, unit: Any) -> None:
-    usual = unit._do_pinit
-    unit._do_pinit = lambda argument: "WARNING05" if usual(argument) == "OKAY" else "ERROR13"
+    usual = unit.usual("PINIT")
+    unit.override("PINIT", lambda argument: "WARNING05" if usual(argument) == "OKAY" else "ERROR13")
     device = bring_up(make_tracker())
     assert any("wavelength" in note for note in device.notices)
 
@@ -198,3 +201,71 @@ def test_a_dummy_tool_makes_strays_visible_when_no_tools_are_configured(
     assert "PHRQ:*********1**01" in unit.commands
     assert frame.tools == ()
     assert len(frame.strays) == 1
+
+
+ANSWER = (
+    "25-240000-153200-095000+057200+039800+056946+024303+029773+999999+99999924\n"
+    "5-300000-153200-095000+057200+039800+056946+024303+029773+999999+07350024\n"
+)
+
+# half extents (x, y) at depth z, from the published table
+SECTIONS = {
+    "pyramid": {
+        -950: (224.72, 240.57),
+        -1532: (398.0, 572.0),
+        -2000: (537.34, 685.74),
+        -2400: (656.43, 782.95),
+    },
+    "extended": {-950: (224.72, 240.57), -2664: (735.0, 847.11), -3000: (735.0, 928.77)},
+}
+
+
+@pytest.mark.parametrize(
+    ("index", "z", "half_x", "half_y"),
+    [
+        (index, z, *halves)
+        for index, sections in enumerate(SECTIONS.values())
+        for z, halves in sections.items()
+    ],
+)
+def test_the_sections_of_both_volumes_have_the_published_size(
+    index: int, z: float, half_x: float, half_y: float
+) -> None:
+    volume = parse_volumes(ANSWER)[index]
+    for x, y in ((half_x, half_y), (-half_x, half_y), (half_x, -half_y)):
+        assert volume.contains((x * 0.9999, y * 0.9999, z)) is True
+        assert volume.contains((x * 1.0005, y * 0.9, z)) is False
+        assert volume.contains((x * 0.9, y * 1.0005, z)) is False
+
+
+def test_points_in_front_of_or_behind_a_volume_are_outside() -> None:
+    pyramid, extended = parse_volumes(ANSWER)
+    assert pyramid.contains((0, 0, -949)) is False
+    assert pyramid.contains((0, 0, -2401)) is False
+    assert extended.contains((0, 0, -2401)) is True
+    assert extended.contains((0, 0, 1500)) is False
+
+
+def test_containment_in_a_shape_without_a_known_formula_is_unknown() -> None:
+    (volume,) = parse_volumes("1" + ANSWER[1:].split("\n")[0].replace("5-", "7-", 1) + "\n")
+    assert volume.contains((0, 0, -1500)) is None
+
+
+@pytest.mark.parametrize("text", ["", "0", "3" + ANSWER[1:], "1x" + ANSWER[2:80], "25-2400"])
+def test_a_malformed_volume_reply_is_refused(text: str) -> None:
+    with pytest.raises(MalformedReply):
+        parse_volumes(text)
+
+
+def test_a_record_padded_before_its_line_feed_is_read() -> None:
+    assert parse_volumes(ANSWER.replace("\n", "   \n")) == parse_volumes(ANSWER)
+
+
+def test_a_volumes_faces_bend_at_the_knee_and_where_the_width_is_capped() -> None:
+    pyramid, extended = parse_volumes(ANSWER)
+    assert [round(z) for z, _, _ in pyramid.sections_mm] == [-950, -1532, -2400]
+    assert [round(z) for z, _, _ in extended.sections_mm] == [-950, -1532, -2664, -3000]
+    for z, half_x, half_y in (*pyramid.sections_mm, *extended.sections_mm):
+        published = {**SECTIONS["pyramid"], **SECTIONS["extended"]}[round(z)]
+        assert (half_x, half_y) == pytest.approx(published, abs=0.3)
+    assert replace(pyramid, shape="7").sections_mm == ()
