@@ -1,4 +1,4 @@
-"""Contexts that are unsafe, or lack feedback, are refused before anything is opened."""
+"""Wrong options, and contexts that are unsafe or lack feedback, are refused before anything is opened."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 import tomli_w
 
-from drivers.kuka_rsi.errors import ContextUnusable
+from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
 from drivers.kuka_rsi.options import KukaOptions, load_usable_context, read_options
 from ronna_hw.wire.kuka_context import load_context
 
@@ -78,3 +78,16 @@ def test_the_shipped_context_is_usable_with_both_cycle_times() -> None:
     assert load_usable_context("robot.master", KukaOptions()).program.cycle_ms == 4
     options = read_options("robot.master", {"cycle_ms": 12})
     assert load_usable_context("robot.master", options).program.cycle_ms == 12
+
+
+def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
+    assert read_options("arm", {}).silence_limit_s == 0.25
+    assert read_options("arm", {"variant": "kr6_r900_2"}).variant.value == "kr6_r900_2"
+    with pytest.raises(BadOptions, match="options have 3 mistakes") as caught:
+        read_options("arm", {"variant": "kr16", "speed_fraction": 0.5, "speed": 1})
+    assert caught.value.code == "RSI-013"
+    assert caught.value.exit_code == 2
+    with pytest.raises(BadOptions, match="silence_limit_s: expected a valid number without quotes"):
+        read_options("arm", {"silence_limit_s": "5"})
+    with pytest.raises(BadOptions, match="accept_unverified: expected a valid boolean without quotes"):
+        read_options("arm", {"accept_unverified": "true"})
