@@ -134,25 +134,25 @@ class Camera:
 
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
         """Choose the part of the sensor to read; raises GEV-011. Not while streaming."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         known_state.set_area(self.features, area)
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def temperature_C(self, deadline_s: float) -> float | None:
         """Read the internal temperature; None if not reported."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         return known_state.temperature_C(self.features)
 
     def start(self, deadline_s: float) -> None:
         """Open the stream and start the acquisition; block ids restart."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        self._trigger = self._trigger_of(self._options)
+        self._trigger = self._trigger_command(self._options)
         assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
@@ -169,7 +169,7 @@ class Camera:
 
     def stop(self, deadline_s: float) -> None:
         """Stop the acquisition and close the stream."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         try:
             self.features.execute("AcquisitionStop")
             self.control.write_register(Bootstrap.SCP, 0, deadline_s)
@@ -279,7 +279,7 @@ class Camera:
         low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
         return high << 32 | low
 
-    def _trigger_of(self, options: BaslerOptions) -> Command | None:
+    def _trigger_command(self, options: BaslerOptions) -> Command | None:
         if options.trigger == "software":
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))
@@ -288,7 +288,7 @@ class Camera:
             return GvcpCommand.ACTION, gvcp.action_command(*keys)
         return None
 
-    def _until(self, deadline_s: float) -> None:
+    def _set_deadline(self, deadline_s: float) -> None:
         assert self._memory is not None, "the lifecycle allows this only while controlled"
         self._memory.deadline_s = max(deadline_s, time.monotonic())
 

@@ -70,15 +70,15 @@ def look_at_camera(endpoint: Endpoint) -> CameraState:
     """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
     try:
         with contextlib.closing(ControlChannel(endpoint.host)) as control:
-            return _look_through(control, endpoint)
+            return _check_through(control, endpoint)
     except OSError as error:  # also when the network goes down meanwhile
         return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
 
 
-def _look_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+def _check_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
     interface = interface_of(control.local_address)
     try:
-        identity = identify(control, _soon())
+        identity = identify(control, _reply_deadline_s())
     except (NoCamera, MalformedReply, CommandRefused):
         response = Response.REFUSED if control.port_closed else Response.SILENT
         return CameraState(endpoint, response, interface)
@@ -103,7 +103,7 @@ def _controller(control: ControlChannel) -> Controller:
 def _largest_packet(control: ControlChannel) -> int | None:
     """Find the largest test packet that arrives; None if the camera does not grant control."""
     try:
-        control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _soon())
+        control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _reply_deadline_s())
     except (CommandRefused, NoReply):
         return None
     before = _read(control, Bootstrap.SCPS)
@@ -116,20 +116,20 @@ def _largest_packet(control: ControlChannel) -> int | None:
     finally:
         if before is not None:
             with contextlib.suppress(CommandRefused, NoReply):
-                control.write_register(Bootstrap.SCPS, before & ~gev.SCPS_FIRE_TEST, _soon())
+                control.write_register(Bootstrap.SCPS, before & ~gev.SCPS_FIRE_TEST, _reply_deadline_s())
         with contextlib.suppress(CommandRefused, NoReply):
-            control.write_register(Bootstrap.CCP, gev.CCP_OPEN, _soon())
+            control.write_register(Bootstrap.CCP, gev.CCP_OPEN, _reply_deadline_s())
 
 
 def _read(control: ControlChannel, register: int) -> int | None:
     """Read a register; None if the camera refuses or does not reply."""
     try:
-        return control.read_register(register, _soon())
+        return control.read_register(register, _reply_deadline_s())
     except (CommandRefused, NoReply, MalformedReply):
         return None
 
 
-def _soon() -> float:
+def _reply_deadline_s() -> float:
     return time.monotonic() + REPLY_LIMIT_S
 
 
@@ -191,17 +191,17 @@ def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Exp
         return Diagnosis(False, f"a {identity.model}, expected a {expected.model}", advice)
     if expected.serial and identity.serial != expected.serial:
         seen = f"camera {identity.serial}, expected {expected.serial}"
-        return Diagnosis(False, seen, _wrong_serial(expected.serial, found))
-    seen = "; ".join(_seen(camera, identity, controller))
+        return Diagnosis(False, seen, _wrong_serial_advice(expected.serial, found))
+    seen = "; ".join(_observations(camera, identity, controller))
     if controller.taken:
-        advice = _taken(controller)
+        advice = _release_advice(controller)
     elif camera.packet_bytes is None:
         advice = "It refused control although no application has it: power-cycle it."
     elif not camera.packet_bytes:
         advice = "No test packet arrived: a firewall drops UDP from the camera, or it sends none."
     else:
         jumbo = camera.packet_bytes >= JUMBO_BYTES
-        return Diagnosis(True, seen, "" if jumbo else _small_packets(camera.interface))
+        return Diagnosis(True, seen, "" if jumbo else _small_packets_advice(camera.interface))
     return Diagnosis(False, seen, advice)
 
 
@@ -226,16 +226,16 @@ def _control(controller: Controller) -> dict[str, Any]:
     }
 
 
-def _seen(camera: CameraState, identity: CameraIdentity, controller: Controller) -> Iterator[str]:
+def _observations(camera: CameraState, identity: CameraIdentity, controller: Controller) -> Iterator[str]:
     yield f"{identity.vendor} {identity.model} {identity.serial}".strip()
     if camera.interface is not None:
         yield f"via {camera.interface.name} ({camera.interface.address}, MTU {camera.interface.mtu_bytes})"
-    yield f"controlled by {_who(controller)}" if controller.taken else "no application in control"
+    yield f"controlled by {_controller_name(controller)}" if controller.taken else "no application in control"
     if camera.packet_bytes:
         yield f"packets of {camera.packet_bytes} bytes arrive"
 
 
-def _who(controller: Controller) -> str:
+def _controller_name(controller: Controller) -> str:
     if controller.process is not None:
         return str(controller.process)
     if controller.port:
@@ -243,7 +243,7 @@ def _who(controller: Controller) -> str:
     return "an application not identified by the camera"
 
 
-def _taken(controller: Controller) -> str:
+def _release_advice(controller: Controller) -> str:
     if controller.process is not None:
         return "Stop that program; a camera releases a crashed one within its heartbeat time-out."
     if controller.here:
@@ -251,7 +251,7 @@ def _taken(controller: Controller) -> str:
     return "Close the program on the other computer; if it crashed, wait for its heartbeat time-out."
 
 
-def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
+def _wrong_serial_advice(serial: str, found: Sequence[CameraIdentity]) -> str:
     if others := [each for each in found if each.serial == serial]:
         more = f" (and replied {len(others)} times)" if len(others) > 1 else ""
         return (
@@ -260,7 +260,7 @@ def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
     return f"Expected camera {serial}, which did not reply. After replacing a camera, recalibrate the head."
 
 
-def _small_packets(interface: Interface | None) -> str:
+def _small_packets_advice(interface: Interface | None) -> str:
     where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path MTU is small"
     return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
 
@@ -271,7 +271,7 @@ def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnos
         advice = "Give this computer an address in the camera's subnet."
         return Diagnosis(False, f"no route: {camera.reason}", advice)
     via = f" via {interface.name} ({interface.address})" if interface else ""
-    elsewhere = _elsewhere(camera, found)
+    elsewhere = _other_replies(camera, found)
     if camera.response is Response.REFUSED:
         advice = "A computer is at this address, not a camera: check the camera's power, cable and address."
         return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere)
@@ -282,7 +282,7 @@ def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnos
     return Diagnosis(False, f"silent{via}", advice + elsewhere)
 
 
-def _elsewhere(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
+def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
     others = [each for each in found if each.address != camera.endpoint.host]
     if not others:
         return ""

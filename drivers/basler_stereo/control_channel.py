@@ -230,7 +230,7 @@ def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
     give_up_s: float | None = None
     while (refusal := _try_control(control, deadline_s)) is not None:
         if give_up_s is None:
-            give_up_s = _lapse_s(control, deadline_s)
+            give_up_s = _control_lapses_s(control, deadline_s)
         if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not two
             raise ControlTaken(f"{who} is controlled by another application", got=refusal)
         time.sleep(ASK_AGAIN_S)
@@ -258,7 +258,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
     return None if privilege & gev.CCP_CONTROL else f"privilege {privilege}"
 
 
-def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
+def _control_lapses_s(control: ControlChannel, deadline_s: float) -> float:
     """Return when a controller that is dead now will lose control; never later than the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)

@@ -113,7 +113,7 @@ class PairGrabber:
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
         self._must_restart = self._restarts_after(frames)
         if None in frames:
-            self._explain_absence(frames)
+            self._raise_for_missing(frames)
         return self._reading(frames, sequence, triggered_s)
 
     def _restarts_after(self, frames: Frames) -> bool:
@@ -152,7 +152,7 @@ class PairGrabber:
             deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
         return first, right.take(deadline_s, any_lost)
 
-    def _explain_absence(self, frames: Frames) -> None:
+    def _raise_for_missing(self, frames: Frames) -> None:
         """Raise the reason why a frame did not come.
 
         GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
@@ -164,9 +164,9 @@ class PairGrabber:
                 raise camera.lost
             require_control(camera.control, time.monotonic() + ALIVE_LIMIT_S)
         if frames == (None, None):
-            raise self._missed()
+            raise self._trigger_missed()
 
-    def _missed(self) -> TriggerMissed:
+    def _trigger_missed(self) -> TriggerMissed:
         """Return the error for a trigger without any image, with the known reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":

@@ -40,7 +40,7 @@ class BaslerProbe:
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        diagnostics = self._cameras(_expected(config), lambda share: progress(CAMERAS_SHARE * share))
+        diagnostics = self._cameras(_expected_cameras(config), lambda share: progress(CAMERAS_SHARE * share))
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
         return (*diagnostics, *connect_and_leave(name, config, BaslerStereoPair, advice, inspect))
 
@@ -78,7 +78,7 @@ def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:
             yield network
 
 
-def _expected(config: DeviceConfig) -> list[Expected]:
+def _expected_cameras(config: DeviceConfig) -> list[Expected]:
     """List the cameras of a theatre file; the driver itself reports invalid options and endpoints."""
     model = _text(config, "expected_model")
     sides = {side: parse_endpoint(text) for side, text in config.endpoints.items()}
@@ -103,12 +103,12 @@ def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
     for number, network in enumerate(search.interfaces, start=1):
         cameras |= {each.address: each for each in discover_cameras(network)}
         progress(number / len(search.interfaces))
-    pairs = [pair for pair in permutations(cameras.values(), 2) if _a_pair(*pair)]
+    pairs = [pair for pair in permutations(cameras.values(), 2) if _may_be_pair(*pair)]
     named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
     return [_proposal(*pair, named=pair in named) for pair in named or pairs]
 
 
-def _a_pair(one: CameraIdentity, other: CameraIdentity) -> bool:
+def _may_be_pair(one: CameraIdentity, other: CameraIdentity) -> bool:
     return one.model == other.model and one.serial != other.serial
 
 

@@ -88,7 +88,7 @@ class KukaRsiArm:
 
     @property
     def state(self) -> Lifecycle:
-        self._watch.settle()
+        self._watch.check_until_certain()
         return self._guard.state
 
     @property
@@ -106,7 +106,7 @@ class KukaRsiArm:
     @property
     def fault(self) -> RonnaError | None:
         """The error that latched FAULT, if any."""
-        self._watch.settle()
+        self._watch.check_until_certain()
         return self._guard.fault
 
     def observe(self) -> LastKnown[ArmReading]:
@@ -216,7 +216,7 @@ class KukaRsiArm:
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Bring the arm to rest and end the RSI program. Raises a fault that comes up meanwhile."""
-        self._watch.settle()
+        self._watch.check_until_certain()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
         if self.connections.link.state.moving:
@@ -246,7 +246,7 @@ class KukaRsiArm:
         CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
         prevents it, such as EKI-007; a fault then stays latched.
         """
-        self._watch.notice()
+        self._watch.check()
         require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
         connections = self.connections
@@ -327,7 +327,7 @@ class KukaRsiArm:
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
-        self._watch.notice()
+        self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
         link = self.connections.open_link
         if link is None or not link.alive:
@@ -345,7 +345,7 @@ class KukaRsiArm:
             if held:  # HOLD is said of an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
-        self._watch.settle()
+        self._watch.check_until_certain()
 
     def resume(self) -> None:
         self._watch.raise_new()
@@ -386,7 +386,7 @@ class KukaRsiArm:
         try:
             return self.connections.eki.status(timeout_s)
         except RonnaError:
-            self._watch.notice()
+            self._watch.check()
             raise
 
 

@@ -37,7 +37,7 @@ GIVE_OUR_ADDRESS = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
     "controller's RSI interface; check that the cable is connected and the interface is up."
 )
-SEE_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
+FIND_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
 
 Condition = Callable[[LinkState], bool]
 Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
@@ -61,11 +61,11 @@ class LinkClient:
         Mailbox.initialise(self._memory_fd)
         self._mailbox = Mailbox(self._memory_fd)
         self._settings = replace(settings(self._memory_fd, self._event_fd), keeps_bytes=kept is not None)
-        self._kept = kept
+        self._on_traffic = kept
         self.surroundings = Surroundings()  # used to monitor the next motions
         self._lock = threading.Lock()
         self._changed = threading.Condition()
-        self._words: str | None = None
+        self._end_reason: str | None = None
         self._commands = 0
         self._stops = 0
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
@@ -79,9 +79,11 @@ class LinkClient:
                 start_new_session=True,
                 pass_fds=(self._memory_fd, self._event_fd),
             )
-        self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
+        self._heartbeat_thread = threading.Thread(
+            target=self._run_heartbeat, name="rsi heartbeat", daemon=True
+        )
         try:
-            self._begin(timeout_s)
+            self._start(timeout_s)
         except BaseException:  # including interruptions: the real-time process ends with its client
             self.close()
             raise
@@ -165,9 +167,9 @@ class LinkClient:
 
     def death_error(self) -> LinkProcessDied:
         """Return the error for a process that ended unexpectedly."""
-        if self._words is None:
-            self._words = self._last_words()
-        return LinkProcessDied(f"the real-time process ended: {self._words}")
+        if self._end_reason is None:
+            self._end_reason = self._read_end_reason()
+        return LinkProcessDied(f"the real-time process ended: {self._end_reason}")
 
     def histogram(self) -> tuple[int, ...]:
         """Return turnaround counts of the stream; edges are in `drivers.kuka_rsi.realtime.link_health`."""
@@ -208,24 +210,24 @@ class LinkClient:
             self.process.wait()
         if self.process.stderr is not None:
             self.process.stderr.close()
-        if self._pulse.is_alive():
-            self._pulse.join()
-        self._hand_over()  # traffic during the end of the process
+        if self._heartbeat_thread.is_alive():
+            self._heartbeat_thread.join()
+        self._deliver_traffic()  # traffic during the end of the process
         self._mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)
 
-    def _begin(self, timeout_s: float) -> None:
+    def _start(self, timeout_s: float) -> None:
         stdin = self.process.stdin
         with contextlib.suppress(BrokenPipeError):
             if stdin is not None:
                 stdin.write(self._settings.to_json().encode() + b"\n")
                 stdin.flush()
-        self._pulse.start()
+        self._heartbeat_thread.start()
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
         except LinkProcessDied as error:
-            raise LinkNotStarted(error.what, action=SEE_WHAT_ENDS_IT) from None
+            raise LinkNotStarted(error.what, action=FIND_WHAT_ENDS_IT) from None
         where = f"udp://{self._settings.host}:{self._settings.port}"
         if state is None:
             raise LinkNotStarted(
@@ -238,12 +240,12 @@ class LinkClient:
                 raise LinkNotStarted(reason, expected="an address of this computer", action=GIVE_OUR_ADDRESS)
             raise LinkNotStarted(reason)
 
-    def _beat(self) -> None:
+    def _run_heartbeat(self) -> None:
         count = 0
         while not self._closing.is_set():
             count += 1
             self._mailbox.beat(count)
-            self._hand_over()
+            self._deliver_traffic()
             ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
             if ready:
                 with contextlib.suppress(BlockingIOError):
@@ -251,14 +253,14 @@ class LinkClient:
                 with self._changed:
                     self._changed.notify_all()
 
-    def _hand_over(self) -> None:
-        if self._kept is None:
+    def _deliver_traffic(self) -> None:
+        if self._on_traffic is None:
             return
         cycles, lost = self._mailbox.fetch_kept()
         if cycles or lost:
-            self._kept(cycles, lost)
+            self._on_traffic(cycles, lost)
 
-    def _last_words(self) -> str:
+    def _read_end_reason(self) -> str:
         stream = self.process.stderr
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
         code = self.process.wait()

@@ -44,18 +44,21 @@ def verify_by_motion(
     start = link.state.commanded_rad
     for axis in reversed(range(len(AXIS_NAMES))):
         angle = micro_angle(kinematics, start, axis)
-        there = _turned(start, axis, angle)
-        _go(name, link, kinematics, limits, start, there, axis, stops)
+        there = _with_axis_moved(start, axis, angle)
+        _move_and_watch(name, link, kinematics, limits, start, there, axis, stops)
         answered = link.state.measured_rad[axis] - start[axis]
         if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
             _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
-        _go(name, link, kinematics, limits, start, start, axis, stops)
+        _move_and_watch(name, link, kinematics, limits, start, start, axis, stops)
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
     """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
     beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
-    here, there = kinematics.forward(joints_rad), kinematics.forward(_turned(joints_rad, axis, PROBE_RAD))
+    here, there = (
+        kinematics.forward(joints_rad),
+        kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD)),
+    )
     moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
     angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
     middle = 0.5 * (kinematics.lower_rad[axis] + kinematics.upper_rad[axis])
@@ -70,7 +73,7 @@ def _require_cycle(name: str, link: LinkClient) -> None:
         raise HandshakeFailed(f"{name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams")
 
 
-def _go(
+def _move_and_watch(
     name: str,
     link: LinkClient,
     kinematics: Kinematics,
@@ -121,6 +124,6 @@ def _refuse(name: str, link: LinkClient, what: str, limit_rad: float) -> None:
     )
 
 
-def _turned(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
+def _with_axis_moved(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
     A1, A2, A3, A4, A5, A6 = (a + angle_rad * (k == axis) for k, a in enumerate(joints_rad))
     return (A1, A2, A3, A4, A5, A6)

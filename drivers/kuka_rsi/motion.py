@@ -115,7 +115,7 @@ class MotionFollower:
             return state.command_number >= number and state.result is not Result.RUNNING
 
         while (state := self.wait(ended, POLL_S)) is None:
-            self._watch.notice()
+            self._watch.check()
             if link.stalled_s > POLL_S:
                 self._watch.raise_any()
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.

@@ -256,7 +256,7 @@ class PolarisTracker:
         if self._open_link is not None:
             # a unit that is gone needs no closing commands
             with contextlib.suppress(RonnaError, OSError):
-                self._leave_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
+                self._release_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
             self._drop_link()
         self._guard.enter(Lifecycle.CLOSED)
 
@@ -315,7 +315,7 @@ class PolarisTracker:
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
-    def _leave_unit(self, link: CommandLink, deadline_s: float) -> None:
+    def _release_unit(self, link: CommandLink, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in RUNNING | {Lifecycle.FAULT}:

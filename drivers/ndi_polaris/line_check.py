@@ -191,9 +191,9 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
     Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
     """
     if line.opening is not Opening.OPENED:
-        return _not_opened(line)
+        return _diagnose_refusal(line)
     if (answered := line.answered) is not None:
-        return _answered(answered)
+        return _diagnose_reply(answered)
     if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
         return Diagnosis(
             False,
@@ -202,11 +202,11 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
         )
     noisy = [attempt for attempt in line.attempts if attempt.heard]
     if not noisy:
-        return _silent(line)
+        return _diagnose_silence(line)
     if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
         return Diagnosis(
             False,
-            f"echoes our commands {_where(noisy[0])}",
+            f"echoes our commands {_rate_text(noisy[0])}",
             "A loop-back plug, or a terminal with its echo on: there is no unit.",
         )
     if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
@@ -215,7 +215,9 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
             f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
             "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
         )
-    seen = "; ".join(f"garbage {_where(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:])
+    seen = "; ".join(
+        f"garbage {_rate_text(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:]
+    )
     if (text := _as_text(noisy[-1].heard)) is not None:
         advice = f"It sends text ({text!r}): another device or program is on this line."
     elif line.endpoint.scheme == "tcp":
@@ -228,7 +230,7 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
     return Diagnosis(False, seen, advice)
 
 
-def _not_opened(line: LineState) -> Diagnosis:
+def _diagnose_refusal(line: LineState) -> Diagnosis:
     endpoint = line.endpoint
     if line.opening is Opening.MISSING:
         advice = "Is the adapter plugged in? The ports that exist are listed above."
@@ -260,7 +262,7 @@ def _not_opened(line: LineState) -> Diagnosis:
     return Diagnosis(False, line.refusal.reason, line.refusal.advice)
 
 
-def _answered(attempt: Attempt) -> Diagnosis:
+def _diagnose_reply(attempt: Attempt) -> Diagnosis:
     rate = "" if attempt.baud is None else f" at {attempt.baud}"
     seen = f"answered{rate}: {attempt.reply} (last bytes {attempt.heard.hex(' ')})"
     if attempt.baud in (None, DEFAULT_BAUD):
@@ -273,7 +275,7 @@ def _answered(attempt: Attempt) -> Diagnosis:
     )
 
 
-def _silent(line: LineState) -> Diagnosis:
+def _diagnose_silence(line: LineState) -> Diagnosis:
     if line.endpoint.scheme == "tcp":
         return Diagnosis(
             False,
@@ -288,7 +290,7 @@ def _silent(line: LineState) -> Diagnosis:
     )
 
 
-def _where(attempt: Attempt) -> str:
+def _rate_text(attempt: Attempt) -> str:
     return "over TCP" if attempt.baud is None else f"at {attempt.baud}"
 
 

@@ -73,13 +73,13 @@ class FeatureMap:
     def __init__(self, nodes: dict[str, Node], memory: RegisterMemory) -> None:
         self._nodes = nodes
         self._memory = memory
-        self._held: dict[str, Number] = {}  # nodes with their own value and no register
+        self._local_values: dict[str, Number] = {}  # nodes with their own value and no register
         self._budget = COST_LIMIT
 
     def has(self, name: str) -> bool:
         """Test whether the camera has this feature and it is available now."""
         self._budget = COST_LIMIT
-        return name in self._nodes and self._usable(name, 0)
+        return name in self._nodes and self._is_available(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
         """Return names and values of an enumeration's currently available entries."""
@@ -130,7 +130,7 @@ class FeatureMap:
         node = self._node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
-        value = self._own_or_other(node, "CommandValue", 0)
+        value = self._field_number(node, "CommandValue", 0)
         target = node.text("pValue")
         register = self._final_register(target or "", 0)
         return self._address(register, 0), self._encoded(register, 1 if value is None else value)
@@ -144,8 +144,8 @@ class FeatureMap:
         while node is not None and depth < DEPTH_LIMIT:
             for place, tag in enumerate(("Min", "Max", "Inc")):
                 if found[place] is None:
-                    found[place] = self._own_or_other(node, tag, depth)
-            below = self._below(node, depth) if node.kind not in _CONVERTERS else None
+                    found[place] = self._field_number(node, tag, depth)
+            below = self._value_node(node, depth) if node.kind not in _CONVERTERS else None
             node = self._node(below) if below else None
             depth += 1
         return Limits(*found)
@@ -157,40 +157,40 @@ class FeatureMap:
             raise MissingFeature(f"the camera has no feature {name}") from None
 
     def _read(self, name: str, depth: int) -> Number:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             return self._decoded(node, depth)
         if node.kind.endswith("SwissKnife"):
-            return self._computed(node, "Formula", depth)
-        below = self._below(node, depth)
+            return self._evaluate_node(node, "Formula", depth)
+        below = self._value_node(node, depth)
         if node.kind in _CONVERTERS:
-            return self._computed(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
+            return self._evaluate_node(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
         if below is not None:
             value = self._read(below, depth + 1)
             return float(value) if node.kind == "Float" else value
-        if name in self._held:
-            return self._held[name]
+        if name in self._local_values:
+            return self._local_values[name]
         own = node.text("Value")
         if own is None:
             raise BadDescription(f"{name} ({node.kind}) has no value")
         return real_number(own, name) if node.kind == "Float" else whole_number(own, name)
 
     def _write(self, name: str, value: Number, depth: int) -> None:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             self._memory.write(self._address(node, depth), self._encoded(node, value))
             return
-        below = self._below(node, depth)
+        below = self._value_node(node, depth)
         if node.kind in _CONVERTERS:
-            self._write(below or "", self._computed(node, "FormulaTo", depth, FROM=value), depth + 1)
+            self._write(below or "", self._evaluate_node(node, "FormulaTo", depth, FROM=value), depth + 1)
         elif below is not None:
             self._write(below, value, depth + 1)
         elif node.text("Value") is not None:
-            self._held[name] = value
+            self._local_values[name] = value
         else:
             raise MissingFeature(f"{name} cannot be written", got=node.kind)
 
-    def _checked(self, name: str, depth: int) -> Node:
+    def _visit(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
             raise BadDescription(f"the nodes below {name} form a cycle")
         node = self._node(name)
@@ -203,21 +203,21 @@ class FeatureMap:
             raise BadDescription(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
 
     def _final_register(self, name: str, depth: int) -> Node:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             return node
-        return self._final_register(self._below(node, depth) or "", depth + 1)
+        return self._final_register(self._value_node(node, depth) or "", depth + 1)
 
-    def _usable(self, name: str, depth: int) -> bool:
+    def _is_available(self, name: str, depth: int) -> bool:
         """Test a node's conditions, and those of the node with its value."""
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
                 return False
-        below = self._below(node, depth)
-        return below is None or self._usable(below, depth + 1)
+        below = self._value_node(node, depth)
+        return below is None or self._is_available(below, depth + 1)
 
-    def _below(self, node: Node, depth: int) -> str | None:
+    def _value_node(self, node: Node, depth: int) -> str | None:
         """Return the node with a node's value, selected by the index if there are several."""
         chooser = None if node.kind in _REGISTERS else node.text("pIndex")
         if chooser is None:
@@ -228,7 +228,7 @@ class FeatureMap:
                 return field.text
         return node.text("pValueDefault")
 
-    def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
+    def _field_number(self, node: Node, tag: str, depth: int) -> Number | None:
         """Return the number in a field, or in the node named by its twin `p...`; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
@@ -236,7 +236,7 @@ class FeatureMap:
             return read(own, f"{tag} of {node.name}")
         return None if other is None else self._read(other, depth + 1)
 
-    def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
+    def _evaluate_node(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
         """Evaluate a node's formula with its variables, constants and expressions."""
         values = dict(given)
         for field in node.fields:
@@ -244,13 +244,13 @@ class FeatureMap:
             if field.tag == "pVariable":
                 values[name] = self._read(field.text.split(".")[0], depth + 1)
             elif field.tag in ("Constant", "Expression"):
-                values[name] = self._evaluated(field.text, values, node)
+                values[name] = self._evaluate_formula(field.text, values, node)
         formula = node.text(tag)
         if formula is None:
             raise BadDescription(f"{node.name} has no {tag}")
-        return self._evaluated(formula, values, node)
+        return self._evaluate_formula(formula, values, node)
 
-    def _evaluated(self, formula: str, values: dict[str, Number], node: Node) -> Number:
+    def _evaluate_formula(self, formula: str, values: dict[str, Number], node: Node) -> Number:
         self._spend(len(formula), node.name)
         return evaluate(formula, values, whole=node.kind in _WHOLE)
 

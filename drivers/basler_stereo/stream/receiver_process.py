@@ -156,11 +156,11 @@ class ReceiverLoop:
         view = memoryview(buffer)
         while True:
             more = False
-            for descriptor, _ in self._poll.poll(self._patience_s() * 1e3):
+            for descriptor, _ in self._poll.poll(self._wait_s() * 1e3):
                 stream = self._by_descriptor.get(descriptor)
                 if stream is not None:
                     more |= stream.receive(buffer, view)
-                elif descriptor == self._orders.fileno() and not self._obey():
+                elif descriptor == self._orders.fileno() and not self._take_order():
                     return
             now_s = time.monotonic()
             for stream in self._streams.values():
@@ -171,7 +171,7 @@ class ReceiverLoop:
             if not more and any(stream.gathers for stream in self._streams.values()):
                 time.sleep(GATHER_S)
 
-    def _patience_s(self) -> float:
+    def _wait_s(self) -> float:
         if any(stream.waiting for stream in self._streams.values()):
             return FRAME_WAIT_S
         now_s = time.monotonic()
@@ -179,17 +179,17 @@ class ReceiverLoop:
             0.0, min([IDLE_WAIT_S, *(keep_alive.due_s - now_s for keep_alive in self._keep_alives.values())])
         )
 
-    def _obey(self) -> bool:
+    def _take_order(self) -> bool:
         try:
             received = receive_order(self._orders)
         except OSError:
             return False
         if received is None:
             return False
-        self._carry_out(*received)
+        self._execute(*received)
         return True
 
-    def _carry_out(self, order: Order, descriptors: list[int]) -> None:
+    def _execute(self, order: Order, descriptors: list[int]) -> None:
         match order:
             case OpenStream():
                 stream = _Stream(order, descriptors)

@@ -57,15 +57,15 @@ class Ack(NamedTuple):
 class Listener(Protocol):
     """Listener to an EKI connection, called from the reader's thread: be quick."""
 
-    def controller_said(self, state: ControllerState) -> None:
+    def on_state(self, state: ControllerState) -> None:
         """Handle a state, requested or unsolicited."""
         ...
 
-    def controller_quiet(self) -> None:
+    def on_silence(self) -> None:
         """Handle a silence of `QUIET_S`; called repeatedly."""
         ...
 
-    def controller_lost(self, failure: RonnaError) -> None:
+    def on_loss(self, failure: RonnaError) -> None:
         """Handle a broken connection; not called for one closed by us."""
         ...
 
@@ -126,7 +126,7 @@ class EkiClient:
         """Register for every state, and for the loss of the connection."""
         self._listener = listener
         if self._failure is not None and not self._closing:
-            listener.controller_lost(self._failure)
+            listener.on_loss(self._failure)
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
@@ -233,7 +233,7 @@ class EkiClient:
             self._failure = failure
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
-            self._listener.controller_lost(failure)
+            self._listener.on_loss(failure)
 
     def _lost(self, how: str) -> ControllerLost:
         """Return the error for a broken connection; without any state it was never really open."""
@@ -248,7 +248,7 @@ class EkiClient:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
                 if self._listener is not None:
-                    self._listener.controller_quiet()
+                    self._listener.on_silence()
                 continue
             if self._passed is not None:
                 self._passed(Direction.RECEIVED, data)
@@ -270,7 +270,7 @@ class EkiClient:
                 _keep(self._acks, number, Ack(code, root.get("Text") or ""))
             self._arrived.notify_all()
         if state is not None and self._listener is not None:
-            self._listener.controller_said(state)
+            self._listener.on_state(state)
 
 
 def _keep(store: dict[int, T], number: int, value: T) -> None:

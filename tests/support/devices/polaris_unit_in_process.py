@@ -1,4 +1,4 @@
-"""A small unit for the driver's tests: in process, on a clock that only moves when somebody waits.
+"""Small Polaris unit in process, on a clock that only moves when somebody waits.
 
 It is written from the protocol's reference, not from the driver's code.
 """
@@ -53,7 +53,7 @@ def binary(body: bytes) -> bytes:
 
 
 class UnitInProcess:
-    """The unit and its line. Handles are given out from 01; each loaded tool is seen 10 mm apart."""
+    """Unit with its line. Handles are given out from 01; loaded tools are seen 10 mm apart."""
 
     def __init__(self, baud: int | None = 9600) -> None:
         self.now_s = 0.0
@@ -267,7 +267,7 @@ class UnitInProcess:
         return "OKAY"
 
     def pose_of(self, handle: int) -> tuple[float, ...]:
-        """Q0 Qx Qy Qz Tx Ty Tz error of one handle in the present frame: the frame number is in the depth."""
+        """Return Q0 Qx Qy Qz Tx Ty Tz error of a handle; the depth carries the frame number."""
         return (1.0, 0.0, 0.0, 0.0, 10.0 * handle, -20.0, -1500.0 - self.frame / 100, 0.125)
 
     def _enabled(self) -> list[int]:
@@ -316,7 +316,7 @@ class StillClock:
 
 
 def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options: Any) -> PolarisTracker:
-    """A tracker whose line is the unit itself, and whose time limits are counted on the unit's clock."""
+    """Make a tracker whose line is the unit itself, and whose time limits count on the unit's clock."""
     options.setdefault("tools", [{"name": "robot_frame", "rom": "robot_frame.rom"}])
     return PolarisTracker(
         "tracker",
@@ -329,7 +329,7 @@ def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options:
 
 
 def bring_up(device: PolarisTracker) -> PolarisTracker:
-    """The same device, tracking."""
+    """Bring the tracker to tracking, and return it."""
     device.connect()
     device.configure()
     device.activate()

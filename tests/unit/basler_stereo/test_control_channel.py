@@ -1,4 +1,4 @@
-"""The control channel against a scripted thread: resends, late answers, answers to other requests."""
+"""Commands are repeated, matched and refused; control is taken, kept by a heartbeat, and lost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, Bootstrap, GevStatu
 
 
 class Answering:
-    """A UDP socket whose thread gives every datagram to a function and sends what that returns."""
+    """UDP socket whose thread gives every datagram to a function and sends what that returns."""
 
     def __init__(self, answer) -> None:
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -233,7 +233,7 @@ def test_an_answer_that_arrived_while_the_host_stalled_counts(channel_to):
 
 
 class HeldCamera:
-    """A camera that refuses control a number of times; `heartbeat_ms` None: reading is refused too."""
+    """Camera that refuses control a number of times; `heartbeat_ms` None: reading is refused too."""
 
     def __init__(
         self, refusals: int, heartbeat_ms: int | None, status: int = GevStatus.ACCESS_DENIED
@@ -298,7 +298,7 @@ SILENT = None
 
 
 class ScriptedCamera:
-    """Answers each question for its privilege with the next of `answers`; each takes `takes_s`."""
+    """Camera that gives the next of `answers` to each question for its privilege, after `takes_s`."""
 
     address = "192.168.3.11"
 

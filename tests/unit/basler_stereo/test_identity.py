@@ -1,4 +1,4 @@
-"""The identity of a camera in its reply to discovery."""
+"""Cameras are identified by their replies to discovery, by address or by broadcast."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ MOST_READ = 10
 
 
 class FloodedSocket(socket.socket):
-    """From which there is always a datagram to read that is no camera's reply."""
+    """Socket with always another datagram to read that is no camera's reply."""
 
     read = 0
 

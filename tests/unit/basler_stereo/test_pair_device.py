@@ -1,4 +1,4 @@
-"""Which camera belongs to which side, and both as one device."""
+"""Each camera belongs to its side, both are one device, and wrong options are refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The probe of the cameras: what answers, who controls it, which packets arrive, and what that means."""
+"""The cameras' probe tells who answers, who is in control, which packets arrive, and what that means."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def test_a_network_that_goes_down_during_the_look_is_reported(
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
-    """The interfaces on which broadcast discovery ran. It finds the right camera; nothing is really sent."""
+    """Collect the interfaces asked by broadcast discovery, which finds the right camera; nothing is sent."""
     networks: list[Interface] = []
 
     def discover(interface: Interface) -> tuple[CameraIdentity, ...]:

@@ -1,4 +1,4 @@
-"""Frames to readings: pixels, areas, validity."""
+"""Frames become readings: pixels, areas, validity, and pairs judged by the cameras' clocks."""
 
 from __future__ import annotations
 

@@ -143,9 +143,9 @@ def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
     def torn() -> Any:
         raise MailboxTorn("the state row is never consistent")
 
-    notice = FaultWatch.notice
+    check = FaultWatch.check
     monkeypatch.setattr(
-        FaultWatch, "notice", lambda watch: torn() if current_thread().name == "eki reader" else notice(watch)
+        FaultWatch, "check", lambda watch: torn() if current_thread().name == "eki reader" else check(watch)
     )
     eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, ControllerLost)

@@ -1,4 +1,4 @@
-"""The driver against a fake controller: sessions from connect to close."""
+"""Sessions of the driver with a fake controller, from connect to close, and their recorded bytes."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_observe_works_in_every_state_from_any_thread_without_checking_for_fault
     arm.activate()
     arm.move_joints(THERE)
     with monkeypatch.context() as patch:
-        patch.setattr(FaultWatch, "notice", lambda _watch: looked_in.append(current_thread().name))
+        patch.setattr(FaultWatch, "check", lambda _watch: looked_in.append(current_thread().name))
         with ThreadPoolExecutor(thread_name_prefix="observer") as elsewhere:
             seen = elsewhere.submit(arm.observe).result()
     assert not [name for name in looked_in if name.startswith("observer")]

@@ -1,4 +1,4 @@
-"""The probe of the arm: whether the driver can bind the stream port, and what the controller reports."""
+"""The arm's probe tells whether the driver can bind the stream port, and what the controller reports."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ronna_hw.host.loopback import own_udp_endpoint
 
 @pytest.fixture
 def taken() -> Iterator[Endpoint]:
-    """A port that this process is bound to."""
+    """Occupy a port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         yield Endpoint("udp", "127.0.0.1", other.getsockname()[1])

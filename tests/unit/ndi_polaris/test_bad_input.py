@@ -32,7 +32,7 @@ Make = Callable[..., PolarisTracker]
 
 @contextmanager
 def raises_on_one_line(code: str, message: str, action: str) -> Iterator[pytest.ExceptionInfo[RonnaError]]:
-    """The block raises an error of ours with that code, those words and that advice, on one line."""
+    """Expect an error of ours with that code, those words and that advice, on one line."""
     with pytest.raises(RonnaError) as caught:
         yield caught
     assert caught.value.code == code
@@ -212,7 +212,7 @@ def test_a_valid_definition_of_another_tool_is_refused(
 
 
 def described(part_number: str, serial_number: str) -> str:
-    """The answer to PHINF 0005 of a reference tool."""
+    """Return the answer to PHINF 0005 of a reference tool."""
     return f"01000000{'RONNA':12}000{serial_number}31{part_number:20}"
 
 
@@ -349,7 +349,7 @@ def test_a_persistent_hardware_fault_blocks_recovery(tracker: PolarisTracker, un
 
 @contextmanager
 def a_server(serve: Callable[[socket.socket], None]) -> Iterator[str]:
-    """A program that is no unit, listening on the loopback address."""
+    """Run a program that is no unit, listening on the loopback address."""
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def run() -> None:

@@ -1,4 +1,4 @@
-"""From a closed port to a unit that is ready: its identity, its baud rate and its tools."""
+"""A unit is found, identified, set to its baud rate and volume, and its tools are loaded."""
 
 from __future__ import annotations
 

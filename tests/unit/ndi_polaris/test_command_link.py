@@ -31,7 +31,7 @@ from ronna_hw.wire.polaris import BX_START, crc16
 
 
 def once(unit: Any, change: Callable[[bytes], list[tuple[float, bytes]]], name: str | None = None) -> None:
-    """Let the next reply (of one command) be delivered differently."""
+    """Deliver the next reply (of one command) differently."""
     usual = unit.deliver
 
     def deliver(command: str, reply: bytes) -> list[tuple[float, bytes]]:
@@ -187,7 +187,7 @@ FLOOD_BYTES = 22_000_000
 
 
 class CutLine(UnitInProcess):
-    """Ends after so many bytes from the unit: at once where it is `hung_up`, or by silence."""
+    """Line that ends after so many bytes from the unit: at once if `hung_up`, or by silence."""
 
     def __init__(self, left: int, *, hung_up: bool) -> None:
         super().__init__(baud=None)

@@ -1,4 +1,4 @@
-"""The probe of the tracker: what is on its line, why nothing answers, and what to do about it."""
+"""The tracker's probe tells what is on its line, why nothing answers, and what to do about it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ Hears = Callable[[int, bytes], bytes]  # rate of the host, what it said -> what 
 
 
 class OtherEnd:
-    """The other end of a pseudo-terminal, which sees at which rate the host speaks."""
+    """Other end of a pseudo-terminal, which sees at which rate the host speaks."""
 
     def __init__(self, answer: Hears) -> None:
         self.answer = answer
@@ -153,7 +153,7 @@ def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Hears], OtherE
 
 @pytest.fixture
 def other_program(other_end: Callable[[Hears], OtherEnd]) -> Iterator[tuple[OtherEnd, int]]:
-    """(line, pid) of a program that has the line open."""
+    """Return line and pid of a program that has the line open."""
     end = other_end(unit_at(9600))
     program = (
         f"import sys; port = open({end.path!r}, 'r+b', buffering=0); "
@@ -227,7 +227,7 @@ def test_a_port_that_does_not_exist_is_reported() -> None:
 
 @pytest.fixture
 def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
-    """A TCP port that answers everything with the same bytes, or hangs up when they are None."""
+    """Open a TCP port that answers everything with the same bytes, or hangs up when they are None."""
     servers: list[socket.socket] = []
 
     def make(answer: bytes | None) -> Endpoint:

@@ -25,7 +25,7 @@ markers_mm = [[0, 0, 0], [0, 110.5, 0], [52, 140, 0], [-35, 33, 0]]
 
 @pytest.fixture
 def rom(capsys: pytest.CaptureFixture[str]) -> Rom:
-    """Runs the command; gives exit code, standard output and standard error."""
+    """Run the command; return exit code, standard output and standard error."""
 
     def run(*arguments: object) -> tuple[int, str, str]:
         code = exit_code_of(app, [str(argument) for argument in arguments])

@@ -173,7 +173,7 @@ def test_a_part_number_that_does_not_fit_is_refused(part_number: str) -> None:
 
 
 def foreign(seed: int) -> bytes:
-    """A definition as another maker writes it: every byte that we do not need is noise."""
+    """Return a definition as another maker writes it: every byte that we do not need is noise."""
     block = bytearray(np.random.default_rng(seed).integers(0, 256, 752, dtype=np.uint8).tobytes())
     for offset, size in ((0, 4), (24, 1), (28, 1), (32, 1), (36, 4), (40, 12), (72, 48), (312, 48), (613, 4)):
         block[offset : offset + size] = encode_definition(RIGID_BODY)[offset : offset + size]

@@ -1,4 +1,4 @@
-"""The unit's clock, estimated from frame numbers whose replies arrive with a varying delay."""
+"""Frame numbers give the unit's clock despite varying delays, and replies are timed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BEGAN_S = 1234.5
 
 
 def delays(seed: int) -> Iterator[float]:
-    """Mostly a little over the least delay; now and then the computer stalls for tens of milliseconds."""
+    """Draw delays: mostly a little over the least; sometimes the computer stalls for tens of milliseconds."""
     chosen = random.Random(seed)
     while True:
         stall_s = chosen.uniform(0.01, 0.3) if chosen.random() < 0.05 else 0.0

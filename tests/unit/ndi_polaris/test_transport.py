@@ -21,7 +21,7 @@ from ronna_hw.endpoints import BadEndpoint, parse_endpoint
 
 
 class Line:
-    """Our end and the unit's end of one line."""
+    """Both ends of one line."""
 
     def __init__(self, transport: Transport, unit: int | socket.socket, endpoint: str) -> None:
         self.transport, self.unit, self.endpoint = transport, unit, endpoint

@@ -1,4 +1,4 @@
-"""The camera's own description: where it is stored, and which XML is accepted."""
+"""A camera's own description is fetched and read strictly; hostile ones are refused at bounded cost."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ BLOCKS = 87  # four gigabytes in all
 
 
 def zeros() -> bytes:
-    """Four gigabytes of zeros as bzip2 packs them: less than three kilobytes."""
+    """Pack four gigabytes of zeros as bzip2: less than three kilobytes."""
     crc = 0
     for _ in range(BLOCKS):
         crc = (crc << 1 | crc >> 31) & 0xFFFFFFFF ^ int.from_bytes(BLOCK[6:10])
@@ -115,7 +115,7 @@ def features(nodes: str) -> FeatureMap:
 
 
 def packed_zeros(method: int, claimed: int, content: bytes) -> bytes:
-    """A ZIP file with that content as its one member's packed bytes, which claims to be small."""
+    """Make a ZIP file with that content as its one member, which claims to be small."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:
         archive.writestr("cam.xml", content)

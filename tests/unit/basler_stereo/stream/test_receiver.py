@@ -1,4 +1,4 @@
-"""Frames through shared memory: complete, or known to be overwritten."""
+"""Frames pass through shared memory complete, or known to be overwritten; foreign packets are dropped."""
 
 from __future__ import annotations
 

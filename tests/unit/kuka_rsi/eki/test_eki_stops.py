@@ -30,7 +30,7 @@ Happen = Callable[[Any], None]
 
 @pytest.fixture
 def patient_arm(make_arm: Any) -> Any:
-    """Active, and as patient as a controller that stands still needs."""
+    """Return an active arm, as patient as a controller that stands still needs."""
     arm = make_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
     arm.connect()
     arm.configure()
@@ -39,7 +39,7 @@ def patient_arm(make_arm: Any) -> Any:
 
 
 def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
-    """The error of a long motion in which something happens between two telegrams, well under way."""
+    """Return the error of a long motion in which something happens between two telegrams."""
     mover, caught = moving(arm, controller)
     controller.silent.set()
     assert controller.standing.wait(HANG_S)

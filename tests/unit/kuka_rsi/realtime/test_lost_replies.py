@@ -46,7 +46,7 @@ LOSSES = st.lists(st.sampled_from(["", "", "", "reply", "telegram"]), min_size=1
 
 
 class HoldingController:
-    """Takes what arrives, keeps it otherwise. `tells`: by how many telegrams too late; None is never."""
+    """Controller that takes what arrives and keeps it otherwise; `tells` a loss so many telegrams late."""
 
     def __init__(self, tells: int | None = 0) -> None:
         self.responder = Responder(SETTINGS)
@@ -129,7 +129,7 @@ def _moving(cycles: int = AT_SPEED, tells: int | None = 0) -> HoldingController:
 
 
 def _whole() -> list[JointVector]:
-    """What acts, cycle by cycle, when nothing is lost."""
+    """Return what acts, cycle by cycle, when nothing is lost."""
     controller = _moving(0)
     controller.finish()
     return controller.taken

@@ -1,4 +1,4 @@
-"""What passes between driver and real-time process: orders, commands, states, settings, histograms."""
+"""Orders, commands, states, settings and histograms arrive unchanged between driver and real-time process."""
 
 from __future__ import annotations
 

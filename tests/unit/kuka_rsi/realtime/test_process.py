@@ -1,4 +1,4 @@
-"""A link whose parent is gone keeps running until the controller's program has been sent the stop."""
+"""The real-time process imports little, survives mutants, and outlives its parent until the arm stops."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:
 
 
 def _answered(controller: socket.socket, link: LinkClient, ipoc: int) -> None:
-    """A fresh session answers a telegram as it should, whatever came before."""
+    """Test whether a fresh session answers a telegram, whatever came before."""
     link.command(CommandKind.CLOSE)
     link.wait(lambda s: s.phase is Phase.IDLE, GENEROUS_S)
     number = link.command(CommandKind.OPEN, limits=LIMITS)

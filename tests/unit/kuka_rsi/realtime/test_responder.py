@@ -1,4 +1,4 @@
-"""Sessions in which the monitor, silence or a missing heartbeat of the parent stops the arm."""
+"""Sessions in which the monitor, losses, silence or a missing heartbeat stop the arm."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def test_losing_the_parent_process_stops_the_arm_and_ends_the_program() -> None:
 
 
 def _until_fault(stand: ResponderStand) -> int:
-    """Cycles until a fault is latched."""
+    """Run cycles until a fault is latched."""
     for cycles in range(1, MOST_CYCLES):
         stand.cycle()
         if stand.responder.fault:
@@ -200,7 +200,7 @@ def _until_fault(stand: ResponderStand) -> int:
 
 
 def _rests_within(stand: ResponderStand, limit_s: float) -> bool:
-    """Whether the set-points come to rest in that time."""
+    """Test whether the set-points come to rest in that time."""
     for _ in range(round(limit_s / CYCLE_S)):
         stand.cycle()
         if not stand.responder.moving:

@@ -1,4 +1,4 @@
-"""A session receives only its own controller; strangers are counted, and the port is exclusive."""
+"""A session receives only its own controller, on time; others are counted, and the port is exclusive."""
 
 from __future__ import annotations
 
@@ -189,13 +189,13 @@ class ToldTime:
         return bool(self.arrivals_ns) and self.arrivals_ns[0] <= moment_ns
 
 
-def places(count: int, cycle_ns: int = CYCLE_NS) -> list[int]:
-    """An absolute schedule."""
-    return [BEGIN_NS + cycle_ns * k for k in range(1, count + 1)]
+def arrivals_ns(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
+    """Return the arrivals of an absolute schedule."""
+    return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
 
 
 def served(world: ToldTime, reception: TelegramReceiver) -> int:
-    """Telegrams received until nothing has come three times; each after a whole cycle."""
+    """Receive telegrams until nothing has come three times; each after a whole cycle."""
     count = nothing = 0
     while nothing < 3:
         if reception.next() is None:
@@ -209,7 +209,7 @@ def served(world: ToldTime, reception: TelegramReceiver) -> int:
 
 @pytest.mark.parametrize("cycle_ns", [1_000_000, 4_000_000, 8_000_000])
 def test_each_reply_is_rehearsed_one_lead_ahead_once_the_pace_is_known(cycle_ns: int) -> None:
-    due_ns = places(60, cycle_ns)
+    due_ns = arrivals_ns(60, cycle_ns)
     world = ToldTime(due_ns)
     assert served(world, world.reception()) == 60
     learning = STEADY_ARRIVALS + 2
@@ -218,7 +218,7 @@ def test_each_reply_is_rehearsed_one_lead_ahead_once_the_pace_is_known(cycle_ns:
 
 
 def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
-    due_ns = places(60, 12_000_000)
+    due_ns = arrivals_ns(60, 12_000_000)
     world = ToldTime(due_ns)
     reception = world.reception()
     for _ in due_ns:
@@ -230,7 +230,7 @@ def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
 
 
 def test_a_wait_without_telegrams_returns_within_twice_the_idle_time() -> None:
-    world = ToldTime(places(30))
+    world = ToldTime(arrivals_ns(30))
     reception = world.reception()
     served(world, reception)
     begun_ns = world.now_ns
@@ -239,13 +239,13 @@ def test_a_wait_without_telegrams_returns_within_twice_the_idle_time() -> None:
 
 
 def test_a_lead_of_zero_rehearses_nothing() -> None:
-    world = ToldTime(places(40))
+    world = ToldTime(arrivals_ns(40))
     assert served(world, world.reception(lead_ns=0)) == 40
     assert world.rehearsed_ns == []
 
 
 def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
-    paced = places(20)
+    paced = arrivals_ns(20)
     hurried = [paced[-1] + 120_000 * k for k in range(1, 100)]
     world = ToldTime(paced + hurried)
     reception = world.reception()
@@ -259,7 +259,7 @@ def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
 
 
 def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it() -> None:
-    before = places(STEADY_ARRIVALS + 2)
+    before = arrivals_ns(STEADY_ARRIVALS + 2)
     after = [moment + 3_000_000_000 for moment in before]
     world = ToldTime(before + after)
     reception = world.reception()
@@ -273,7 +273,7 @@ def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it()
 
 
 def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
-    due_ns = places(30)
+    due_ns = arrivals_ns(30)
     due_ns[-1] -= 700_000
     world = ToldTime(due_ns)
     reception = world.reception()
@@ -285,7 +285,7 @@ def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
 
 
 def test_telegrams_queued_during_a_stall_are_distinguished_from_awaited_ones() -> None:
-    due_ns = places(40)
+    due_ns = arrivals_ns(40)
     world = ToldTime([*due_ns, *[due_ns[-1] + 5 * CYCLE_NS] * 5])
     reception = world.reception()
     for _ in due_ns:
@@ -329,14 +329,9 @@ def test_only_the_newest_of_several_queued_telegrams_is_taken(rehearses: bool, l
         own.close()
 
 
-def predictions(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
-    """An absolute schedule."""
-    return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
-
-
 def test_the_schedule_tolerates_missing_and_late_telegrams() -> None:
     pace = Pace()
-    due_ns = predictions(80)
+    due_ns = arrivals_ns(80)
     for number, due in enumerate(due_ns):
         if number % 5 == 3:
             continue
@@ -346,7 +341,7 @@ def test_the_schedule_tolerates_missing_and_late_telegrams() -> None:
 
 def test_the_schedule_follows_clock_drift() -> None:
     pace = Pace()
-    drifted_ns = predictions(2000, CYCLE_NS * 1.0002)
+    drifted_ns = arrivals_ns(2000, CYCLE_NS * 1.0002)
     for moment in drifted_ns:
         pace.arrived(moment)
     assert pace.due_ns - (drifted_ns[-1] + CYCLE_NS * 1.0002) == pytest.approx(0, abs=2_000)
@@ -355,10 +350,10 @@ def test_the_schedule_follows_clock_drift() -> None:
 @pytest.mark.parametrize("jump_ns", [CYCLE_NS // 2, (MOST_MISSING + 2) * CYCLE_NS])
 def test_a_jump_in_the_schedule_discards_the_learnt_one(jump_ns: int) -> None:
     pace = Pace()
-    for moment in predictions(20):
+    for moment in arrivals_ns(20):
         pace.arrived(moment)
     assert pace.due_ns
-    pace.arrived(predictions(20)[-1] + jump_ns)
+    pace.arrived(arrivals_ns(20)[-1] + jump_ns)
     assert pace.due_ns == 0
 
 
