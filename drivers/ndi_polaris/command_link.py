@@ -70,6 +70,12 @@ class LinkStatistics:
     retries: int = 0
 
 
+class _Echo(Enum):
+    HEARD = "heard"
+    REFUSED = "refused"  # answered with an error
+    SILENT = "silent"
+
+
 class CommandLink:
     """Commands and replies over one transport; one thread at a time."""
 
@@ -390,9 +396,3 @@ def warning_meaning(text: str) -> str | None:
     if match[1] is None:
         return "a warning without a code (older firmware)"
     return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")
-
-
-class _Echo(Enum):
-    HEARD = "heard"
-    REFUSED = "refused"  # answered with an error
-    SILENT = "silent"

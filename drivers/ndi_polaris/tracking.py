@@ -41,6 +41,16 @@ REPLIES_KEPT = 10  # of which the times are reported
 _OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
 
 
+@dataclass
+class TrackingStatistics:
+    """Counts since `start`, from the unit's frame numbers."""
+
+    frames: int = 0
+    repeated: int = 0
+    disturbed: int = 0  # replies that had to be requested again
+    missed: int = 0  # measurements made between two of our requests
+
+
 class Tracking:
     """Tracking with a configured unit: tools, volume, clock. Deadlines are on the link's clock."""
 
@@ -144,6 +154,14 @@ class Tracking:
             raise UnitRestarted("the unit is no longer tracking") from error
 
 
+def stop_tracking(link: CommandLink, deadline_s: float) -> None:
+    """Send TSTOP; a unit that is not tracking is not an error."""
+    try:
+        link.ask("TSTOP", deadline_s=deadline_s)
+    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
+        return
+
+
 class FrameClock:
     """Frame numbers of one run of tracking, unwrapped and fitted to theatre time by a line.
 
@@ -200,21 +218,3 @@ def unwrap_frame_number(number: int, last: int | None) -> int:
         return number
     half = FRAME_NUMBERS // 2
     return last + (number - last + half) % FRAME_NUMBERS - half
-
-
-@dataclass
-class TrackingStatistics:
-    """Counts since `start`, from the unit's frame numbers."""
-
-    frames: int = 0
-    repeated: int = 0
-    disturbed: int = 0  # replies that had to be requested again
-    missed: int = 0  # measurements made between two of our requests
-
-
-def stop_tracking(link: CommandLink, deadline_s: float) -> None:
-    """Send TSTOP; a unit that is not tracking is not an error."""
-    try:
-        link.ask("TSTOP", deadline_s=deadline_s)
-    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
-        return
