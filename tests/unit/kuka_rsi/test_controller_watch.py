@@ -24,6 +24,7 @@ from drivers.kuka_rsi.errors import (
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
+from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.errors import RonnaError
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
@@ -63,7 +64,7 @@ def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_ar
     with pytest.raises(ControllerNotReady, match="T1"):
         arm.activate()
     arm.recover("Ana")
-    with pytest.raises(ValueError, match="name of the person"):
+    with pytest.raises(PersonNotNamed):
         arm.allow_t1(" ")
     arm.allow_t1("Ana")
     arm.activate()
@@ -132,7 +133,7 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_a_person_con
     arm = _configured(make_arm)
     with pytest.raises(Unverified):
         arm.activate()
-    with pytest.raises(ValueError, match="name of the person"):
+    with pytest.raises(PersonNotNamed):
         arm.activate_unverified("")
     arm.activate_unverified("Ana")
     assert arm.state is Lifecycle.ACTIVE
