@@ -11,10 +11,10 @@ import os
 import sys
 import threading
 
+from drivers.kuka_rsi.connections import link_settings
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
-from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
@@ -41,7 +41,7 @@ def main() -> None:
         limits = working_limits(model, options.speed_fraction)
         number = link.command(CommandKind.OPEN, limits=limits)
         link.wait(lambda state: state.command_number >= number, PATIENCE_S)
-        print("READY " + json.dumps({"endpoint": endpoint, "pid": link._process.pid}), flush=True)
+        print("READY " + json.dumps({"endpoint": endpoint, "pid": link.process.pid}), flush=True)
         link.wait(lambda state: state.phase is Phase.RUNNING, PATIENCE_S)
         if sys.argv[1] == "move":
             if "busy" in sys.argv:

@@ -71,8 +71,8 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
         home = cell.arm.read_state().joints_rad
         away: JointVector = (home[0] + SWING_RAD, *home[1:])
         ends = [away, home]
-        link = cell.arm._connections.link
-        pids = {"simulator": cell.controller.process.pid, "driver's process": link._process.pid}
+        link = cell.arm.connections.link
+        pids = {"simulator": cell.controller.process.pid, "driver's process": link.process.pid}
         spent = {name: 0.0 for name in pids}
         cycles_seen = 0
         whole_moves_hz: list[float] = []

@@ -1,31 +1,37 @@
-"""One camera, from discovery to release: control, settings, stream."""
+"""Camera from discovery to release: control, settings, stream."""
 
 from __future__ import annotations
 
 import contextlib
 import time
 from collections.abc import Callable
+from dataclasses import asdict
 
-from drivers.basler_stereo.control import gvcp
-from drivers.basler_stereo.control.broadcast_discovery import cameras_near
-from drivers.basler_stereo.control.channel import Command, ControlChannel, register_write
-from drivers.basler_stereo.control.heartbeat import Heartbeat
-from drivers.basler_stereo.control.identity import CameraIdentity, identify
-from drivers.basler_stereo.control.privilege import require_control, take_control
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.control_channel import (
+    Command,
+    ControlChannel,
+    Heartbeat,
+    register_write,
+    take_control,
+)
 from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import fetch_description, parse_description
-from drivers.basler_stereo.features.feature_map import FeatureMap
-from drivers.basler_stereo.features.register_memory import RegisterMemory
-from drivers.basler_stereo.link_bytes import LinkBytes
+from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemory
+from drivers.basler_stereo.identity import CameraIdentity, cameras_near, identify
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import Tie
-from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
-from drivers.basler_stereo.stream.gvsp import following
-from drivers.basler_stereo.stream.packet_size import choose_packet_bytes, point_stream_to
-from drivers.basler_stereo.stream.receiver import ReceiverProcess, StreamReceiver
-from drivers.basler_stereo.stream.stream_socket import open_stream_socket
+from drivers.basler_stereo.readings import Tie
+from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters, next_block_id
+from drivers.basler_stereo.stream.receiver import (
+    ReceiverProcess,
+    StreamReceiver,
+    choose_packet_bytes,
+    open_stream_socket,
+    point_stream_to,
+)
 from ronna_hw.clock import Clock
+from ronna_hw.devices.byte_sink import ByteSink, Direction
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
@@ -35,12 +41,12 @@ KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 
 
 class Camera:
-    """Deadlines are host monotonic time. Used by one thread at a time; the heartbeat has its own."""
+    """GigE Vision camera of one side. Deadlines are host monotonic time; used by one thread at a time."""
 
     def __init__(
         self, side: str, address: str, options: BaslerOptions, link_bytes: LinkBytes | None = None
     ) -> None:
-        """`link_bytes` records the traffic of the control channel, and a note of each image of the stream."""
+        """Open nothing; `link_bytes` records the control channel, and a note of each image."""
         self.side = side
         self._bytes = link_bytes or LinkBytes("", None)
         self._address = address
@@ -68,13 +74,13 @@ class Camera:
 
     @property
     def features(self) -> FeatureMap:
-        """The features that the camera describes; only while controlled."""
+        """Features described by the camera; only while controlled."""
         assert self._features is not None, "the lifecycle allows this only while controlled"
         return self._features
 
     @property
     def receiver(self) -> StreamReceiver:
-        """Receives this camera's stream; only while streaming."""
+        """Receiver of the stream; only while streaming."""
         assert self._receiver is not None, "the lifecycle allows this only while streaming"
         return self._receiver
 
@@ -89,7 +95,7 @@ class Camera:
         return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Open the control channel and identify the camera; raises GEV-001, GEV-008. Does not take control.
+        """Open the control channel and identify the camera, without control; raises GEV-001, GEV-008.
 
         If no camera replies, the message names those found by broadcast discovery.
         """
@@ -128,25 +134,25 @@ class Camera:
 
     def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
         """Choose the part of the sensor to read; raises GEV-011. Not while streaming."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         known_state.set_area(self.features, area)
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
-        """Exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
-        self._until(deadline_s)
+        """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
+        self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def temperature_C(self, deadline_s: float) -> float | None:
-        """Internal temperature; None if not reported."""
-        self._until(deadline_s)
+        """Read the internal temperature; None if not reported."""
+        self._set_deadline(deadline_s)
         return known_state.temperature_C(self.features)
 
     def start(self, deadline_s: float) -> None:
         """Open the stream and start the acquisition; block ids restart."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        self._trigger = self._trigger_of(self._options)
+        self._trigger = self._trigger_command(self._options)
         assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
@@ -163,7 +169,7 @@ class Camera:
 
     def stop(self, deadline_s: float) -> None:
         """Stop the acquisition and close the stream."""
-        self._until(deadline_s)
+        self._set_deadline(deadline_s)
         try:
             self.features.execute("AcquisitionStop")
             self.control.write_register(Bootstrap.SCP, 0, deadline_s)
@@ -172,7 +178,7 @@ class Camera:
             self._close_receiver()
 
     def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
-        """Its present tick count, tied to theatre time; None for a camera without a time stamp counter."""
+        """Tie the present tick count to theatre time; None for a camera without a time stamp counter."""
         if not self.tick_frequency_hz:
             return None
         try:
@@ -190,7 +196,7 @@ class Camera:
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
     def expect_next(self, patience_s: float) -> None:
-        """The next frame has been triggered: discard what came before it."""
+        """Discard what came before the frame that has just been triggered."""
         self.receiver.discard()
         if self._trigger is None:
             self._next_block = None  # a line may fire at any time
@@ -198,21 +204,17 @@ class Camera:
         # this family begins with 1; for others nothing is known before the first frame
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
-    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
-        """The frame of the last trigger, or None at the deadline, or as soon as `hopeless()`.
+    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
+        """Return the frame of the last trigger, or None at the deadline or as soon as `give_up()`.
 
         Late frames of earlier triggers are discarded.
         """
-        while (frame := self.receiver.take(deadline_s, hopeless)) is not None:
+        while (frame := self.receiver.take(deadline_s, give_up)) is not None:
             self._bytes.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
-                self._next_block = following(frame.block_id)
+                self._next_block = next_block_id(frame.block_id)
                 return frame
         return None
-
-    def check_control(self, deadline_s: float) -> None:
-        """Raise GEV-007 if the camera does not reply, GEV-015 if it is no longer under our control."""
-        require_control(self.control, deadline_s)
 
     def release(self, deadline_s: float) -> None:
         """Stop everything and release control; the channel stays open."""
@@ -277,7 +279,7 @@ class Camera:
         low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
         return high << 32 | low
 
-    def _trigger_of(self, options: BaslerOptions) -> Command | None:
+    def _trigger_command(self, options: BaslerOptions) -> Command | None:
         if options.trigger == "software":
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))
@@ -286,7 +288,7 @@ class Camera:
             return GvcpCommand.ACTION, gvcp.action_command(*keys)
         return None
 
-    def _until(self, deadline_s: float) -> None:
+    def _set_deadline(self, deadline_s: float) -> None:
         assert self._memory is not None, "the lifecycle allows this only while controlled"
         self._memory.deadline_s = max(deadline_s, time.monotonic())
 
@@ -302,3 +304,33 @@ class Camera:
         if self._receiver is not None:
             self._receiver.close()
             self._receiver = None
+
+
+class LinkBytes:
+    """Recorder of one camera's links, such as `stereo.left`; `sink` is None without a recorder.
+
+    Every datagram of the control channel is kept; for the stream, a note per image, and the counters. Resend
+    requests and keep-alives are sent by the receiver process and are not included.
+    """
+
+    def __init__(self, name: str, sink: ByteSink | None) -> None:
+        self._name = name
+        self._sink = sink
+
+    def passed(self, direction: Direction, data: bytes) -> None:
+        """Record a datagram of the control channel."""
+        if self._sink is not None:
+            self._sink.passed(f"{self._name}.control", direction, data)
+
+    def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
+        """Record the arrival of an image, complete or not."""
+        if self._sink is None:
+            return
+        leader = {} if frame.leader is None else frame.leader._asdict()
+        self._sink.note(
+            f"{self._name}.stream",
+            block_id=frame.block_id,
+            missing_packets=frame.missing_packets,
+            **leader,
+            **asdict(counters),
+        )

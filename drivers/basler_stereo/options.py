@@ -1,4 +1,4 @@
-"""The options of the stereo pair in the theatre file.
+"""Options of the stereo pair in the theatre file.
 
 [stereo.options]
 left_serial = "21904411"
@@ -86,7 +86,7 @@ class BaslerOptions(Strict):
 
     @property
     def pixel_format_code(self) -> gev.PixelFormat:
-        """The code of the pixel format on the wire."""
+        """Code of the pixel format on the wire."""
         return {
             "Mono8": gev.PixelFormat.MONO8,
             "Mono12": gev.PixelFormat.MONO12,
@@ -95,7 +95,7 @@ class BaslerOptions(Strict):
 
 
 def read_options(config: DeviceConfig) -> BaslerOptions:
-    """The checked options of the theatre file; raises GEV-016 listing all mistakes."""
+    """Parse the options of the theatre file; raises GEV-016 listing all mistakes."""
     try:
         # via JSON: strict types, but an integer may stand for a float
         return BaslerOptions.model_validate_json(json.dumps(config.options))

@@ -8,8 +8,7 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Self, TypeVar
 
-from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control.identity import CameraIdentity
+from drivers.basler_stereo.camera import Camera, LinkBytes
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
@@ -18,11 +17,10 @@ from drivers.basler_stereo.errors import (
     ReceiverEnded,
     WrongSerial,
 )
-from drivers.basler_stereo.link_bytes import LinkBytes
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import read_options
-from drivers.basler_stereo.pair_device import PairDevice
+from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_identity
 from drivers.basler_stereo.pair_grabber import PairGrabber
-from drivers.basler_stereo.pair_identity import check_pair, pair_identity
 from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
@@ -42,7 +40,7 @@ T = TypeVar("T")
 
 
 class BaslerStereoPair(PairDevice[Camera]):
-    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds.
+    """Pair of cameras. Calls are synchronous, one thread at a time; time limits are host time, in seconds.
 
     If a camera falls silent, the driver waits for it within the time limit and repeats the interrupted work:
     it stays under our control until its heartbeat times out, so a short absence only costs time.
@@ -51,7 +49,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Check options and endpoints; nothing is opened yet. Raises GEV-016, CFG-001 or CFG-002."""
+        """Check options and endpoints; open nothing. Raises GEV-016, CFG-001 or CFG-002."""
         self._options = read_options(config)
         super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
@@ -79,7 +77,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Packets lost in the present streams, and temperatures; empty before the streams start.
+        """Report lost packets of the present streams, and temperatures; empty before they start.
 
         No published temperature limit is known, so it is reported without being judged.
         """
@@ -121,7 +119,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Take control of both and bring them to a known state: software trigger, full frame, packet size.
+        """Take control of both and bring them to a known state: trigger, full frame, packet size.
 
         Waits up to `timeout_s` for the heartbeat of a dead controlling client to time out. Raises GEV-005
         when another application is in control, GEV-006 to GEV-012 when configuration fails; then neither
@@ -181,7 +179,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._streams.exposure_us = exposure_us
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Trigger both cameras once and return the pair of that trigger; with trigger `line1`, wait for one.
+        """Trigger both cameras once and return that pair; with trigger `line1`, wait for one.
 
         A side without an image is None and the reading MISSING, provided its camera replies. Images from
         different triggers are UNPAIRED, two older than the trigger STALE. If neither camera sent an
@@ -198,7 +196,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return self._watched(lambda: self._grab(deadline_s), deadline_s, leaves_settings=True)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED: reconnects to the same cameras and restores areas and exposure.
+        """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
 
         Raises GEV-003 when they are different cameras; FAULT then stays latched.
         """
@@ -218,9 +216,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop, release control and close; takes about three seconds at most with dead
-        cameras. Never raises.
-        """
+        """Stop, release control and close; about three seconds at most with dead cameras. Never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
         self._release_all()
@@ -232,7 +228,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         return self._grabber
 
     def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
-        """Do one piece of work, repeated after a silence; a lost camera or lost control latches FAULT.
+        """Do one piece of work, again after a silence; latch FAULT for lost cameras or control.
 
         So does a camera that stays silent while its settings are changed, since they are then unknown.
         """

@@ -1,4 +1,4 @@
-"""Grabs image pairs: starts both streams, triggers, waits for both frames, judges whether they match."""
+"""Grabbing of image pairs: start both streams, trigger, wait for both frames, judge whether they match."""
 
 from __future__ import annotations
 
@@ -7,11 +7,10 @@ import time
 from dataclasses import replace
 
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control.channel import send_together
+from drivers.basler_stereo.control_channel import require_control, send_together
 from drivers.basler_stereo.errors import CommandRefused, ControlLost, NoReply, TriggerMissed
-from drivers.basler_stereo.images import camera_image, stereo_reading
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import PairClock
+from drivers.basler_stereo.readings import PairClock, camera_image, stereo_reading
 from drivers.basler_stereo.stream.frame_assembler import Frame
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import StereoReading, Validity
@@ -31,7 +30,7 @@ Frames = tuple[Frame | None, Frame | None]
 
 
 class PairGrabber:
-    """The streams of a left and a right camera. Deadlines are host monotonic time; one thread at a time."""
+    """Streams of a left and a right camera. Deadlines are host monotonic time; one thread at a time."""
 
     def __init__(
         self, cameras: tuple[Camera, Camera], serials: tuple[str, str], clock: Clock, options: BaslerOptions
@@ -41,7 +40,7 @@ class PairGrabber:
         self._clock = clock
         self._options = options
         self._pair_clock = PairClock((None, None), 0.0)
-        self._out_of_step = False
+        self._must_restart = False
         self.exposure_us = options.exposure_us
         self.block_ids: tuple[int | None, int | None] = (None, None)
 
@@ -57,11 +56,11 @@ class PairGrabber:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.stop(deadline_s)
             raise
-        self._out_of_step = False
+        self._must_restart = False
 
     def end(self, deadline_s: float) -> None:
         """Stop both streams; where that fails, the next grab restarts them."""
-        self._out_of_step = True
+        self._must_restart = True
         for camera in self._cameras:
             camera.stop(deadline_s)
 
@@ -85,7 +84,7 @@ class PairGrabber:
         return self._grab(sequence, deadline_s)
 
     def await_replies(self, deadline_s: float) -> None:
-        """Return when both cameras reply again.
+        """Wait until both cameras reply again.
 
         The heartbeat decides whether one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
         """
@@ -94,7 +93,7 @@ class PairGrabber:
                 if camera.lost is not None:
                     raise camera.lost
                 try:
-                    camera.check_control(min(deadline_s, time.monotonic() + ALIVE_LIMIT_S))
+                    require_control(camera.control, min(deadline_s, time.monotonic() + ALIVE_LIMIT_S))
                     break
                 except NoReply:
                     if time.monotonic() >= deadline_s:
@@ -102,23 +101,23 @@ class PairGrabber:
                 time.sleep(ASK_AGAIN_S)
 
     def _grab(self, sequence: int, deadline_s: float) -> StereoReading:
-        if self._out_of_step:
+        if self._must_restart:
             self.end(deadline_s)
             self.begin(deadline_s)
         for camera in self._cameras:
             camera.expect_next(PATIENCE_S + self.exposure_us * 1e-6)
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
-        self._out_of_step = True  # until the outcome of the trigger is known
+        self._must_restart = True  # until the outcome of the trigger is known
         self._trigger(deadline_s)
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
-        self._out_of_step = self._restarts_after(frames)
+        self._must_restart = self._restarts_after(frames)
         if None in frames:
-            self._explain_absence(frames)
+            self._raise_for_missing(frames)
         return self._reading(frames, sequence, triggered_s)
 
     def _restarts_after(self, frames: Frames) -> bool:
-        """Whether the streams restart before the next trigger, because this one's pair is incomplete."""
+        """Test whether the streams restart before the next trigger: this pair is incomplete."""
         if self._options.trigger == "line1":  # a restart could miss the next pulse
             return None in frames and frames != (None, None)
         return any(frame is None or frame.missing_packets for frame in frames)
@@ -142,18 +141,18 @@ class PairGrabber:
                 raise result
 
     def _collect(self, deadline_s: float) -> Frames:
-        """A frame from each camera; the wait for the second is shorter."""
+        """Take a frame from each camera; the wait for the second is shorter."""
 
-        def hopeless() -> bool:
+        def any_lost() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
 
         left, right = self._cameras
-        first = left.take(deadline_s, hopeless)
+        first = left.take(deadline_s, any_lost)
         if first is not None:
             deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
-        return first, right.take(deadline_s, hopeless)
+        return first, right.take(deadline_s, any_lost)
 
-    def _explain_absence(self, frames: Frames) -> None:
+    def _raise_for_missing(self, frames: Frames) -> None:
         """Raise the reason why a frame did not come.
 
         GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
@@ -163,12 +162,12 @@ class PairGrabber:
                 continue
             if camera.lost is not None:
                 raise camera.lost
-            camera.check_control(time.monotonic() + ALIVE_LIMIT_S)
+            require_control(camera.control, time.monotonic() + ALIVE_LIMIT_S)
         if frames == (None, None):
-            raise self._missed()
+            raise self._trigger_missed()
 
-    def _missed(self) -> TriggerMissed:
-        """The error for a trigger without any image, with what is known about the reason."""
+    def _trigger_missed(self) -> TriggerMissed:
+        """Return the error for a trigger without any image, with the known reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed("no pulse arrived on the trigger line", expected=expected, action=NO_PULSE)
@@ -220,5 +219,5 @@ class PairGrabber:
             rates = tuple(camera.tick_frequency_hz for camera in self._cameras)
             self._pair_clock.confirm(ticks, (rates[0], rates[1]), triggered_s, now_s)
         else:
-            self._out_of_step = True
+            self._must_restart = True
         return match, moments_s

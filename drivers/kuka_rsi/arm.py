@@ -1,4 +1,4 @@
-"""`KukaRsiArm`: a KR C4 arm as the `RobotArm` of a theatre."""
+"""KUKA KR C4 arm as the `RobotArm` of a theatre."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ import time
 from contextlib import AbstractContextManager
 from typing import Self
 
-from drivers.kuka_rsi import stream
-from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.context_check import usable_context
-from drivers.kuka_rsi.eki.controller_commands import ControllerCommands
-from drivers.kuka_rsi.eki.controller_state import ControllerState
+from drivers.kuka_rsi.connections import Connections, remaining_s
+from drivers.kuka_rsi.eki.client import ControllerCommands
+from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import verify_by_motion
-from drivers.kuka_rsi.motion_following import MotionFollower
-from drivers.kuka_rsi.motion_planning import MotionPlanner
-from drivers.kuka_rsi.options import read_options
-from drivers.kuka_rsi.readiness import facts_of, standing_facts
-from drivers.kuka_rsi.readings import ArmReadings
-from drivers.kuka_rsi.realtime.histogram import link_statistics
+from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
+from drivers.kuka_rsi.options import load_usable_context, read_options
+from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, standing_facts
+from drivers.kuka_rsi.realtime.link_health import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
@@ -63,25 +59,25 @@ _STOP_ORDERS = {
 
 
 class KukaRsiArm:
-    """Endpoints `rsi` (udp://, where this computer listens) and `eki_project` (tcp://, the controller)."""
+    """Arm with endpoints `rsi` (udp://, our listening address) and `eki_project` (tcp://, the controller)."""
 
     wire_protocol = "kuka-rsi-eki"
     notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Opens nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 for an invalid configuration."""
+        """Open nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 for an invalid configuration."""
         self._name = name
         self._clock = clock
         self._options = options = read_options(name, config.options)
-        self._context = usable_context(name, options)
+        context = load_usable_context(name, options)
         self._kinematics = kr6_r900(options.variant)
-        cycle_s = self._context.program.cycle_ms / 1000.0
+        cycle_s = context.program.cycle_ms / 1000.0
         self._planner = MotionPlanner(name, self._kinematics, options, cycle_s)
         self._guard = LifecycleGuard(name)
-        self._connections = Connections(name, config, options, self._context)
-        self._watch = FaultWatch(name, self._guard, self._connections, options)
-        self._follower = MotionFollower(name, self._connections, self._watch, cycle_s)
-        self._readings = ArmReadings(self._connections, clock, options.silence_limit_s)
+        self.connections = Connections(name, config, options, context)
+        self._watch = FaultWatch(name, self._guard, self.connections, options)
+        self._follower = MotionFollower(name, self.connections, self._watch, cycle_s)
+        self._readings = ArmReadings(self.connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
         self._asked: tuple[str, ...] = ()  # of a person, by `to_confirm`
         self._micro_move_confirmed_by = ""
@@ -92,7 +88,7 @@ class KukaRsiArm:
 
     @property
     def state(self) -> Lifecycle:
-        self._watch.settle()
+        self._watch.check_until_certain()
         return self._guard.state
 
     @property
@@ -101,7 +97,7 @@ class KukaRsiArm:
 
     @property
     def operating_mode(self) -> OperatingMode:
-        said = None if self._guard.state in RUNNING else self._connections.said
+        said = None if self._guard.state in RUNNING else self.connections.reported
         return _operating_mode(self._watch.mode if said is None else said.mode)
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
@@ -110,12 +106,12 @@ class KukaRsiArm:
     @property
     def fault(self) -> RonnaError | None:
         """The error that latched FAULT, if any."""
-        self._watch.settle()
+        self._watch.check_until_certain()
         return self._guard.fault
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        says = standing_facts(self._connections.said)
+        says = tuple(standing_facts(self.connections.reported))
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
@@ -123,16 +119,16 @@ class KukaRsiArm:
 
     @property
     def controller(self) -> ControllerCommands:
-        """Everything except motion: tool and base, override, program, controller state."""
-        return ControllerCommands(self._name, self._guard, self._connections)
+        """Commands to the controller except motion: tool, base, override; and its state."""
+        return ControllerCommands(self._guard, lambda: self.connections.eki)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """The last cycles of the stream, oldest first; frozen once a fault is latched."""
-        return link.recorded_cycles() if (link := self._connections.open_link) is not None else ()
+        return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        self._connections.bytes.sink = sink
+        self.connections.bytes.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.
@@ -140,21 +136,21 @@ class KukaRsiArm:
         Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
         self._guard.require("connect", (Lifecycle.DISCONNECTED,))
-        identity = self._connections.find_controller(timeout_s, self._watch)
+        identity = self.connections.find_controller(timeout_s, self._watch)
         self._guard.enter(Lifecycle.CONNECTED, identity=identity)
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
         """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self._guard.require("configure", (Lifecycle.CONNECTED,))
-        self._connections.start_link(timeout_s)
+        self.connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
 
     @property
     def to_confirm(self) -> str | None:
-        said = self._connections.said
+        said = self.connections.reported
         asked = []
-        if self._connections.open_eki is not None and not self._connections.verified:
+        if self.connections.open_eki is not None and not self.connections.verified:
             asked.append(UNVERIFIED)
         if said is not None and said.mode is OperationMode.T1:
             asked.append(IN_T1)
@@ -167,8 +163,8 @@ class KukaRsiArm:
         self._t1_confirmed_by = person if IN_T1 in self._asked else ""
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """What the controller now reports of everything that `activate` checks."""
-        return tuple(facts_of(self._ask(timeout_s), verified=self._connections.verified))
+        """Report everything that `activate` checks, as the controller states it now."""
+        return tuple(readiness_facts(self._ask(timeout_s), verified=self.connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
         """Let the next `activate` start in T1, with someone next to the arm holding the pendant.
@@ -178,7 +174,7 @@ class KukaRsiArm:
         self._t1_confirmed_by = require_person(confirmed_by)
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start the RSI program and answer its telegrams; returns when corrections take effect.
+        """Start the RSI program and answer its telegrams; return when corrections take effect.
 
         Raises EKI-006 when the controller does not report which context it runs (see `confirm_start`),
         EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no telegram comes, RSI-015 when
@@ -187,17 +183,17 @@ class KukaRsiArm:
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         person, self._micro_move_confirmed_by = self._micro_move_confirmed_by, ""
-        if not self._connections.verified:
+        if not self.connections.verified:
             if person:
                 self.activate_unverified(person, timeout_s)
                 return
             raise Unverified(f"{self._name}: the controller does not report which context it runs")
-        stops = self._connections.link.stop_number
+        stops = self.connections.link.stop_number
         self._start(timeout_s)
         self._enter_active(stops)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
-        """Like `activate`, for a controller that does not report what it runs: a micro-move tests it.
+        """Activate with a controller that does not report what it runs, tested by a micro-move.
 
         Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
         has confirmed. Raises, latched, RSI-018 when an axis does anything else, RSI-010 when it is stopped,
@@ -205,7 +201,7 @@ class KukaRsiArm:
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)
-        link = self._connections.link
+        link = self.connections.link
         stops = link.stop_number
         self._start(timeout_s)
         try:
@@ -214,26 +210,24 @@ class KukaRsiArm:
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
-                stream.end_stream(
-                    self._connections.eki, self._connections.link, time.monotonic() + CLOSING_STOP_S
-                )
+                self.connections.end_stream(time.monotonic() + CLOSING_STOP_S)
             raise
         self._enter_active(stops)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Bring the arm to rest and end the RSI program. Raises a fault that comes up before it has ended."""
-        self._watch.settle()
+        """Bring the arm to rest and end the RSI program. Raises a fault that comes up meanwhile."""
+        self._watch.check_until_certain()
         self._guard.require("deactivate", RUNNING)
         deadline = time.monotonic() + timeout_s
-        if self._connections.link.state.moving:
+        if self.connections.link.state.moving:
             self.stop(StopKind.HOLD, timeout_s)
-            self._follower.await_end(stream.rest_of(deadline))
+            self._follower.await_end(remaining_s(deadline))
         try:
-            stream.end_stream(self._connections.eki, self._connections.link, deadline)
+            self.connections.end_stream(deadline)
         except RonnaError as error:
             self._watch.latch(error)
             raise
-        ended = self._connections.link.state
+        ended = self.connections.link.state
         if self._guard.state is Lifecycle.FAULT:  # it must be acknowledged, although the program has ended
             self._watch.raise_any()
         self._guard.enter(
@@ -246,75 +240,69 @@ class KukaRsiArm:
         )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, re-reads everything.
+        """Go from FAULT to CONFIGURED: end what runs, acknowledge the messages, read everything again.
 
         Moves nothing. A broken or silent EKI connection is reopened, with retries until the time limit. While
         CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
         prevents it, such as EKI-007; a fault then stays latched.
         """
-        self._watch.notice()
+        self._watch.check()
         require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
-        connections = self._connections
+        connections = self.connections
         if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
-            stream.acknowledge(connections.eki, self._context, self._options, deadline)
+            connections.acknowledge(deadline)
             return
         self._guard.require("recover", (Lifecycle.FAULT,))
         if not connections.eki_answers(ANSWERS_S):
-            connections.find_controller(stream.rest_of(deadline), self._watch, retry=True)
+            connections.find_controller(remaining_s(deadline), self._watch, retry=True)
         link = connections.open_link
         if link is not None:
             if link.alive and link.stalled_s < RUNS_S:
                 with contextlib.suppress(RonnaError):
-                    stream.end_stream(
-                        connections.eki, link, time.monotonic() + 0.5 * stream.rest_of(deadline)
-                    )
+                    connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
             connections.close_link()
-        stream.acknowledge(connections.eki, self._context, self._options, deadline)
-        connections.start_link(stream.rest_of(deadline))
+        connections.acknowledge(deadline)
+        connections.start_link(remaining_s(deadline))
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
         """Stop the arm, end the RSI program and the connection. Bounded in time, never raises."""
         if self._guard.state is Lifecycle.CLOSED:
             return
-        connections = self._connections
+        connections = self.connections
         with contextlib.suppress(Exception):
             link = connections.open_link
             if link is not None and link.alive and link.state.phase in (Phase.RUNNING, Phase.FAULT):
                 link.stop(StopOrder.HOLD)
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
-                stream.end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
+                connections.end_stream(time.monotonic() + CLOSING_STOP_S)
         connections.close_eki()  # first: its reader uses the link's memory
         connections.close_link()
         self._guard.enter(Lifecycle.CLOSED)
 
-    # Reading
-
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Measured axes: from the stream while it runs, otherwise requested by EKI."""
+        """Read the measured axes: from the stream while it runs, otherwise by an EKI request."""
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in RUNNING:
-            return self._readings.of_stream(self._connections.link.state)
-        return self._readings.of_controller(self._ask(timeout_s))
+            return self._readings.from_stream(self.connections.link.state)
+        return self._readings.from_controller(self._ask(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Number of the tool reported by the controller's inputs; 0 is none."""
+        """Read the number of the tool at the controller's inputs; 0 is none."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
         return ToolIdentity(self._readings.stamp(), self._ask(timeout_s).tool)
 
     def link_statistics(self) -> LinkStatistics:
-        """Health of the link since the last `activate`."""
+        """Return the health of the link since the last `activate`."""
         self._guard.require("link_statistics", (*READABLE, Lifecycle.FAULT))
-        link = self._connections.open_link
+        link = self.connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
         return link_statistics(link.state, link.histogram(), link.jitter_histogram())
-
-    # Motion
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
@@ -339,9 +327,9 @@ class KukaRsiArm:
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
-        self._watch.notice()
+        self._watch.check()
         self._guard.require("stop", (Lifecycle.CONFIGURED, *RUNNING, Lifecycle.FAULT))  # also a start
-        link = self._connections.open_link
+        link = self.connections.open_link
         if link is None or not link.alive:
             return  # nothing is moving the arm
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
@@ -352,12 +340,12 @@ class KukaRsiArm:
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
         )
         if kind is StopKind.DRIVES_OFF:
-            self._connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
+            self.connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
             if held:  # HOLD is said of an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
-        self._watch.settle()
+        self._watch.check_until_certain()
 
     def resume(self) -> None:
         self._watch.raise_new()
@@ -369,43 +357,39 @@ class KukaRsiArm:
 
     def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
         self._watch.raise_new()
-        open_link = self._connections.open_link
+        open_link = self.connections.open_link
         stops = 0 if open_link is None else open_link.stop_number  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
-        link, mode = self._connections.link, _operating_mode(self._watch.mode)
+        link, mode = self.connections.link, _operating_mode(self._watch.mode)
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
-        clear = self._planner.clear(planned, link, mode)
-        return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))
+        link.surround(self._planner.surroundings)
+        clear = self._planner.clear(planned, mode)
+        return self._readings.from_stream(self._follower.follow(clear, stops, timeout_s))
 
     def _enter_active(self, stops: int) -> None:
-        """Or HOLD, if more than `stops` stops are known now: one was ordered during the start."""
+        """Enter ACTIVE, or HOLD if more than `stops` stops are known: one was ordered during the start."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
-        if self._connections.link.stop_number != stops:
+        if self.connections.link.stop_number != stops:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
 
     def _start(self, timeout_s: float) -> None:
         t1_allowed, self._t1_confirmed_by = bool(self._t1_confirmed_by), ""
         modes = (OperationMode.EXT, OperationMode.T1) if t1_allowed else (OperationMode.EXT,)
-        eki, link = self._connections.eki, self._connections.link
+        limits = {mode: self.limits(_operating_mode(mode)) for mode in modes}
         try:
-            self._watch.mode = stream.start_stream(
-                eki, link, self._context, self._options, self._name, timeout_s, self._limits_in(modes)
-            )
+            self._watch.mode = self.connections.start_stream(timeout_s, limits)
         except RonnaError as error:
             self._watch.latch(error)
             raise
 
-    def _limits_in(self, modes: tuple[OperationMode, ...]) -> dict[OperationMode, MotionLimits]:
-        return {mode: self.limits(_operating_mode(mode)) for mode in modes}
-
     def _ask(self, timeout_s: float) -> ControllerState:
         try:
-            return self._connections.eki.status(timeout_s)
+            return self.connections.eki.status(timeout_s)
         except RonnaError:
-            self._watch.notice()
+            self._watch.check()
             raise
 
 
 def _operating_mode(mode: OperationMode) -> OperatingMode:
-    """The mode as every arm knows it; a stream starts in EXT or T1 only."""
+    """Convert to the mode known to every arm; a stream starts in EXT or T1 only."""
     return OperatingMode.REDUCED_SPEED if mode is OperationMode.T1 else OperatingMode.AUTOMATIC

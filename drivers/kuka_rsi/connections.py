@@ -1,25 +1,44 @@
-"""The two connections to the controller: EKI, and the real-time process behind the RSI port."""
+"""Connections to the controller: the EKI channel, and the RSI stream answered by the real-time process.
+
+`Connections` opens and closes each; starting and ending the stream involves both.
+"""
 
 from __future__ import annotations
 
-from drivers.kuka_rsi import stream
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping
+
 from drivers.kuka_rsi.eki.client import EkiClient, Listener
-from drivers.kuka_rsi.eki.controller_state import ControllerState
-from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram
-from drivers.kuka_rsi.link_bytes import LinkBytes
+from drivers.kuka_rsi.eki.telegrams import ControllerState, require_ours, require_ready
+from drivers.kuka_rsi.errors import CommandRefused, ControllerLost, ControllerNotFound, NoTelegram, Unverified
+from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_wait
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, Fault, LinkSettings, Phase
+from drivers.kuka_rsi.realtime.mailbox import KeptCycle
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.byte_sink import ByteSink, Direction, Passed
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
+from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
+
+BytesPassed = Callable[[Direction, bytes], None]
+FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
+LONGEST_PAUSE_S = 2.0
+LEAST_TRY_S = 0.2
+STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
 class Connections:
-    """Opened and closed one by one; accessing one that is not open raises."""
+    """The two connections of one arm; accessing one that is not open raises."""
 
     def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
-        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
+        """Open nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
         self._name = name
         self._rsi = config.address("rsi").require("udp")
         self._eki_address = config.address("eki_project").require("tcp")
@@ -31,7 +50,7 @@ class Connections:
         self.verified = False  # the controller reports that it runs our context
 
     @property
-    def said(self) -> ControllerState | None:
+    def reported(self) -> ControllerState | None:
         """The last state reported by the controller, requested or not."""
         return None if self.open_eki is None else self.open_eki.latest
 
@@ -50,7 +69,7 @@ class Connections:
         return self.open_link
 
     def eki_answers(self, limit_s: float) -> bool:
-        """Whether there is an EKI connection, unbroken, on which the controller replies in time."""
+        """Test whether the EKI connection is unbroken and the controller replies in time."""
         if self.open_eki is None or self.open_eki.failure is not None:
             return False
         try:
@@ -60,22 +79,113 @@ class Connections:
         return True
 
     def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
-        """Open the EKI connection and identify the controller; `retry`: repeatedly until the time limit.
+        """Open the EKI connection and identify the controller.
 
-        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
+        With `retry`, try until the time limit at growing pauses: after a loss the controller's server must
+        first reopen. Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or
+        set-up.
         """
         self.close_eki()
-        opening = stream.reopen_controller if retry else stream.open_controller
-        found = opening(self._eki_address, self._context, self._options, timeout_s, self.bytes.of_eki)
-        self.open_eki, identity, self.verified = found
+        deadline, pause_s = time.monotonic() + timeout_s, FIRST_PAUSE_S
+        limit_s = max(timeout_s, LEAST_TRY_S) if retry else timeout_s
+        while True:
+            try:
+                self.open_eki, identity, self.verified = self._open_controller(limit_s)
+                break
+            except (ControllerNotFound, ControllerLost):
+                if not retry or remaining_s(deadline) <= pause_s:
+                    raise
+            time.sleep(pause_s)
+            pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
+            limit_s = max(remaining_s(deadline), LEAST_TRY_S)
         self.open_eki.listen(listener)
         return identity
 
     def start_link(self, timeout_s: float) -> None:
         """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self.close_link()
-        settings = stream.link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)
+        settings = link_settings(self._rsi, self._context, self._options)
+        self.open_link = LinkClient(settings, timeout_s, self.bytes.rsi_sink)
+
+    def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
+        """Switch the drives on, start the RSI program, answer it, wait until corrections take effect.
+
+        Until then every correction is zero: what is sent before RSI_MOVECORR would take effect in one jump.
+        In T1 the operator switches the drives on and presses the start key. `limits` has an entry for each
+        mode in which the stream may start; the real-time process and its monitor keep to them. Returns the
+        operating mode.
+        """
+        eki, link, context, options, name = self.eki, self.link, self._context, self._options, self._name
+        modes = tuple(limits)
+        deadline = time.monotonic() + timeout_s
+        state = eki.status(remaining_s(deadline))
+        require_ours(state, context, options.variant)
+        require_ready(state, drives=False, modes=modes)
+        if not state.drives:
+            if state.mode is OperationMode.EXT:
+                answer = eki.command(CommandName.DRIVES, remaining_s(deadline), On=1)
+                if answer.code is not AckCode.OK:
+                    # What has come up since the state was read is more informative than the refusal.
+                    require_ready(
+                        eki.status(max(remaining_s(deadline), LEAST_TRY_S)), drives=False, modes=modes
+                    )
+                    raise CommandRefused(
+                        f"the controller refused {CommandName.DRIVES}",
+                        got=f"{answer.code.name} {answer.text}".strip(),
+                    )
+            eki.await_state(lambda s: s.drives, remaining_s(deadline))
+            state = eki.status(max(remaining_s(deadline), LEAST_TRY_S))
+        require_ready(state, drives=True, modes=modes)
+        mode = state.mode
+        number = link.command(CommandKind.OPEN, axes_rad=radians6(*state.axes_deg), limits=limits[mode])
+        link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
+        wanted = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
+        if mode is OperationMode.EXT:
+            eki.require(CommandName.RSI_START, remaining_s(deadline), **wanted)
+        else:
+            # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
+            eki.command(CommandName.RSI_START, remaining_s(deadline), **wanted)
+        if link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), remaining_s(deadline)) is None:
+            raise error_of_wait(name, link.state, state.axes_deg, options, timeout_s)
+        if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
+            raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
+        fault = error_of_fault(name, link.state, options, mode)
+        if fault is not None:
+            raise fault
+        require_ready(eki.status(max(remaining_s(deadline), LEAST_TRY_S)), drives=True, modes=(mode,))
+        return mode
+
+    def acknowledge(self, deadline: float) -> None:
+        """Acknowledge the controller's messages and read its state again, with no RSI program running.
+
+        Raises EKI-005 to EKI-007 for what is not as required, EKI-008 when it refuses for another reason.
+        """
+        eki = self.eki
+        eki.command(CommandName.RSI_STOP, remaining_s(deadline))
+        refused = None
+        try:
+            eki.require(CommandName.ACK_ERRORS, remaining_s(deadline))
+        except CommandRefused as problem:  # the state is more informative than the answer
+            refused = problem
+        state = eki.status(remaining_s(deadline))
+        require_ours(state, self._context, self._options.variant)
+        require_ready(state, drives=False, modes=(OperationMode.EXT, OperationMode.T1))
+        if refused is not None:
+            raise refused
+
+    def end_stream(self, deadline: float) -> None:
+        """End the RSI program with the STOP object, or by EKI if that fails, and close the stream."""
+        eki, link = self.eki, self.link
+        number = link.command(CommandKind.END)
+        state = link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
+        ended = None
+        if state is not None and state.phase is Phase.ENDING and state.fault is not Fault.SILENCE:
+            limit_s = min(remaining_s(deadline) / 2, STOP_OBJECT_LIMIT_S)
+            ended = eki.await_state(lambda s: s.rsi in (RsiState.IDLE, RsiState.FAULT), limit_s)
+        if ended is None:
+            eki.require(CommandName.RSI_STOP, remaining_s(deadline))
+        number = link.command(CommandKind.CLOSE)
+        link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
 
     def close_eki(self) -> None:
         """End the EKI connection, if there is one."""
@@ -88,3 +198,106 @@ class Connections:
         if self.open_link is not None:
             self.open_link.close()
             self.open_link = None
+
+    def _open_controller(self, timeout_s: float) -> tuple[EkiClient, Identity, bool]:
+        """Connect by EKI and check that the controller runs our context for our arm; True if it says so.
+
+        Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 for a different set-up, EKI-006 when the
+        controller does not report it and the option `accept_unverified` is off.
+        """
+        address, options = self._eki_address, self._options
+        deadline = time.monotonic() + timeout_s
+        eki = EkiClient(address.host, address.port, timeout_s, self.bytes.eki_sink)
+        try:
+            state = eki.status(remaining_s(deadline))
+            unsaid = require_ours(state, self._context, options.variant)
+            if unsaid and not options.accept_unverified:
+                raise Unverified("the controller does not report its " + ", ".join(unsaid))
+        except RonnaError as error:
+            eki.close()
+            if isinstance(error, TimeoutError):
+                raise ControllerNotFound(
+                    f"{address} is open, but no KR C4 answers there", limit=f"{timeout_s:g} s"
+                ) from error
+            raise
+        details = (
+            ("context", str(state.context_hash)),
+            ("cycle_ms", str(state.cycle_ms)),
+            ("mode", str(state.mode)),
+            ("verified", "no, it does not report its " + ", ".join(unsaid) if unsaid else "yes"),
+        )
+        model, serial = state.variant or "unknown", state.serial or ""
+        # EKI does not carry the software version of the controller.
+        return eki, Identity("KUKA", model, serial, firmware="", details=details), not unsaid
+
+
+def link_settings(
+    rsi: Endpoint, context: RsiContext, options: KukaOptions
+) -> Callable[[int, int], LinkSettings]:
+    """Return a maker of the real-time process' settings, given the descriptors of mailbox and event."""
+
+    def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
+        return LinkSettings(
+            host=rsi.host,
+            port=rsi.port,
+            parent_pid=os.getpid(),
+            mailbox_fd=mailbox_fd,
+            event_fd=event_fd,
+            variant=options.variant.value,
+            cycle_ms=context.program.cycle_ms,
+            sentype=context.ethernet.sentype,
+            send_tags=tuple(e.tag for e in context.send),
+            receive_tags=tuple(e.tag for e in context.receive),
+            axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
+            stop_tag=context.wired_tag("STOP", "In1") or "",
+            silence_limit_s=options.silence_limit_s,
+            heartbeat_limit_s=options.heartbeat_limit_s,
+            settle_tolerance_deg=options.settle_tolerance_deg,
+            real_time_priority=options.real_time_priority,
+            rehearsal_lead_us=options.rehearsal_lead_us,
+            controller_host=options.controller_host,
+        )
+
+    return settings
+
+
+class LinkBytes:
+    """Recorder's sinks for both connections, if any; asked for when a connection is opened."""
+
+    def __init__(self, arm: str) -> None:
+        self._arm = arm
+        self.sink: ByteSink | None = None
+
+    @property
+    def eki_sink(self) -> BytesPassed | None:
+        """Sink for the bytes of the EKI connection; None without a recorder."""
+        sink, link = self.sink, f"{self._arm}.eki"
+        if sink is None:
+            return None
+        return lambda direction, data: sink.passed(link, direction, data)
+
+    @property
+    def rsi_sink(self) -> Callable[[list[KeptCycle], int], None] | None:
+        """Sink for the telegrams and replies kept by the real-time process; None without a recorder."""
+        sink, link = self.sink, f"{self._arm}.rsi"
+        if sink is None:
+            return None
+
+        def take(cycles: list[KeptCycle], lost: int) -> None:
+            sink.passed_earlier(link, list(_traffic_of(cycles)))
+            if lost:
+                sink.note(link, lost_bytes=lost)
+
+        return take
+
+
+def _traffic_of(cycles: list[KeptCycle]) -> Iterator[Passed]:
+    for cycle in cycles:
+        yield Passed(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
+        if cycle.reply:
+            yield Passed(cycle.sent_ns, Direction.SENT, cycle.reply)
+
+
+def remaining_s(deadline: float) -> float:
+    """Return the time left until a deadline of the host's monotonic clock, not negative."""
+    return max(deadline - time.monotonic(), 0.0)

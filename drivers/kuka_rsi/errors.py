@@ -21,7 +21,7 @@ from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 @dataclass(frozen=True)
 class RecordedCycle:
-    """One cycle of the flight recorder of the real-time process."""
+    """Cycle kept by the flight recorder of the real-time process."""
 
     cycle: int
     IPOC: int

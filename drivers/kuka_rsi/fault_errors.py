@@ -1,7 +1,8 @@
-"""The error to raise and latch for a fault that the real-time process reports."""
+"""Errors for what the real-time process reports, in words, with the flight record attached."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import degrees
 
 from drivers.kuka_rsi.errors import (
@@ -18,11 +19,18 @@ from drivers.kuka_rsi.errors import (
     PathFailed,
     PoseDisagrees,
     ProtectiveStop,
+    RecordedCycle,
 )
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Result
-from drivers.kuka_rsi.realtime.losses import UNUSABLE_SHARE, WINDOW_CYCLES
-from drivers.kuka_rsi.realtime.strangers import AXES_AGREE_DEG
+from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG, UNUSABLE_SHARE, WINDOW_CYCLES
+from drivers.kuka_rsi.realtime.link_state import (
+    AXIS_NAMES,
+    NO_STATE,
+    NOTHING_AROUND,
+    Fault,
+    LinkState,
+    Result,
+)
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
@@ -31,12 +39,14 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
+FILE_NAME = "flight-record-{arm}.txt"
 _REFUSALS = {
     Result.REFUSED_BUSY: "another motion is running",
     Result.REFUSED_START: "it was planned from a pose other than the last one sent",
     Result.REFUSED_PHASE: "no correction stream is running",
     Result.REFUSED_NUMBERS: "no motion profile exists for its values",
 }
+_HEAD = ("cycle", "IPOC", "ms", "turnaround us", "choice")
 
 
 def error_of_fault(
@@ -47,7 +57,7 @@ def error_of_fault(
     message: int = 0,
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
-    """The error for the latched fault, or None if there is none. `message`: the controller's, 0 for none."""
+    """Return the error for the latched fault, None without one. `message`: the controller's, 0 for none."""
     where = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
@@ -76,7 +86,8 @@ def error_of_fault(
             return PathFailed(f"{where} the path had no solution")
         case Fault.RESTARTED:
             return ControllerRestarted(
-                f"{where} received telegrams of another run{strangers_text(state)}", got=f"IPOC {state.IPOC}"
+                f"{where} received telegrams of another run{foreign_sender_text(state)}",
+                got=f"IPOC {state.IPOC}",
             )
         case Fault.LOSSES:
             return LinkUnusable(
@@ -93,7 +104,7 @@ def error_of_fault(
 def error_of_wait(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
-    """The error when no telegram with the axes reported by EKI has arrived in time; names other senders."""
+    """Return the error for a start without a telegram of the axes reported by EKI; names other senders."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counted = (
         (state.disagreeing, "reported other axes"),
@@ -147,7 +158,7 @@ def _tripped(
 
 
 def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopped:
-    """The error for a motion that the real-time process refused; one that a stop forestalled was stopped."""
+    """Return the error for a motion refused by the real-time process, or forestalled by a stop."""
     if state.result is Result.REFUSED_STOP:
         return MotionStopped(f"{name}: stopped before it began", got=axes_text(state))
     why = _REFUSALS.get(state.result, f"result {state.result.name}")
@@ -155,7 +166,7 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopp
 
 
 def losses_text(begun: LinkState, state: LinkState) -> str:
-    """Losses between two states, for a message; empty if there were none."""
+    """Describe the losses between two states; empty if there were none."""
     cycles, late, lost = (
         max(now - before, 0)
         for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
@@ -165,18 +176,59 @@ def losses_text(begun: LinkState, state: LinkState) -> str:
     return f": of {cycles} cycles {late} were late or lost by the controller's count, {lost} by IPOC"
 
 
-def strangers_text(state: LinkState) -> str:
-    """The foreign sender, for a message."""
+def foreign_sender_text(state: LinkState) -> str:
+    """Describe the foreign sender, if any."""
     return f" from {state.foreign_host}" if state.foreign else ""
 
 
 def axes_text(state: LinkState) -> str:
-    """The measured axes for a message."""
+    """Describe the measured axes."""
     return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"
 
 
 def furthest_text(state: LinkState) -> str:
-    """The axis that is furthest from its set-point, for a message."""
+    """Describe the axis that is furthest from its set-point."""
     off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
     axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
     return f"A{axis + 1} {off_deg[axis]:.4f} deg off its set-point"
+
+
+def attach_flight_record(error: RonnaError, arm: str, cycles: Sequence[RecordedCycle]) -> None:
+    """Attach the last cycles to an error, as a file for the run folder."""
+    if cycles:
+        title = f"{arm}: the last {len(cycles)} cycles before {error}"
+        error.attachments[FILE_NAME.format(arm=arm)] = flight_table(cycles, title)
+
+
+def flight_table(cycles: Sequence[RecordedCycle], title: str) -> str:
+    """Format cycles as aligned columns, oldest first; ms before the last one, angles in deg."""
+    columns = (
+        *_HEAD,
+        *(f"{axis} measured" for axis in AXIS_NAMES),
+        *(f"{axis} sent" for axis in AXIS_NAMES),
+        *(f"{axis} behind" for axis in AXIS_NAMES),
+    )
+    rows = [_row(cycle, cycles[-1].received_ns) for cycle in cycles]
+    widths = [max(len(text) for text in column) for column in zip(columns, *rows, strict=True)]
+    lines = [title, ""]
+    for row in (columns, *rows):
+        lines.append("  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)))
+    return "\n".join(lines) + "\n"
+
+
+def _row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
+    behind = [s - m for s, m in zip(cycle.sent_rad, cycle.measured_rad, strict=True)]
+    return (
+        str(cycle.cycle),
+        str(cycle.IPOC),
+        f"{(cycle.received_ns - last_ns) / 1e6:.2f}",
+        f"{cycle.turnaround_us:.1f}",
+        cycle.choice,
+        *_degrees(cycle.measured_rad),
+        *_degrees(cycle.sent_rad),
+        *(f"{degrees(angle):.4f}" for angle in behind),
+    )
+
+
+def _degrees(joints_rad: JointVector) -> tuple[str, ...]:
+    return tuple(f"{degrees(angle):.4f}" for angle in joints_rad)

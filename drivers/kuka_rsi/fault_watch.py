@@ -1,4 +1,4 @@
-"""Latches faults: of the real-time process, the EKI channel, and the controller itself.
+"""Latching of faults of the real-time process, the EKI channel, and the controller itself.
 
 The real-time process stops the arm for faults that it detects itself. What only EKI reports (emergency stop,
 guard, mode, drives, a message, or a broken channel) is noticed here as soon as it arrives, and stops the arm.
@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
-from drivers.kuka_rsi.eki.controller_state import ControllerState, what_forbids_motion
+from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
-from drivers.kuka_rsi.fault_errors import error_of_fault
-from drivers.kuka_rsi.flight_record import attach_flight_record
+from drivers.kuka_rsi.fault_errors import attach_flight_record, error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
@@ -30,8 +29,8 @@ REASON_S = 1.0  # host time for the controller to say why the axes no longer fol
 EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for real-time control
 
 
-class _Asked(NamedTuple):
-    """A request for the controller's state, and the end of the wait for its reply, in host time."""
+class _Inquiry(NamedTuple):
+    """Request for the controller's state, and the end of the wait for its reply, in host time."""
 
     eki: EkiClient
     number: int
@@ -39,7 +38,7 @@ class _Asked(NamedTuple):
 
 
 class FaultWatch:
-    """One per arm. Also the listener of its EKI connection."""
+    """Watch over one arm; listener of its EKI connection."""
 
     def __init__(
         self, name: str, guard: LifecycleGuard, connections: Connections, options: KukaOptions
@@ -52,11 +51,11 @@ class FaultWatch:
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
         self._raised: RonnaError | None = None  # the fault that was already raised to a caller
-        self._asked: _Asked | None = None  # why the axes no longer follow
-        self._asking = threading.Lock()
+        self._inquiry: _Inquiry | None = None  # why the axes no longer follow
+        self._inquiry_lock = threading.Lock()
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
-    def notice(self) -> None:
+    def check(self) -> None:
         """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki
         if self._guard.state not in RUNNING:
@@ -64,25 +63,25 @@ class FaultWatch:
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
             elif parked is not None and not parked.alive:
-                self._guard.latch(parked.death())
+                self._guard.latch(parked.death_error())
             return
         link = self._connections.link
         error = self._error_of(link.state)
-        if error is not None and eki is not None and eki.failure is None and _no_longer_follows(link.state):
-            error = self._reason(error, eki)
+        if error is not None and eki is not None and eki.failure is None and _has_following_error(link.state):
+            error = self._following_error_cause(error, eki)
             if error is None:
                 return
         else:
-            self._asked = None
+            self._inquiry = None
         if error is None and not link.alive:
-            error = link.death()
+            error = link.death_error()
         if error is None and link.stalled_s > self._stall_limit_s:
             error = LinkProcessStalled(
                 f"{self._name}: the real-time process has not run for {link.stalled_s:.1f} s",
                 limit=f"{self._stall_limit_s:g} s",
             )
         if error is not None:
-            self._keep(error, link)
+            self._latch_with_record(error, link)
         elif eki is not None and eki.failure is not None:
             self._stop_for(eki.failure)
         elif eki is not None and eki.silent_s > self._eki_limit_s:
@@ -90,26 +89,26 @@ class FaultWatch:
             where = f"{self._name}: {eki.where} is silent"
             self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
-    def settle(self) -> None:
-        """As `notice`; waits for the controller's reason if the axes no longer follow."""
-        self.notice()
-        eki, asked = self._connections.open_eki, self._asked
-        if eki is not None and asked is not None:
+    def check_until_certain(self) -> None:
+        """Latch faults like `check`, but wait for the controller's reason if the axes no longer follow."""
+        self.check()
+        eki, inquiry = self._connections.open_eki, self._inquiry
+        if eki is not None and inquiry is not None:
             with contextlib.suppress(RonnaError):  # with a broken channel the following error is latched
-                eki.await_reply(asked.number, max(0.0, asked.until_s - time.monotonic()))
-            self.notice()
+                eki.await_reply(inquiry.number, max(0.0, inquiry.until_s - time.monotonic()))
+            self.check()
 
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""
         link = self._connections.open_link
         if link is not None and self._guard.state in RUNNING:
-            self._keep(error, link)
+            self._latch_with_record(error, link)
         self._guard.latch(error)
         self._raised = self._guard.fault
 
     def raise_new(self) -> None:
         """Raise a latched fault to the first call after it; later calls are refused and name it."""
-        self.settle()
+        self.check_until_certain()
         fault = self._guard.fault
         if fault is not None and fault is not self._raised:
             self._raised = fault
@@ -117,34 +116,34 @@ class FaultWatch:
 
     def raise_any(self) -> None:
         """Raise a latched fault."""
-        self.settle()
+        self.check_until_certain()
         fault = self._guard.fault
         if fault is not None:
             self._raised = fault
             raise fault
 
-    def controller_said(self, state: ControllerState) -> None:
-        """From the EKI reader: a state from the controller, requested or not."""
-        self.notice()
+    def on_state(self, state: ControllerState) -> None:
+        """Check a state from the controller, requested or not. Called by the EKI reader."""
+        self.check()
         if self._guard.state not in RUNNING:
             return
         stopped = self._stopped_by(state)
         if stopped is not None:
             self._stop_for(stopped)
 
-    def controller_quiet(self) -> None:
-        """From the EKI reader: nothing has arrived for a while. A silence that is too long is latched."""
-        self.notice()
+    def on_silence(self) -> None:
+        """Check for a silence that is too long. Called by the EKI reader."""
+        self.check()
 
-    def controller_lost(self, failure: RonnaError) -> None:
-        """From the EKI reader: the channel broke, so an emergency stop would no longer be reported."""
+    def on_loss(self, failure: RonnaError) -> None:
+        """Stop for a broken channel: an emergency stop would no longer be reported."""
         if self._guard.state in RUNNING:
             with contextlib.suppress(Exception):  # it may be what the reader failed at: the stop comes anyway
-                self.notice()
+                self.check()
             self._stop_for(failure)
 
     def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:
-        causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
+        causes = unmet_conditions(state, drives=True, modes=(self.mode,))
         if not causes:
             return None
         link = self._connections.open_link
@@ -156,36 +155,36 @@ class FaultWatch:
             )
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
-    def _reason(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
-        """Why the axes no longer follow: the controller's own reason if it has one, None before it is known.
+    def _following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
+        """Return why the axes no longer follow: the controller's reason if it has one; None while unknown.
 
         Axes that the controller has braked leave their set-points before its unsolicited state has arrived:
         its reply to a request made after that is what counts.
         """
-        with self._asking:
-            asked = self._asked
-            if asked is None or asked.eki is not eki:
+        with self._inquiry_lock:
+            inquiry = self._inquiry
+            if inquiry is None or inquiry.eki is not eki:
                 try:
-                    asked = self._asked = _Asked(eki, eki.ask(), time.monotonic() + REASON_S)
+                    inquiry = self._inquiry = _Inquiry(eki, eki.ask(), time.monotonic() + REASON_S)
                 except RonnaError:
                     return tripped
-        state = eki.reply(asked.number)
+        state = eki.reply(inquiry.number)
         if state is not None:
             return self._stopped_by(state) or tripped
-        return tripped if time.monotonic() > asked.until_s else None
+        return tripped if time.monotonic() > inquiry.until_s else None
 
     def _stop_for(self, error: RonnaError) -> None:
         link = self._connections.open_link
         if link is None or self._guard.state not in RUNNING:
             return
-        self._keep(error, link)
+        self._latch_with_record(error, link)
         link.stop(StopOrder.PROTECTIVE)
 
-    def _keep(self, error: RonnaError, link: LinkClient) -> None:
+    def _latch_with_record(self, error: RonnaError, link: LinkClient) -> None:
         if self._guard.state is not Lifecycle.FAULT:
             attach_flight_record(error, self._name, link.recorded_cycles())
         self._guard.latch(error)
-        self._asked = None  # after it: whoever finds no request finds the fault
+        self._inquiry = None  # last: a thread that sees no inquiry then sees the fault
 
     def _error_of(self, state: LinkState) -> RonnaError | None:
         eki = self._connections.open_eki
@@ -196,5 +195,5 @@ class FaultWatch:
         return error_of_fault(self._name, state, self._options, self.mode, message, around)
 
 
-def _no_longer_follows(state: LinkState) -> bool:
+def _has_following_error(state: LinkState) -> bool:
     return state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR

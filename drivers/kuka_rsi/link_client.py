@@ -1,4 +1,4 @@
-"""The driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
+"""Driver's end of the real-time process: start, heartbeat, orders, and waiting for results."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCyc
 from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
+    LinkSettings,
     LinkState,
     Phase,
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
@@ -37,14 +37,14 @@ GIVE_OUR_ADDRESS = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
     "controller's RSI interface; check that the cable is connected and the interface is up."
 )
-SEE_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
+FIND_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
 
 Condition = Callable[[LinkState], bool]
 Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
 
 
 class LinkClient:
-    """One real-time process and its mailbox. All calls may come from any thread."""
+    """Real-time process with its mailbox. All calls may come from any thread."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class LinkClient:
         timeout_s: float = START_TIMEOUT_S,
         kept: Kept | None = None,
     ) -> None:
-        """`settings` is called with the descriptors of mailbox and event. Raises RSI-001.
+        """Start the process; `settings` gets the descriptors of mailbox and event. Raises RSI-001.
 
         `kept` is called from a thread of this object with the link's traffic.
         """
@@ -61,17 +61,17 @@ class LinkClient:
         Mailbox.initialise(self._memory_fd)
         self._mailbox = Mailbox(self._memory_fd)
         self._settings = replace(settings(self._memory_fd, self._event_fd), keeps_bytes=kept is not None)
-        self._kept = kept
+        self._on_traffic = kept
         self.surroundings = Surroundings()  # used to monitor the next motions
         self._lock = threading.Lock()
         self._changed = threading.Condition()
-        self._words: str | None = None
+        self._end_reason: str | None = None
         self._commands = 0
         self._stops = 0
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
         with children_uninterrupted():
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.DEVNULL,
@@ -79,27 +79,29 @@ class LinkClient:
                 start_new_session=True,
                 pass_fds=(self._memory_fd, self._event_fd),
             )
-        self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
+        self._heartbeat_thread = threading.Thread(
+            target=self._run_heartbeat, name="rsi heartbeat", daemon=True
+        )
         try:
-            self._begin(timeout_s)
+            self._start(timeout_s)
         except BaseException:  # including interruptions: the real-time process ends with its client
             self.close()
             raise
 
     @property
     def state(self) -> LinkState:
-        """The last state the process published."""
+        """The last state published by the process."""
         return self._mailbox.read_state()
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
-        return self._process.poll() is None
+        """True while the process runs."""
+        return self.process.poll() is None
 
     @property
     def stalled_s(self) -> float:
         """Host time since the process was last seen running; it reports every 10 ms."""
-        said_ns = self._mailbox.said_alive_ns()
+        said_ns = self._mailbox.alive_ns()
         return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
 
     @property
@@ -115,7 +117,7 @@ class LinkClient:
         axes_rad: JointVector | None = None,
         limits: MotionLimits | None = None,
     ) -> int:
-        """Give a command; returns its number. A motion is overridden by any stop after `stop_number`.
+        """Give a command; return its number. A motion is overridden by any stop after `stop_number`.
 
         For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
         """
@@ -128,8 +130,13 @@ class LinkClient:
             self._mailbox.write_command(command)
             return self._commands
 
+    def surround(self, surroundings: Surroundings) -> None:
+        """Set the surroundings that the next motions are monitored against."""
+        if surroundings != self.surroundings:  # the real-time process reads only changes
+            self.surroundings = surroundings
+
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop; it takes effect with the next reply. Returns its number.
+        """Order a stop, which takes effect with the next reply; return its number.
 
         A weaker one does not take the place of a stronger one of the same stream, which the process may not
         have seen yet.
@@ -141,7 +148,7 @@ class LinkClient:
             return self._stops
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """The first state that meets the condition, or None after the time limit (host time).
+        """Wait for a state that meets the condition; None after the time limit (host time).
 
         Raises RSI-007 when the process has ended.
         """
@@ -152,28 +159,28 @@ class LinkClient:
                 if condition(state):
                     return state
                 if not self.alive:
-                    raise self.death()
+                    raise self.death_error()
                 rest = deadline - time.monotonic()
                 if rest <= 0.0:
                     return None
                 self._changed.wait(min(rest, HEARTBEAT_S))
 
-    def death(self) -> LinkProcessDied:
-        """The error for a process that ended unexpectedly."""
-        if self._words is None:
-            self._words = self._last_words()
-        return LinkProcessDied(f"the real-time process ended: {self._words}")
+    def death_error(self) -> LinkProcessDied:
+        """Return the error for a process that ended unexpectedly."""
+        if self._end_reason is None:
+            self._end_reason = self._read_end_reason()
+        return LinkProcessDied(f"the real-time process ended: {self._end_reason}")
 
     def histogram(self) -> tuple[int, ...]:
-        """Turnaround counts since the stream began; edges are in `drivers.kuka_rsi.realtime.histogram`."""
+        """Return turnaround counts of the stream; edges are in `drivers.kuka_rsi.realtime.link_health`."""
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:
-        """The same for jitter."""
+        """Return jitter counts of the stream, in the same bins."""
         return self._mailbox.jitter_histogram()
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """The last cycles, oldest first; frozen while a fault is latched."""
+        """Return the last cycles, oldest first; frozen while a fault is latched."""
         return tuple(
             RecordedCycle(
                 cycle=r.cycle,
@@ -194,33 +201,33 @@ class LinkClient:
         self._closing.set()
         os.eventfd_write(self._event_fd, 1)  # wakes the heartbeat
         with contextlib.suppress(OSError):
-            if self._process.stdin is not None:
-                self._process.stdin.close()
+            if self.process.stdin is not None:
+                self.process.stdin.close()
         with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(END_TIMEOUT_S)
+            self.process.wait(END_TIMEOUT_S)
         if self.alive:
-            self._process.kill()
-            self._process.wait()
-        if self._process.stderr is not None:
-            self._process.stderr.close()
-        if self._pulse.is_alive():
-            self._pulse.join()
-        self._hand_over()  # traffic during the end of the process
+            self.process.kill()
+            self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+        if self._heartbeat_thread.is_alive():
+            self._heartbeat_thread.join()
+        self._deliver_traffic()  # traffic during the end of the process
         self._mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)
 
-    def _begin(self, timeout_s: float) -> None:
-        stdin = self._process.stdin
+    def _start(self, timeout_s: float) -> None:
+        stdin = self.process.stdin
         with contextlib.suppress(BrokenPipeError):
             if stdin is not None:
                 stdin.write(self._settings.to_json().encode() + b"\n")
                 stdin.flush()
-        self._pulse.start()
+        self._heartbeat_thread.start()
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
         except LinkProcessDied as error:
-            raise LinkNotStarted(error.what, action=SEE_WHAT_ENDS_IT) from None
+            raise LinkNotStarted(error.what, action=FIND_WHAT_ENDS_IT) from None
         where = f"udp://{self._settings.host}:{self._settings.port}"
         if state is None:
             raise LinkNotStarted(
@@ -233,12 +240,12 @@ class LinkClient:
                 raise LinkNotStarted(reason, expected="an address of this computer", action=GIVE_OUR_ADDRESS)
             raise LinkNotStarted(reason)
 
-    def _beat(self) -> None:
+    def _run_heartbeat(self) -> None:
         count = 0
         while not self._closing.is_set():
             count += 1
             self._mailbox.beat(count)
-            self._hand_over()
+            self._deliver_traffic()
             ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
             if ready:
                 with contextlib.suppress(BlockingIOError):
@@ -246,15 +253,15 @@ class LinkClient:
                 with self._changed:
                     self._changed.notify_all()
 
-    def _hand_over(self) -> None:
-        if self._kept is None:
+    def _deliver_traffic(self) -> None:
+        if self._on_traffic is None:
             return
         cycles, lost = self._mailbox.fetch_kept()
         if cycles or lost:
-            self._kept(cycles, lost)
+            self._on_traffic(cycles, lost)
 
-    def _last_words(self) -> str:
-        stream = self._process.stderr
+    def _read_end_reason(self) -> str:
+        stream = self.process.stderr
         text = stream.read(LONGEST_MESSAGE).decode(errors="replace").strip() if stream else ""
-        code = self._process.wait()
+        code = self.process.wait()
         return text.splitlines()[-1] if text and code >= 0 else describe_exit(code)

@@ -1,4 +1,4 @@
-"""The micro-move: tests what an unverified controller does with a correction.
+"""Micro-move: a test of what an unverified controller does with a correction.
 
 Each axis moves out and back so little that nothing on the arm moves by more than 0.05 mm. The last axis comes
 first: it moves almost nothing, and a controller that accumulates corrections is exposed there.
@@ -12,8 +12,7 @@ from math import degrees, dist, radians
 
 from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
-from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
+from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
@@ -35,27 +34,31 @@ PROBE_RAD = 1e-4
 def verify_by_motion(
     name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
 ) -> None:
-    """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded, RSI-010 when more
-    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended.
+    """Move each axis out and back by a micro-move.
 
-    The caller then ends the stream, since accumulating corrections continue as long as they are sent.
+    Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
+    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended. The caller then
+    ends the stream, since accumulating corrections continue as long as they are sent.
     """
     _require_cycle(name, link)
     start = link.state.commanded_rad
     for axis in reversed(range(len(AXIS_NAMES))):
         angle = micro_angle(kinematics, start, axis)
-        there = _turned(start, axis, angle)
-        _go(name, link, kinematics, limits, start, there, axis, stops)
+        there = _with_axis_moved(start, axis, angle)
+        _move_and_watch(name, link, kinematics, limits, start, there, axis, stops)
         answered = link.state.measured_rad[axis] - start[axis]
         if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
             _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
-        _go(name, link, kinematics, limits, start, start, axis, stops)
+        _move_and_watch(name, link, kinematics, limits, start, start, axis, stops)
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
-    """Angle that moves no point of arm and tool by more than 0.05 mm, towards the middle of the range."""
+    """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
     beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
-    here, there = kinematics.forward(joints_rad), kinematics.forward(_turned(joints_rad, axis, PROBE_RAD))
+    here, there = (
+        kinematics.forward(joints_rad),
+        kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD)),
+    )
     moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
     angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
     middle = 0.5 * (kinematics.lower_rad[axis] + kinematics.upper_rad[axis])
@@ -70,7 +73,7 @@ def _require_cycle(name: str, link: LinkClient) -> None:
         raise HandshakeFailed(f"{name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams")
 
 
-def _go(
+def _move_and_watch(
     name: str,
     link: LinkClient,
     kinematics: Kinematics,
@@ -93,7 +96,7 @@ def _go(
         if state.cycles - begun > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
         if not link.alive:  # no cycle will come, and no fault
-            raise link.death()
+            raise link.death_error()
         if link.stalled_s > TELEGRAMS_LIMIT_S:
             _refuse(name, link, f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
         time.sleep(LOOK_S)
@@ -121,6 +124,6 @@ def _refuse(name: str, link: LinkClient, what: str, limit_rad: float) -> None:
     )
 
 
-def _turned(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
+def _with_axis_moved(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:
     A1, A2, A3, A4, A5, A6 = (a + angle_rad * (k == axis) for k, a in enumerate(joints_rad))
     return (A1, A2, A3, A4, A5, A6)

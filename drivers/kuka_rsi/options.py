@@ -1,8 +1,9 @@
-"""Options of the driver in the theatre file, and their defaults."""
+"""Options of the arm in the theatre file, and the RSI context that they name."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from ipaddress import IPv4Address
 from math import degrees
 from pathlib import Path
@@ -10,12 +11,14 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, ValidationError
 
-from drivers.kuka_rsi.errors import BadOptions
+from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
+from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.text.counting import counted
+from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
@@ -23,6 +26,8 @@ HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
 REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
+LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
+NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
 def _ip_address(text: str) -> str:
@@ -33,7 +38,7 @@ ControllerHost = Annotated[str, AfterValidator(_ip_address)]
 
 
 class KukaOptions(Strict):
-    """`[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
+    """Table `[robot.<name>.options]`. Times are the host's; a fraction is of the full axis speed."""
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
@@ -101,3 +106,71 @@ def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
         raise BadOptions(
             f"{device}: options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from None
+
+
+def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
+    """Load the context of the options; raises WIR-001 for a broken file, RSI-017 with all objections."""
+    context = load_context(options.context)
+    if options.cycle_ms is not None:
+        program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
+        context = context.model_copy(update={"program": program})
+    reasons = list(objections_to(context))
+    if context.program.variant != options.variant.value:
+        reasons.append(f"its program is for {context.program.variant}, option variant is {options.variant}")
+    if reasons:
+        source = options.context or "our own"
+        raise ContextUnusable(f"{device}: the RSI context ({source}) cannot be used: " + "; ".join(reasons))
+    return context
+
+
+def objections_to(context: RsiContext) -> Iterator[str]:
+    """Find everything that makes a context unsafe, or that it fails to report."""
+    holdon = {element.indx: element.holdon for element in context.receive}
+    axes = [w for w in context.wiring if w.object == "AXISCORR"]
+    stops = [w for w in context.wiring if w.object == "STOP"]
+    if context.program.corrections != "absolute":
+        runaway = any(holdon[w.indx] for w in axes)
+        yield "corrections are relative" + (
+            " with HOLDON 1: a lost reply would keep the arm moving" if runaway else ", not absolute"
+        )
+    elif any(not holdon[w.indx] for w in axes):
+        yield "corrections have HOLDON 0: a lost reply would jump back to the start pose"
+    unwired = sorted({*AXIS_NAMES} - {w.input for w in axes})
+    if unwired:
+        yield f"AXISCORR is not wired for {' '.join(unwired)}"
+    if any(w.object == "POSCORR" for w in context.wiring):
+        yield "POSCORR is wired as well: two corrections would add up"
+    if not stops or context.stop is None or context.stop.mode != "ExitMoveCorr":
+        yield "no STOP object of mode ExitMoveCorr is wired: this driver could not end the program"
+    elif any(holdon[w.indx] for w in stops):
+        yield "STOP has HOLDON 1: it would stay set"
+    yield from _limits(context)
+    said = {element.tag for element in context.send}
+    for keyword in NEEDED_KEYWORDS:
+        if keyword not in said:
+            yield f"{keyword} is not sent"
+    if context.ethernet.only_send:
+        yield "ONLYSEND is TRUE: replies would be ignored"
+    if context.ethernet.precision < LEAST_PRECISION:
+        yield f"Precision is {context.ethernet.precision}, not at least {LEAST_PRECISION}"
+
+
+def _limits(context: RsiContext) -> Iterator[str]:
+    """Check that the controller neither clamps nor trips before the driver's own monitor does.
+
+    That monitor allows motion up to the end switches, and what AXISCORR passes must not trip AXISCORRMON.
+    """
+    correction, monitor = context.axis_correction, context.axis_monitor
+    if correction is None:
+        yield "limits of AXISCORR are missing: its default of 5 deg would clamp silently"
+    if monitor is None:
+        yield "limits of AXISCORRMON are missing: its default of 6 deg would end every larger motion"
+    if correction is None or monitor is None:
+        return
+    if correction.limits != SOFTWARE_END_SWITCHES:
+        yield "limits of AXISCORR are not the software end switches: it would clamp silently"
+    if monitor.limits == SOFTWARE_END_SWITCHES:
+        return
+    spans = zip(correction.lower_deg, correction.upper_deg, monitor.max_deg, strict=True)
+    if correction.limits == SOFTWARE_END_SWITCHES or any(max(-low, high) > most for low, high, most in spans):
+        yield "limits of AXISCORR are wider than those of AXISCORRMON: reaching them would end the program"

@@ -1,4 +1,4 @@
-"""Finds out why an arm does not answer: whether its stream port is free, and what EKI reports.
+"""Diagnosis of an arm that does not answer, and search for controllers on the networks.
 
 A controller serves one EKI client at a time and needs a moment before the next, so there is only one
 connection, the driver's own.
@@ -6,15 +6,24 @@ connection, the driver's own.
 
 from __future__ import annotations
 
+import contextlib
 import errno
-from collections.abc import Sequence
+import socket
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from ipaddress import IPv4Network
+from itertools import islice
 
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.controller_discovery import example_arm, find_controllers
+from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotFound, NoAnswer
+from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.sockets import bind
+from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Proposal, Search
+from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
 from ronna_hw.devices.probing import (
+    CONNECT_LIMIT_S,
     Diagnostic,
     Inspection,
     Progress,
@@ -23,18 +32,32 @@ from ronna_hw.devices.probing import (
     leave_alone,
 )
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.network_interfaces import Interface
 from ronna_hw.host.port_users import user_of_udp_port
+from ronna_hw.wire.kuka_context import load_context
+from ronna_hw.wire.kuka_eki import PROJECT_PORT
+
+DRIVER = "kuka_rsi"
+EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
+KNOCK_LIMIT_S = 0.5  # a controller on the same network accepts within milliseconds
+KNOCKS_AT_ONCE = 64
+MOST_ADDRESSES = 1024  # of one network; a cell's has 254
+VARIANT = "variant: see the name plate. The two variants of this arm differ by 10 mm in two links."
+STREAM = (
+    "rsi: the address to which the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."
+)
 
 
 class KukaProbe:
-    """The probe of this driver; its `find` serves a new theatre file."""
+    """Probe of this driver; `find` serves a new theatre file."""
 
     table = "robot"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
+        """Check the stream's port, then the controller. Sends nothing to the stream, moves nothing."""
         streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
         ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
         return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
@@ -43,14 +66,15 @@ class KukaProbe:
         return find_controllers(search, progress)
 
     def example(self, search: Search) -> Proposal:
-        return example_arm(search)
+        endpoints = _endpoints(EXAMPLE_CONTROLLER, stream_address(search))
+        return Proposal(DRIVER, "", endpoints, _options(), (VARIANT, STREAM))
 
 
 probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Whether the driver can listen on the controller's destination: bind as it would, and release."""
+    """Test by binding and releasing whether the driver can listen where the controller sends."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
@@ -60,7 +84,7 @@ def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
 
 
 def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
-    """(observation, what to do)."""
+    """Return observation and advice for a port that cannot be bound."""
     if error.errno == errno.EADDRINUSE:
         if user := user_of_udp_port(endpoint.host, endpoint.port):
             return f"in use by {user}", "Stop that program; it may be another run of the robot."
@@ -79,3 +103,77 @@ def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
             "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
         )
     return error.strerror or str(error), "Give an IPv4 address of this computer."
+
+
+def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
+    """Propose every controller with our EKI server: at the given addresses, or else on the networks.
+
+    A controller serves one EKI client at a time; one that serves another is found but not identified.
+    """
+    known = search.controllers or tuple(_listening(search.interfaces))
+    found = []
+    for number, controller in enumerate(known, start=1):
+        proposal = _proposal(controller, stream_address(search))
+        if search.controllers or not proposal.absent:  # on a network, other machines also listen
+            found.append(proposal)
+        progress(number / len(known))
+    return found
+
+
+def stream_address(search: Search) -> str:
+    """Return the receiving address for telegrams: as given, or as in the shipped Ethernet file."""
+    ethernet = load_context().ethernet
+    return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
+
+
+def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
+    """Find addresses on the networks that accept a connection on the port of our EKI server."""
+    hosts = [host for each in interfaces for host in _hosts(each)]
+    with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
+        for host, taken in zip(hosts, pool.map(_listens, hosts), strict=True):
+            if taken:
+                yield Endpoint("tcp", host, PROJECT_PORT)
+
+
+def _hosts(interface: Interface) -> list[str]:
+    """List the addresses of one network except our own; on loopback only its own."""
+    if interface.loopback:
+        return [interface.address]
+    network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
+    return [str(host) for host in islice(network.hosts(), MOST_ADDRESSES) if str(host) != interface.address]
+
+
+def _listens(host: str) -> bool:
+    try:
+        socket.create_connection((host, PROJECT_PORT), KNOCK_LIMIT_S).close()
+    except OSError:
+        return False
+    return True
+
+
+def _proposal(controller: Endpoint, stream: str) -> Proposal:
+    """Propose a controller as far as it can be identified, even if it is silent or serves another client."""
+    remarks: tuple[str, ...] = (VARIANT, STREAM)
+    what, variant, absent = "a controller", None, ""
+    try:
+        with contextlib.closing(EkiClient(controller.host, controller.port, CONNECT_LIMIT_S)) as eki:
+            state = eki.status(CONNECT_LIMIT_S)
+        known = {each.value for each in ArmVariant}
+        variant = state.variant if state.variant in known else None
+        what = f"a controller of {state.variant or 'an arm that it does not identify'}, in mode {state.mode}"
+        remarks = (STREAM,) if variant else remarks
+    except (ControllerNotFound, NoAnswer, BadEkiTelegram) as error:
+        absent = error.what
+        if not isinstance(error, ControllerNotFound):
+            absent += ": it is not the EKI server of the project's files"
+    except RonnaError as error:
+        remarks = (f"It could not be identified: {error.code} {error.summary}", *remarks)
+    return Proposal(DRIVER, what, _endpoints(str(controller), stream), _options(variant), remarks, absent)
+
+
+def _endpoints(controller: str, stream: str) -> dict[str, str]:
+    return {"rsi": stream, "eki_project": controller}
+
+
+def _options(variant: str | None = None) -> tuple[Option, ...]:
+    return documented_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})

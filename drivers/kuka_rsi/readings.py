@@ -1,24 +1,30 @@
-"""Readings of the arm: from the stream while it runs, otherwise from the controller's EKI state."""
+"""Readings and readiness of the arm, from the stream and from the controller's EKI state."""
 
 from __future__ import annotations
 
 import contextlib
 import time
+from collections.abc import Iterator
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki.controller_state import ControllerState
+from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
 from ronna_hw.arm.angles import radians6
 from ronna_hw.clock import Clock
+from ronna_hw.devices.readiness import MESSAGES, Fact
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 STALE_S = 0.5  # host time: age at which a measured pose is called stale
+MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
+MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
+AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 class ArmReadings:
-    """Numbers the readings of one arm, and keeps the latest for observers."""
+    """Numbered readings of one arm; keeps the latest for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections
@@ -28,22 +34,22 @@ class ArmReadings:
         self._newest: ArmReading | None = None
 
     def stamp(self, device_clock: int = 0) -> Stamp:
-        """The stamp of the next reading."""
+        """Return the stamp of the next reading."""
         self._sequence += 1
         return Stamp(self._sequence, device_clock, self._clock.now_s())
 
-    def of_stream(self, state: LinkState) -> ArmReading:
-        """Axes of the last telegram."""
+    def from_stream(self, state: LinkState) -> ArmReading:
+        """Make a reading of the last telegram's axes."""
         self._newest = self._streamed(state, self.stamp(state.IPOC))
         return self._newest
 
-    def of_controller(self, state: ControllerState) -> ArmReading:
-        """Axes of a requested `State`."""
+    def from_controller(self, state: ControllerState) -> ArmReading:
+        """Make a reading of the axes in a requested `State`."""
         self._newest = self._reported(state, self.stamp())
         return self._newest
 
     def newest(self, *, streaming: bool) -> ArmReading | None:
-        """The latest, requested or unsolicited; never raises, in any thread."""
+        """Return the latest reading, requested or unsolicited; never raises, in any thread."""
         eki, link = self._connections.open_eki, self._connections.open_link
         # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
@@ -71,3 +77,66 @@ class ArmReadings:
         return ArmReading(
             stamp, Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
         )
+
+
+def standing_facts(state: ControllerState | None) -> Iterator[Fact]:
+    """List what a person has set and the controller reports unsolicited; nothing before its first report.
+
+    Drives that are off are no objection: `activate` switches them on.
+    """
+    if state is None:
+        return
+    yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
+    yield Fact(
+        "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
+        "Release the emergency stop.",
+    )  # fmt: skip
+    yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close the guard.")
+    yield Fact(
+        MESSAGES, _message(state.error) if state.error else "none to acknowledge",
+        not state.error,
+        "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
+    )  # fmt: skip
+    yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
+    yield _brakes(state)
+
+
+def _brakes(state: ControllerState) -> Fact:
+    """State the brakes. With drives on they may be closed: the controller closes them after a while."""
+    if state.open_brakes is None:
+        said = "normally released while the drives are on" if state.drives else "the drives are off"
+        return Fact("brakes", f"not reported; {said}")
+    axes = range(1, len(state.axes_deg) + 1)
+    are_open = [f"A{axis}" for axis in axes if state.open_brakes >> (axis - 1) & 1]
+    closed = [f"A{axis}" for axis in axes if f"A{axis}" not in are_open]
+    if are_open and not state.drives:
+        advice = "Let nobody under the arm, and have the brakes tested: it may sink."
+        return Fact("brakes", f"open while the drives are off: {' '.join(are_open)}", False, advice)
+    if closed and state.moving:
+        advice = "Stop the program at the pendant, and have the brakes and their cable tested."
+        return Fact("brakes", f"closed while the arm moves: {' '.join(closed)}", False, advice)
+    return Fact("brakes", f"closed: {' '.join(closed)}" if closed else "open")
+
+
+def _message(number: int) -> str:
+    meaning = MEANINGS.get(number)
+    return (
+        f"KSS{number} is not acknowledged ({meaning})" if meaning else f"number {number} is not acknowledged"
+    )
+
+
+def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
+    """List everything that `activate` checks."""
+    yield from standing_facts(state)
+    yield Fact(
+        "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
+        "A message ended it: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT
+        else "Another client is streaming: stop it, or reset the program at the pendant.",
+    )  # fmt: skip
+    yield Fact(
+        "at rest", "moving" if state.moving else "yes", not state.moving, "Wait until the arm is at rest."
+    )
+    yield Fact(
+        "context",
+        "matches" if verified else "not reported; verified at start by a micro-move with a person present",
+    )

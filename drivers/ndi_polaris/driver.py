@@ -1,4 +1,4 @@
-"""The NDI Polaris as an `OpticalTracker`: Spectra, Vicra and compatible units, on serial or TCP."""
+"""NDI Polaris (Spectra, Vicra and compatible units) on serial or TCP as an `OpticalTracker`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Self, TypeVar
 
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.discovery import find_unit, initialise, raise_baud
 from drivers.ndi_polaris.errors import (
     HardwareFailure,
     LinkLost,
@@ -16,22 +18,21 @@ from drivers.ndi_polaris.errors import (
     UnitRestarted,
     WrongUnit,
 )
-from drivers.ndi_polaris.line.baud_rate import raise_baud
-from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.line.discovery import find_unit, initialise
-from drivers.ndi_polaris.line.recorded_transport import RecordedTransport
-from drivers.ndi_polaris.line.time_limits import read_time_limits
-from drivers.ndi_polaris.line.transport import Transport, open_transport
+from drivers.ndi_polaris.measuring_volume import MeasuringVolume, Section, choose_volume
 from drivers.ndi_polaris.options import read_options
-from drivers.ndi_polaris.rom.definition import encode_definition
-from drivers.ndi_polaris.tools.geometry import find_alike
-from drivers.ndi_polaris.tools.loading import LoadedTool, load_tools
-from drivers.ndi_polaris.tools.port_handles import free_handle
-from drivers.ndi_polaris.tracking.tracking import Tracking, TrackingStatistics, stop_tracking
-from drivers.ndi_polaris.unit.identity import check_identity, read_identity
-from drivers.ndi_polaris.unit.measuring_settings import choose_volume, set_illuminator_rate
-from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume, Section
-from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_trouble
+from drivers.ndi_polaris.tool_comparison import find_alike
+from drivers.ndi_polaris.tool_definition import encode_definition
+from drivers.ndi_polaris.tool_loading import LoadedTool, free_handle, load_tools
+from drivers.ndi_polaris.tracking import Tracking, TrackingStatistics, stop_tracking
+from drivers.ndi_polaris.transport import RecordedTransport, Transport, open_transport
+from drivers.ndi_polaris.unit import (
+    check_identity,
+    clear_bump,
+    read_identity,
+    read_time_limits,
+    refuse_pending_alerts,
+    set_illuminator_rate,
+)
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
@@ -53,7 +54,7 @@ OpenTransport = Callable[[Endpoint, float], Transport]
 
 
 class PolarisTracker:
-    """One unit. Calls are synchronous, one thread at a time; time limits in seconds of host time."""
+    """One Polaris unit. Calls are synchronous, one thread at a time; time limits in seconds of host time."""
 
     wire_protocol = "ndi-polaris"  # which byte-level conformance cases apply
 
@@ -67,7 +68,7 @@ class PolarisTracker:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], None] = time.sleep,
     ) -> None:
-        """Check options and tool definitions; opens nothing.
+        """Check options and tool definitions; open nothing.
 
         Raises NDI-010 to NDI-013, and CFG-001 or CFG-002 for the endpoint.
         """
@@ -105,7 +106,7 @@ class PolarisTracker:
 
     @property
     def fault(self) -> RonnaError | None:
-        """What latched FAULT, if anything."""
+        """The error that latched FAULT, if any."""
         return self._guard.fault
 
     @property
@@ -118,7 +119,7 @@ class PolarisTracker:
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
-        """The definition of each tool by name, as sent to the unit."""
+        """Definition of each tool by name, as sent to the unit."""
         return {name: encode_definition(tool) for name, tool in self._definitions.items()}
 
     @property
@@ -133,22 +134,22 @@ class PolarisTracker:
 
     @property
     def volume(self) -> MeasuringVolume | None:
-        """The measuring volume in use; None before `configure`, or when the unit does not report it."""
+        """Measuring volume in use; None before `configure`, or when the unit does not report it."""
         return self._volume
 
     @property
     def volume_sections_mm(self) -> tuple[Section, ...]:
-        """As in `BoundedTracker`."""
+        """Sections of the measuring volume, see `BoundedTracker`."""
         return () if self._volume is None else self._volume.sections_mm
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """As in `TimedTracker`."""
+        """Waiting times of the last replies, see `TimedTracker`."""
         return self._tracking.replies_s if self._tracking else ()
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What the operator should know after `configure`."""
+        """Observations at `configure` that are not errors but should be known."""
         return tuple(self._notices)
 
     @property
@@ -198,11 +199,11 @@ class PolarisTracker:
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop tracking; the tools stay loaded."""
         self._guard.require("deactivate", RUNNING)
-        self._guarded(self._run.stop, self._monotonic() + timeout_s)
+        self._guarded(lambda deadline_s: stop_tracking(self._link, deadline_s), self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """The next frame, by one request to the unit, or two when the first reply was disturbed.
+        """Read the next frame by one request to the unit, or two when the first reply was disturbed.
 
         Raises NDI-005 to NDI-007 for a lost reading (the next call resynchronises first), NDI-022 while the
         unit withholds poses because of its temperature (state HOLD, which ends by itself), and, with
@@ -223,7 +224,7 @@ class PolarisTracker:
         return frame
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED by reconnecting to the same unit; clears a bump.
+        """Go from FAULT to CONFIGURED by reconnecting to the same unit; clears a bump.
 
         Raises NDI-004 for another unit, NDI-020 while a hardware fault persists, NDI-021 when the unit was
         bumped besides the acknowledged fault. FAULT then stays latched.
@@ -255,7 +256,7 @@ class PolarisTracker:
         if self._open_link is not None:
             # a unit that is gone needs no closing commands
             with contextlib.suppress(RonnaError, OSError):
-                self._leave_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
+                self._release_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
             self._drop_link()
         self._guard.enter(Lifecycle.CLOSED)
 
@@ -300,7 +301,7 @@ class PolarisTracker:
         ]
         raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
         link.adopt_limits({**read_time_limits(link, deadline_s), **self._options.time_limits_s})
-        refuse_standing_trouble(link, deadline_s)
+        refuse_pending_alerts(link, deadline_s)
         wanted_hz = self._options.illuminator_rate_hz
         rate_hz = set_illuminator_rate(link, wanted_hz, deadline_s)
         if rate_hz != wanted_hz:
@@ -314,7 +315,7 @@ class PolarisTracker:
         self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
-    def _leave_unit(self, link: CommandLink, deadline_s: float) -> None:
+    def _release_unit(self, link: CommandLink, deadline_s: float) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in RUNNING | {Lifecycle.FAULT}:

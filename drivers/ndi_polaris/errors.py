@@ -1,4 +1,4 @@
-"""Errors between the host and a Polaris unit.
+"""Errors of the tracker, NDI-001 to NDI-037.
 
     ConnectError        NDI-001 PortUnavailable, NDI-002 NothingAnswers, NDI-003 NotAPolaris,
                         NDI-004 WrongUnit
@@ -240,5 +240,5 @@ _BY_VENDOR_CODE: dict[int, type[UnitError]] = {
 
 
 def error_for(vendor_code: int, command: str = "") -> UnitError:
-    """The typed error for ERRORhh in reply to `command`."""
+    """Return the typed error for ERRORhh in reply to `command`."""
     return _BY_VENDOR_CODE.get(vendor_code, UnitFault)(vendor_code, command)

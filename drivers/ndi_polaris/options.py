@@ -1,4 +1,4 @@
-"""The tracker's options in the theatre file.
+"""Options of the tracker in the theatre file.
 
 [tracker.options]
 tools = [{ name = "robot_frame", rom = "robot_frame.rom" }]
@@ -14,9 +14,9 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.ndi_polaris.errors import BadOptions, ForeignTool
-from drivers.ndi_polaris.rom.definition import ToolDefinition, definition_hash, read_definition
-from drivers.ndi_polaris.tools.geometry import check_distinct
-from drivers.ndi_polaris.tools.shipped import find_definition
+from drivers.ndi_polaris.shipped_tools import find_definition
+from drivers.ndi_polaris.tool_comparison import check_distinct
+from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash, read_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.text.counting import counted
@@ -44,7 +44,7 @@ class ToolOption(Strict):
     ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
-        """The definition `rom` names, relative to `folder`; raises NDI-011, or NDI-013 for another hash."""
+        """Read the definition named by `rom`; raises NDI-011, or NDI-013 for another hash."""
         definition = read_definition(find_definition(Path(self.rom), folder))
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
@@ -108,13 +108,13 @@ class PolarisOptions(Strict):
         return self
 
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:
-        """The definition of each tool by name, paths relative to `folder`; raises NDI-011 to NDI-013."""
+        """Read the definitions by tool name, relative to `folder`; raises NDI-011 to NDI-013."""
         tools = {tool.name: tool.definition(folder) for tool in self.tools}
         check_distinct(tools)
         return tools
 
     def limits_s(self) -> dict[str, float]:
-        """Default time limits by command, overridden by those of the theatre file."""
+        """Return the default time limits by command, overridden by those of the theatre file."""
         return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
 
 

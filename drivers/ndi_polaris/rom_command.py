@@ -17,7 +17,7 @@ from ronna_hw.command_line.new_files import require_folder_of
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
 if TYPE_CHECKING:
-    from drivers.ndi_polaris.rom.definition import ToolDefinition
+    from drivers.ndi_polaris.tool_definition import ToolDefinition
 
 app = typer.Typer(
     name="ronna-rom",
@@ -50,9 +50,9 @@ def make(
     one for an existing definition. Exit codes: 0 written, possibly with warnings about similar distances;
     1 the description is wrong or the file cannot be written.
     """
-    from drivers.ndi_polaris.rom.definition import decode_definition, definition_hash, encode_definition
-    from drivers.ndi_polaris.rom.description import read_description
-    from drivers.ndi_polaris.tools.geometry import alike_segments_mm, find_alike
+    from drivers.ndi_polaris.tool_comparison import alike_segments_mm, find_alike
+    from drivers.ndi_polaris.tool_definition import decode_definition, definition_hash, encode_definition
+    from drivers.ndi_polaris.tool_description import read_description
     from ronna_hw.records import write_whole
 
     require_folder_of(out)
@@ -69,7 +69,7 @@ def make(
                 "bytes": len(block),
                 "sha256": definition_hash(tool),
                 "warnings": warnings,
-                "tool": _as_data(tool),
+                "tool": _json_of(tool),
             }
         )
     else:
@@ -90,9 +90,9 @@ def show(
     """Show the content of a definition. Exit codes: 0 shown, 1 not a usable definition."""
     import sys
 
-    from drivers.ndi_polaris.rom.definition import definition_hash
-    from drivers.ndi_polaris.rom.description import describe
-    from drivers.ndi_polaris.tools.geometry import segment_lengths_mm
+    from drivers.ndi_polaris.tool_comparison import segment_lengths_mm
+    from drivers.ndi_polaris.tool_definition import definition_hash
+    from drivers.ndi_polaris.tool_description import describe
 
     if as_toml and as_json:
         raise UsageMistake("--toml and --json are mutually exclusive", action="Give one of them.")
@@ -105,7 +105,7 @@ def show(
     segments = segment_lengths_mm(tool.markers_mm)
     if as_json:
         lengths = [round(length, 3) for length in segments]
-        terminal.print_json({**_as_data(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
+        terminal.print_json({**_json_of(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
         return EXIT_DONE
     per_marker = ("markers_mm", "normals", "faces")
     content = {name: value for name, value in describe(tool).items() if name not in per_marker}
@@ -143,7 +143,7 @@ def compare(
     """
     from dataclasses import asdict
 
-    from drivers.ndi_polaris.rom.comparison import compare_definitions, largest_segment_difference_mm
+    from drivers.ndi_polaris.tool_comparison import compare_definitions, largest_segment_difference_mm
 
     tools = _read(first), _read(second)
     differences = compare_definitions(*tools)
@@ -185,7 +185,7 @@ def check(
     from dataclasses import asdict
     from itertools import combinations
 
-    from drivers.ndi_polaris.tools.geometry import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
+    from drivers.ndi_polaris.tool_comparison import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
 
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     tools = {_short_name(path, roms): _read(path) for path in roms}
@@ -214,25 +214,25 @@ def check(
 
 
 def _read(path: Path) -> ToolDefinition:
-    from drivers.ndi_polaris.rom.definition import read_definition
-    from drivers.ndi_polaris.tools.shipped import find_definition
+    from drivers.ndi_polaris.shipped_tools import find_definition
+    from drivers.ndi_polaris.tool_definition import read_definition
 
     return read_definition(find_definition(path))
 
 
 def _short_name(path: Path, others: list[Path]) -> str:
-    """The file's name, or its full path if another one has the same name."""
+    """Return the file's stem, or its full path if another file has the same one."""
     return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
 
 
-def _as_data(tool: ToolDefinition) -> dict[str, Any]:
-    from drivers.ndi_polaris.rom.description import describe
+def _json_of(tool: ToolDefinition) -> dict[str, Any]:
+    from drivers.ndi_polaris.tool_description import describe
 
     return {**describe(tool), "made_on": tool.made_on.isoformat()}
 
 
 def main() -> None:
-    """Entry point of the console script."""
+    """Run the console script."""
     terminal.run(app)
 
 

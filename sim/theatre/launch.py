@@ -70,7 +70,7 @@ class Theatre:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
         self.file = folder / THEATRE_FILE
-        self.world = World.create(scene, paced=paced) if saved is None else saved.go_on(scene, paced=paced)
+        self.world = World.create(scene, paced=paced) if saved is None else saved.restore(scene, paced=paced)
         if faults:
             _, standing = self.world.fault_script()
             self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)

@@ -163,7 +163,7 @@ def test_controller_and_wire_faults_stop_the_arm_and_are_named(robot_cell: Any, 
 def test_a_halted_real_time_process_is_reported_and_replaced(robot_cell: Any) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(silence_limit_s=0.25, heartbeat_limit_s=1.0)
-    process = arm._connections.link._process
+    process = arm.connections.link.process
     start = cell.true_joints_rad()
     error = _moved_through(cell, arm, lambda: os.kill(process.pid, signal.SIGSTOP))
     assert error is not None
@@ -183,7 +183,7 @@ def test_a_halted_real_time_process_is_reported_and_replaced(robot_cell: Any) ->
 def test_a_host_stall_is_tolerated_or_reported(robot_cell: Any, stall_ms: int) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
-    process = arm._connections.link._process
+    process = arm.connections.link.process
     start = cell.true_joints_rad()
 
     def stall() -> None:

@@ -105,7 +105,7 @@ def test_the_arm_arrives_without_a_jump_while_replies_are_lost_at_full_working_s
         assert cell.true_joints_rad() == pytest.approx(target, abs=1e-5)
     assert arm.state is Lifecycle.ACTIVE
     assert max(_largest_steps(tap)) < (LATE_STEP_SHARE if late else WORKING_STEP_SHARE)
-    assert arm._connections.link.state.degraded or lost_percent == 1
+    assert arm.connections.link.state.degraded or lost_percent == 1
     cell.world.set_fault_script("")
     eventually(lambda: arm.link_statistics().late_cycles == tap.lost)
     assert tap.lost > 0

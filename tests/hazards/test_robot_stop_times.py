@@ -58,7 +58,7 @@ class Witness:
 
     def __init__(self, cell: Any, tap: RsiTap, arm: Any, case: Case) -> None:
         self._world, self._tap, self._arm, self._case = cell.world, tap, arm, case
-        self._stops = arm._connections.link.stop_number
+        self._stops = arm.connections.link.stop_number
         self.begun_at = -1  # the cycle at whose end the fault begins
         self.heard = False
         tap.on_cycle = self._on_cycle
@@ -74,7 +74,7 @@ class Witness:
             if self._case.asks:
                 with suppress(RonnaError):
                     self._arm.read_tool_identity(HANG_S)
-            eventually(lambda: self._arm._connections.link.stop_number > self._stops)
+            eventually(lambda: self._arm.connections.link.stop_number > self._stops)
             self.heard = True
 
     def _largest_step(self) -> float:

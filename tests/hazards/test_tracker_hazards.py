@@ -9,7 +9,7 @@ import pytest
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import ForeignTool
-from drivers.ndi_polaris.tools.shipped import FOLDER as SHIPPED_DEFINITIONS
+from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_DEFINITIONS
 from ronna_hw.clock import open_clock
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content

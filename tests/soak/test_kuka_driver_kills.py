@@ -42,7 +42,7 @@ arm = KukaRsiArm("robot.master", config, HostClock())
 arm.connect(60.0)
 arm.configure(60.0)
 arm.activate(60.0)
-print(arm._connections.link._process.pid, flush=True)
+print(arm.connections.link.process.pid, flush=True)
 away = 0.5
 while True:
     here = arm.read_state().commanded_rad

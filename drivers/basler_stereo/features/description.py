@@ -1,16 +1,18 @@
-"""A camera's own description of its features: fetched from the camera, read as strict XML.
+"""A camera's own description of its features: fetched, read as strict XML, its registers decoded.
 
-Only the form is checked here; `feature_map` interprets the nodes.
+`feature_map` interprets the nodes.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Literal
 from xml.etree import ElementTree
 
-from drivers.basler_stereo.control.channel import ControlChannel
+from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import BadDescription
 from ronna_hw.bounded_input import InputRefused, parse_xml, unzip
 from ronna_hw.wire import gige_vision as gev
@@ -23,12 +25,14 @@ ROOT = "RegisterDescription"
 MOST_FIELDS = 1000  # of one node
 MOST_SHARED_FIELDS = 32  # of a register shared by several nodes: each of them inherits all
 LARGEST_NUMBER = 1 << 64  # registers hold 64 bits
+Number = int | float
 CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that determine whether this one is available
+_FLOATS = {4: "f", 8: "d"}
 
 
 @dataclass(frozen=True)
 class Field:
-    """One child of a node: tag, text, attributes."""
+    """Child of a node: tag, text, attributes."""
 
     tag: str
     text: str
@@ -37,7 +41,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Node:
-    """One named node: its kind (the tag, such as IntReg) and its fields in order."""
+    """Named node: its kind (the tag, such as IntReg) and its fields in order."""
 
     kind: str
     name: str
@@ -46,16 +50,16 @@ class Node:
     conditions: dict[str, tuple[str, ...]] = field(default_factory=dict)  # entry -> nodes it depends on
 
     def text(self, tag: str) -> str | None:
-        """Text of the first field with that tag, or None."""
+        """Return the text of the first field with that tag, or None."""
         return next((each.text for each in self.fields if each.tag == tag), None)
 
     def all(self, tag: str) -> Iterator[Field]:
-        """Every field with that tag."""
+        """Return every field with that tag."""
         return (each for each in self.fields if each.tag == tag)
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
-    """The description file as XML, from the first address on the camera itself.
+    """Fetch the description as XML from the first address on the camera itself.
 
     Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
     """
@@ -65,12 +69,12 @@ def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
         if url.lower().startswith(gev.URL_LOCAL.lower()):
             name, address, length = parse_url(url)
             data = control.read_memory(address, length, deadline_s)
-            return unpacked(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
+            return unzip_description(data) if name.lower().endswith(".zip") else data.rstrip(b"\0")
     raise BadDescription(f"{control.address} has no description on board", got=url or "an empty address")
 
 
 def parse_url(url: str) -> tuple[str, int, int]:
-    """Name, address and length of `Local:name;address;length`; raises GEV-009."""
+    """Parse `Local:name;address;length` into name, address and length; raises GEV-009."""
     try:
         name, address, length = url[len(gev.URL_LOCAL) :].split("?", 1)[0].split(";")
         place = int(address, 16), int(length, 16)
@@ -83,8 +87,8 @@ def parse_url(url: str) -> tuple[str, int, int]:
     return name.lstrip("/"), *place
 
 
-def unpacked(data: bytes) -> bytes:
-    """The single member of a ZIP file; raises GEV-009."""
+def unzip_description(data: bytes) -> bytes:
+    """Return the single member of a ZIP file; raises GEV-009."""
     try:
         return unzip(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -92,7 +96,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
-    """All named nodes by name; raises GEV-009 for malformed XML or a document type."""
+    """Parse all named nodes, by name; raises GEV-009 for malformed XML or a document type."""
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -103,7 +107,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
 
 
 def _nodes(group: ElementTree.Element) -> Iterator[Node]:
-    """Named elements, including those inside groups, and the entries of shared registers."""
+    """Yield named elements, including those inside groups, and the entries of shared registers."""
     for element in group:
         kind = _local(element.tag)
         if kind == "Group":
@@ -115,7 +119,7 @@ def _nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """The named parts of one register; a part inherits what it does not state itself."""
+    """Yield the named parts of one register; a part inherits what it does not state itself."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
@@ -149,7 +153,7 @@ def _field(element: ElementTree.Element) -> Field:
 
 
 def whole_number(text: str | None, what: str) -> int:
-    """An integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
+    """Parse an integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
     try:
         number = int((text or "").strip(), 0)
     except ValueError as error:
@@ -160,7 +164,7 @@ def whole_number(text: str | None, what: str) -> int:
 
 
 def real_number(text: str, what: str) -> float:
-    """A finite number; raises GEV-009."""
+    """Parse a finite number; raises GEV-009."""
     try:
         number = float(text)
     except ValueError as error:
@@ -172,3 +176,78 @@ def real_number(text: str, what: str) -> float:
 
 def _local(tag: str) -> str:
     return tag.rsplit("}", 1)[-1]
+
+
+def register_length(node: Node) -> int:
+    """Return the length of a register in bytes; raises GEV-009."""
+    length = whole_number(node.text("Length"), f"length of {node.name}")
+    if length not in (_FLOATS if node.kind == "FloatReg" else (1, 2, 4, 8)):
+        raise BadDescription(f"{node.name} has a length of {length} bytes")
+    return length
+
+
+def shares_register(node: Node) -> bool:
+    """Test whether a node uses only some bits of its register: writing must preserve the others."""
+    length = register_length(node)
+    return register_bits(node, length)[1] < 8 * length
+
+
+def decode_register(node: Node, data: bytes) -> Number:
+    """Decode the value in the bytes of a register."""
+    if node.kind == "FloatReg":
+        number = float(struct.unpack(_float_layout(node, len(data)), data)[0])
+        if not math.isfinite(number):
+            raise BadDescription(f"{node.name} reads {number}", expected="a finite number")
+        return number
+    low, width = register_bits(node, len(data))
+    value = int.from_bytes(data, _byte_order(node)) >> low & (1 << width) - 1
+    return value - (1 << width) if _is_signed(node) and value >> (width - 1) else value
+
+
+def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
+    """Encode a value for a register; `current` holds its present bytes, for the bits to preserve."""
+    length = register_length(node)
+    if node.kind == "FloatReg":
+        try:
+            return struct.pack(_float_layout(node, length), float(value))
+        except OverflowError as error:
+            raise BadDescription(f"{node.name} cannot hold {value:g}", limit=f"{length} bytes") from error
+    low, width = register_bits(node, length)
+    mask = (1 << width) - 1
+    number = round(value)
+    least = -(1 << width - 1) if _is_signed(node) else 0
+    if not least <= number <= least + mask:
+        raise BadDescription(f"{node.name} cannot hold {number}", limit=f"{least} to {least + mask}")
+    others = int.from_bytes(current, _byte_order(node)) & ~(mask << low)
+    return (others | (number & mask) << low).to_bytes(length, _byte_order(node))
+
+
+def _is_signed(node: Node) -> bool:
+    return (node.text("Sign") or "Unsigned") == "Signed"
+
+
+def register_bits(node: Node, length: int) -> tuple[int, int]:
+    """Return the lowest bit and the number of bits of a register's value.
+
+    In a big-endian register the description counts bits from the most significant one.
+    """
+    if node.kind != "MaskedIntReg":
+        return 0, 8 * length
+    single = node.text("Bit")
+    ends = [
+        whole_number(single if single is not None else node.text(tag), node.name) for tag in ("LSB", "MSB")
+    ]
+    if _byte_order(node) == "big":
+        ends = [8 * length - 1 - end for end in ends]
+    low, high = min(ends), max(ends)
+    if low < 0 or high >= 8 * length:
+        raise BadDescription(f"{node.name} uses bits outside its {length} bytes")
+    return low, high - low + 1
+
+
+def _byte_order(node: Node) -> Literal["big", "little"]:
+    return "big" if node.text("Endianess") == "BigEndian" else "little"
+
+
+def _float_layout(node: Node, length: int) -> str:
+    return (">" if _byte_order(node) == "big" else "<") + _FLOATS[length]

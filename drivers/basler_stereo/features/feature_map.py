@@ -8,24 +8,23 @@ whose conditions are false counts as absent. Nothing is cached, since a camera m
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
+from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import BadDescription, MissingFeature
 from drivers.basler_stereo.features.description import (
     ADDRESS_LIMIT,
     CONDITIONS,
     Field,
     Node,
-    real_number,
-    whole_number,
-)
-from drivers.basler_stereo.features.formula import Number, evaluate
-from drivers.basler_stereo.features.register_codec import (
+    Number,
     decode_register,
     encode_register,
+    real_number,
     register_length,
     shares_register,
+    whole_number,
 )
+from drivers.basler_stereo.features.formula import evaluate
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
@@ -33,50 +32,58 @@ DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
 # visited nodes and characters of formulas. Features of real cameras cost some hundreds.
 COST_LIMIT = 100_000
 REGISTER_COST = 100  # for a query to the camera: a thousand of them take a second
-
 _WHOLE = {"IntSwissKnife", "IntConverter"}
 _CONVERTERS = {"Converter", "IntConverter"}
 _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 
-class Memory(Protocol):
-    """The memory that a description's registers are in."""
-
-    def read(self, address: int, count: int) -> bytes:
-        """`count` bytes, a multiple of 4."""
-        ...
-
-    def write(self, address: int, data: bytes) -> None:
-        """A multiple of 4 bytes."""
-        ...
-
-
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest value and step; None if the description gives none."""
+    """Smallest and largest value and step; None where the description gives none."""
 
     minimum: Number | None
     maximum: Number | None
     step: Number | None
 
 
-class FeatureMap:
-    """The features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
+class RegisterMemory:
+    """Memory addressed by the description, through the control channel until `deadline_s`."""
 
-    def __init__(self, nodes: dict[str, Node], memory: Memory) -> None:
+    def __init__(self, control: ControlChannel) -> None:
+        self._control = control
+        self.deadline_s = 0.0
+
+    def read(self, address: int, count: int) -> bytes:
+        """Read `count` bytes, a multiple of 4; raises GEV-006, GEV-007, GEV-008."""
+        if count == REGISTER_BYTES:
+            return self._control.read_register(address, self.deadline_s).to_bytes(REGISTER_BYTES, "big")
+        return self._control.read_memory(address, count, self.deadline_s)
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write a multiple of 4 bytes; raises GEV-006, GEV-007."""
+        if len(data) == REGISTER_BYTES:
+            self._control.write_register(address, int.from_bytes(data, "big"), self.deadline_s)
+        else:
+            self._control.write_memory(address, data, self.deadline_s)
+
+
+class FeatureMap:
+    """Features of one camera. Unknown names and values raise GEV-010, inconsistent nodes GEV-009."""
+
+    def __init__(self, nodes: dict[str, Node], memory: RegisterMemory) -> None:
         self._nodes = nodes
         self._memory = memory
-        self._held: dict[str, Number] = {}  # nodes with their own value and no register
-        self._left = COST_LIMIT
+        self._local_values: dict[str, Number] = {}  # nodes with their own value and no register
+        self._budget = COST_LIMIT
 
     def has(self, name: str) -> bool:
-        """Whether the camera has this feature and it is available now."""
-        self._left = COST_LIMIT
-        return name in self._nodes and self._usable(name, 0)
+        """Test whether the camera has this feature and it is available now."""
+        self._budget = COST_LIMIT
+        return name in self._nodes and self._is_available(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Names and values of an enumeration's currently available entries."""
-        self._left = COST_LIMIT
+        """Return names and values of an enumeration's currently available entries."""
+        self._budget = COST_LIMIT
         node = self._node(name)
         return {
             entry: value
@@ -85,16 +92,16 @@ class FeatureMap:
         }
 
     def number(self, name: str) -> Number:
-        """Current value of a feature."""
-        self._left = COST_LIMIT
+        """Read a feature."""
+        self._budget = COST_LIMIT
         return self._read(name, 0)
 
     def whole(self, name: str) -> int:
-        """Current value of an integer feature."""
+        """Read an integer feature."""
         return int(self.number(name))
 
     def choice(self, name: str) -> str:
-        """Current entry of an enumeration, by name."""
+        """Read an enumeration; return the name of its entry."""
         value = self.whole(name)
         for entry, number in self._node(name).entries.items():
             if number == value:
@@ -103,7 +110,7 @@ class FeatureMap:
 
     def set_number(self, name: str, value: Number) -> None:
         """Set a feature; the camera checks the value."""
-        self._left = COST_LIMIT
+        self._budget = COST_LIMIT
         self._write(name, value, 0)
 
     def choose(self, name: str, entry: str) -> None:
@@ -118,27 +125,27 @@ class FeatureMap:
         self._memory.write(*self.command_write(name))
 
     def command_write(self, name: str) -> tuple[int, bytes]:
-        """Address and bytes that execute a command."""
-        self._left = COST_LIMIT
+        """Return the address and bytes that execute a command."""
+        self._budget = COST_LIMIT
         node = self._node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
-        value = self._own_or_other(node, "CommandValue", 0)
+        value = self._field_number(node, "CommandValue", 0)
         target = node.text("pValue")
         register = self._final_register(target or "", 0)
         return self._address(register, 0), self._encoded(register, 1 if value is None else value)
 
     def limits(self, name: str) -> Limits:
-        """The values that a feature may have now: its own limits, within those of the nodes below it."""
-        self._left = COST_LIMIT
+        """Return a feature's present limits: its own, within those of the nodes below it."""
+        self._budget = COST_LIMIT
         node: Node | None = self._node(name)
         found: list[Number | None] = [None, None, None]
         depth = 0
         while node is not None and depth < DEPTH_LIMIT:
             for place, tag in enumerate(("Min", "Max", "Inc")):
                 if found[place] is None:
-                    found[place] = self._own_or_other(node, tag, depth)
-            below = self._below(node, depth) if node.kind not in _CONVERTERS else None
+                    found[place] = self._field_number(node, tag, depth)
+            below = self._value_node(node, depth) if node.kind not in _CONVERTERS else None
             node = self._node(below) if below else None
             depth += 1
         return Limits(*found)
@@ -150,40 +157,40 @@ class FeatureMap:
             raise MissingFeature(f"the camera has no feature {name}") from None
 
     def _read(self, name: str, depth: int) -> Number:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             return self._decoded(node, depth)
         if node.kind.endswith("SwissKnife"):
-            return self._computed(node, "Formula", depth)
-        below = self._below(node, depth)
+            return self._evaluate_node(node, "Formula", depth)
+        below = self._value_node(node, depth)
         if node.kind in _CONVERTERS:
-            return self._computed(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
+            return self._evaluate_node(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
         if below is not None:
             value = self._read(below, depth + 1)
             return float(value) if node.kind == "Float" else value
-        if name in self._held:
-            return self._held[name]
+        if name in self._local_values:
+            return self._local_values[name]
         own = node.text("Value")
         if own is None:
             raise BadDescription(f"{name} ({node.kind}) has no value")
         return real_number(own, name) if node.kind == "Float" else whole_number(own, name)
 
     def _write(self, name: str, value: Number, depth: int) -> None:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             self._memory.write(self._address(node, depth), self._encoded(node, value))
             return
-        below = self._below(node, depth)
+        below = self._value_node(node, depth)
         if node.kind in _CONVERTERS:
-            self._write(below or "", self._computed(node, "FormulaTo", depth, FROM=value), depth + 1)
+            self._write(below or "", self._evaluate_node(node, "FormulaTo", depth, FROM=value), depth + 1)
         elif below is not None:
             self._write(below, value, depth + 1)
         elif node.text("Value") is not None:
-            self._held[name] = value
+            self._local_values[name] = value
         else:
             raise MissingFeature(f"{name} cannot be written", got=node.kind)
 
-    def _checked(self, name: str, depth: int) -> Node:
+    def _visit(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
             raise BadDescription(f"the nodes below {name} form a cycle")
         node = self._node(name)
@@ -191,27 +198,27 @@ class FeatureMap:
         return node
 
     def _spend(self, cost: int, name: str) -> None:
-        self._left -= cost
-        if self._left < 0:
+        self._budget -= cost
+        if self._budget < 0:
             raise BadDescription(f"too many nodes below {name}", limit=f"a cost of {COST_LIMIT}")
 
     def _final_register(self, name: str, depth: int) -> Node:
-        node = self._checked(name, depth)
+        node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             return node
-        return self._final_register(self._below(node, depth) or "", depth + 1)
+        return self._final_register(self._value_node(node, depth) or "", depth + 1)
 
-    def _usable(self, name: str, depth: int) -> bool:
-        """Whether a node's conditions hold, and those of the node with its value."""
-        node = self._checked(name, depth)
+    def _is_available(self, name: str, depth: int) -> bool:
+        """Test a node's conditions, and those of the node with its value."""
+        node = self._visit(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
                 return False
-        below = self._below(node, depth)
-        return below is None or self._usable(below, depth + 1)
+        below = self._value_node(node, depth)
+        return below is None or self._is_available(below, depth + 1)
 
-    def _below(self, node: Node, depth: int) -> str | None:
-        """The node with a node's value; if there are several, the one selected by the index."""
+    def _value_node(self, node: Node, depth: int) -> str | None:
+        """Return the node with a node's value, selected by the index if there are several."""
         chooser = None if node.kind in _REGISTERS else node.text("pIndex")
         if chooser is None:
             return node.text("pValue")
@@ -221,29 +228,29 @@ class FeatureMap:
                 return field.text
         return node.text("pValueDefault")
 
-    def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
-        """The number in a field, or that of the node named by its twin `p...`; None without either."""
+    def _field_number(self, node: Node, tag: str, depth: int) -> Number | None:
+        """Return the number in a field, or in the node named by its twin `p...`; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
             read = real_number if node.kind == "Float" else whole_number
             return read(own, f"{tag} of {node.name}")
         return None if other is None else self._read(other, depth + 1)
 
-    def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
-        """The value of a node's formula, given its variables, constants and expressions."""
+    def _evaluate_node(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
+        """Evaluate a node's formula with its variables, constants and expressions."""
         values = dict(given)
         for field in node.fields:
             name = field.attributes.get("Name", "")
             if field.tag == "pVariable":
                 values[name] = self._read(field.text.split(".")[0], depth + 1)
             elif field.tag in ("Constant", "Expression"):
-                values[name] = self._evaluated(field.text, values, node)
+                values[name] = self._evaluate_formula(field.text, values, node)
         formula = node.text(tag)
         if formula is None:
             raise BadDescription(f"{node.name} has no {tag}")
-        return self._evaluated(formula, values, node)
+        return self._evaluate_formula(formula, values, node)
 
-    def _evaluated(self, formula: str, values: dict[str, Number], node: Node) -> Number:
+    def _evaluate_formula(self, formula: str, values: dict[str, Number], node: Node) -> Number:
         self._spend(len(formula), node.name)
         return evaluate(formula, values, whole=node.kind in _WHOLE)
 

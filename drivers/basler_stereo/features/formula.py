@@ -12,9 +12,7 @@ from lark import Lark, Token, Tree
 from lark.exceptions import LarkError
 
 from drivers.basler_stereo.errors import BadDescription
-from drivers.basler_stereo.features.description import LONGEST_SHOWN
-
-Number = int | float
+from drivers.basler_stereo.features.description import LONGEST_SHOWN, Number
 
 LONGEST_FORMULA = 4000  # characters; real ones have some hundred
 DEEPEST = 200  # nested operations
@@ -49,7 +47,7 @@ LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
 def _divided(first: Number, second: Number) -> Number:
-    """Towards zero, and exact: a float has 53 bits of the 64 of a register."""
+    """Divide towards zero, and exactly: a float has 53 bits of the 64 of a register."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.trunc(first / second)
     quotient = abs(first) // abs(second)
@@ -57,14 +55,14 @@ def _divided(first: Number, second: Number) -> Number:
 
 
 def _remainder(first: Number, second: Number) -> Number:
-    """What division towards zero leaves, with the sign of the first."""
+    """Return what division towards zero leaves, with the sign of the first."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.fmod(first, second)
     return first - second * int(_divided(first, second))
 
 
 def _power(base: Number, exponent: Number) -> Number:
-    """Exact for integers; raises OverflowError for more than 64 bits."""
+    """Raise to a power, exactly for integers; raises OverflowError for more than 64 bits."""
     if not isinstance(base, int) or not isinstance(exponent, int) or exponent < 0:
         return math.pow(base, exponent)
     if abs(base) > 1 and exponent * base.bit_length() > 2 * LARGEST_SHIFT:  # 2 has two bits
@@ -108,7 +106,7 @@ _FUNCTIONS: dict[str, Callable[[Any], Number]] = {
 
 
 def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
-    """The value of a formula; `whole` selects integer arithmetic, with division towards zero.
+    """Evaluate a formula; `whole` selects integer arithmetic, with division towards zero.
 
     Raises GEV-009 for a formula that cannot be parsed, an unknown name, or an undefined result.
     """
@@ -147,7 +145,7 @@ def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool,
 
 
 def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
-    """The value of one operation, whatever its size."""
+    """Evaluate one operation, whatever the size of its value."""
     kind, parts = str(node.data), node.children
     if kind == "number":
         text = str(parts[0])

@@ -1,4 +1,4 @@
-"""Brings a camera's features to a known, verified state: trigger, exposure, gain, pixel format, area."""
+"""Known, verified state of a camera's features: trigger, exposure, gain, pixel format, area."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from typing import Protocol
 
 from drivers.basler_stereo.errors import BadDescription, MissingFeature, OutOfRange
+from drivers.basler_stereo.features.description import Number
 from drivers.basler_stereo.features.feature_map import Limits
-from drivers.basler_stereo.features.formula import Number
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.wire import gige_vision as gev
@@ -34,7 +34,7 @@ _FIXED_CHOICES = (
 
 
 class Features(Protocol):
-    """A camera's features by name; unknown names and values raise GEV-010."""
+    """Features of a camera by name; unknown names and values raise GEV-010."""
 
     def has(self, name: str) -> bool: ...
 
@@ -54,13 +54,13 @@ class Features(Protocol):
 
 
 def temperature_C(features: Features) -> float | None:
-    """Internal temperature; None if not reported."""
+    """Read the internal temperature; None if not reported."""
     name = next(filter(features.has, TEMPERATURE_NAMES), None)
     return None if name is None else float(features.number(name))
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """All settings except the area; `camera` is named in messages.
+    """Apply all settings except the area; `camera` is named in messages.
 
     Raises GEV-010 for missing features, GEV-011 for impossible values.
     """
@@ -86,7 +86,7 @@ def lock_transport(features: Features, locked: bool) -> None:
 
 
 def arm_trigger(features: Features, options: BaslerOptions) -> None:
-    """One frame per trigger from the selected source, all other triggers off; raises GEV-010.
+    """Arm one frame per trigger from the selected source, all other triggers off; raises GEV-010.
 
     Old firmware may lack the action trigger: then its name is not among the entries.
     """
@@ -108,7 +108,7 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
 
 
 def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, camera: str) -> None:
-    """Exposure in microseconds and raw gain (None: the smallest); raises GEV-011 with the limits.
+    """Set exposure in microseconds and raw gain (None: the smallest); raises GEV-011 with the limits.
 
     `camera` names it, for example `left camera`.
     """
@@ -121,7 +121,7 @@ def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, c
 
 
 def full_area(features: Features) -> AreaOfInterest:
-    """The whole sensor."""
+    """Return the area of the whole sensor."""
     width = features.whole(_first(features, SENSOR_WIDTH_NAMES))
     height = features.whole(_first(features, SENSOR_HEIGHT_NAMES))
     return AreaOfInterest(0, 0, width, height)
@@ -147,12 +147,12 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
 
 
 def present_area(features: Features) -> AreaOfInterest:
-    """The part of the sensor that the camera reports."""
+    """Return the part of the sensor that the camera reports."""
     return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
 
 
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
-    """Bytes of one image; raises GEV-009 when the camera's payload size differs."""
+    """Return the bytes of one image; raises GEV-009 when the camera's payload size differs."""
     expected = image_bytes(area, pixel_format)
     if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
         raise BadDescription("payload size does not match the area", expected=str(expected), got=str(said))
@@ -160,7 +160,7 @@ def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -
 
 
 def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
-    """Bytes of an image without padding."""
+    """Return the bytes of an image without padding."""
     bits = pixel_format >> gev.PIXEL_FORMAT_BITS_SHIFT & gev.PIXEL_FORMAT_BITS_MASK
     return -(-area.width * area.height * bits // 8)
 

@@ -1,1 +1,1 @@
-"""The same pair through the vendor's library pypylon, which is an optional extra."""
+"""Stereo pair through the vendor's library pypylon, an optional extra."""

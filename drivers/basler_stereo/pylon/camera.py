@@ -1,4 +1,4 @@
-"""One real camera through the vendor's library pypylon, which is an optional extra."""
+"""Camera through the vendor's library pypylon, an optional extra."""
 
 from __future__ import annotations
 
@@ -11,11 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.basler_stereo.control.identity import CameraIdentity
-from drivers.basler_stereo.errors import CameraLost, ControlTaken, NoCamera, NoPylon
+from drivers.basler_stereo.errors import (
+    CameraLost,
+    ControlTaken,
+    MissingFeature,
+    NoCamera,
+    NoPylon,
+    OutOfRange,
+)
 from drivers.basler_stereo.features import known_state
+from drivers.basler_stereo.features.description import Number
+from drivers.basler_stereo.features.feature_map import Limits
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pylon.features import PylonFeatures
 from ronna_hw.devices.readings import AreaOfInterest
 
 TAKEN = "controlled by another application"  # in the library's message
@@ -25,17 +33,8 @@ LONGEST_WAIT_S = 60.0
 READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ignored
 
 
-@dataclass(frozen=True)
-class PylonFrame:
-    """One image from the library; `pixels` is our own copy, None if the image is incomplete."""
-
-    block_id: int
-    ticks: int
-    pixels: NDArray[Any] | None
-
-
 def load_pylon() -> tuple[Any, Any]:
-    """The library's modules `pylon` and `genicam`; raises GEV-018."""
+    """Load the library's modules `pylon` and `genicam`; raises GEV-018."""
     try:
         with warnings.catch_warnings():
             # the binding warns about its own types; with warnings as errors that crashes the interpreter
@@ -46,8 +45,17 @@ def load_pylon() -> tuple[Any, Any]:
     return pylon, genicam
 
 
+@dataclass(frozen=True)
+class PylonFrame:
+    """Image from the library; `pixels` is our own copy, None if the image is incomplete."""
+
+    block_id: int
+    ticks: int
+    pixels: NDArray[Any] | None
+
+
 class PylonCamera:
-    """Found by address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
+    """Camera found by address, or by serial number if emulated. Deadlines are host monotonic time."""
 
     def __init__(
         self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
@@ -107,7 +115,7 @@ class PylonCamera:
 
     @property
     def features(self) -> PylonFeatures:
-        """The features; only while controlled."""
+        """Features; only while controlled."""
         return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
 
     def set_area(self, area: AreaOfInterest) -> None:
@@ -116,7 +124,7 @@ class PylonCamera:
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
-        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
+        """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def start(self) -> None:
@@ -137,7 +145,7 @@ class PylonCamera:
             raise self._lost(error) from error
 
     def take(self, deadline_s: float) -> PylonFrame | None:
-        """The next frame, or None if none arrived by the deadline. Raises GEV-014."""
+        """Return the next frame, or None if none arrived by the deadline. Raises GEV-014."""
         left_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
         try:
             result = self._camera.RetrieveResult(round(left_s * 1e3), self._pylon.TimeoutHandling_Return)
@@ -147,12 +155,14 @@ class PylonCamera:
             raise CameraLost(f"the {self.side} camera was removed")
         if not result.IsValid():
             return None
-        with contextlib.closing(_Released(result)):
+        try:
             pixels = None
             if result.GrabSucceeded():
                 pixels = np.array(result.GetArray())
                 pixels.flags.writeable = False
             return PylonFrame(result.BlockID, result.TimeStamp, pixels)
+        finally:
+            result.Release()  # returns the buffer to the library
 
     def close(self) -> None:
         """Release control and close; never raises."""
@@ -167,11 +177,59 @@ class PylonCamera:
         return CameraLost(f"the {self.side} camera no longer replies", got=str(error).splitlines()[0])
 
 
-@dataclass(frozen=True)
-class _Released:
-    """Returns a grab result's buffer to the library."""
+class PylonFeatures:
+    """Features of an open camera through its node map. Unknown names and values raise GEV-010."""
 
-    result: Any
+    def __init__(self, nodes: Any, genicam: Any) -> None:
+        self._nodes = nodes
+        self._genicam = genicam
 
-    def close(self) -> None:
-        self.result.Release()
+    def has(self, name: str) -> bool:
+        """Test whether the camera has this feature and it is available now."""
+        node = self._nodes.GetNode(name)
+        return node is not None and bool(self._genicam.IsAvailable(node))
+
+    def number(self, name: str) -> Number:
+        """Read a feature."""
+        value: Number = self._node(name).GetValue()
+        return value
+
+    def whole(self, name: str) -> int:
+        """Read an integer feature."""
+        return int(self._node(name).GetValue())
+
+    def entries(self, name: str) -> tuple[str, ...]:
+        """Return the names of an enumeration's currently available entries."""
+        return tuple(self._node(name).Symbolics)
+
+    def limits(self, name: str) -> Limits:
+        """Return a feature's present limits."""
+        node = self._node(name)
+        step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
+        return Limits(node.GetMin(), node.GetMax(), step)
+
+    def set_number(self, name: str, value: Number) -> None:
+        """Set a number; raises GEV-011."""
+        node = self._node(name)
+        try:
+            node.SetValue(value)
+        except self._genicam.OutOfRangeException as error:
+            raise OutOfRange(f"{name} {value}", got=str(error).splitlines()[0]) from error
+        except self._genicam.GenericException as error:
+            raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
+
+    def choose(self, name: str, entry: str) -> None:
+        """Set an enumeration to one of its entries."""
+        try:
+            self._node(name).SetValue(entry)
+        except self._genicam.GenericException as error:
+            raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
+
+    def execute(self, name: str) -> None:
+        """Execute a command."""
+        self._node(name).Execute()
+
+    def _node(self, name: str) -> Any:
+        if not self.has(name):
+            raise MissingFeature(f"the camera has no feature {name}")
+        return self._nodes.GetNode(name)

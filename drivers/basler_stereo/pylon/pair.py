@@ -17,14 +17,12 @@ from typing import Any, Literal, Self, TypeVar
 
 from pydantic import ValidationError
 
-from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.errors import BadOptions, CameraLost, TriggerMissed, WrongSerial
-from drivers.basler_stereo.images import stereo_reading
+from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
-from drivers.basler_stereo.pair_clock import PairClock
-from drivers.basler_stereo.pair_device import PairDevice
-from drivers.basler_stereo.pair_identity import check_pair, pair_identity
+from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_identity
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
+from drivers.basler_stereo.readings import PairClock, stereo_reading
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, describe_mistakes
 from ronna_hw.devices.activation import activated
@@ -36,14 +34,14 @@ T = TypeVar("T")
 
 
 class PylonOptions(BaslerOptions):
-    """`device_class` selects the library's transport: real or emulated cameras."""
+    """Options of the pair; `device_class` selects real or emulated cameras."""
 
     device_class: Literal["BaslerGigE", "BaslerCamEmu"] = "BaslerGigE"
     trigger: Literal["software"] = "software"
 
 
 class PylonStereoPair(PairDevice[PylonCamera]):
-    """Calls are synchronous; one thread at a time. Time limits are host time, in seconds."""
+    """Pair of cameras. Calls are synchronous, one thread at a time; time limits are host time, in seconds."""
 
     wire_protocol = ""  # spoken by the vendor's library
     notices: tuple[str, ...] = ()
@@ -59,7 +57,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             ) from error
         super().__init__(name, config, clock, self._options)
         self._pair_clock = PairClock((None, None), 0.0)
-        self._out_of_step = False
+        self._must_restart = False
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
@@ -131,11 +129,11 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         return self._keep(self._watched(lambda: self._grab(time.monotonic() + timeout_s)))
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED: reconnects to the same cameras and restores areas and exposure."""
+        """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure."""
         self._guard.require("recover", {Lifecycle.FAULT})
         require_person(acknowledged_by)
         before = self.serials
-        self._let_go()
+        self._release_all()
         self._open()
         if self.serials != before:
             raise WrongSerial(
@@ -150,7 +148,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
     def close(self) -> None:
         """Release control and close; never raises."""
         if self._guard.state is not Lifecycle.CLOSED:
-            self._let_go()
+            self._release_all()
             self._guard.enter(Lifecycle.CLOSED)
 
     def _open(self) -> tuple[CameraIdentity, CameraIdentity]:
@@ -180,7 +178,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         for camera in self._pair:
             camera.start()
         self._pair_clock = PairClock((None, None), self._options.pair_skew_ms / 1000.0)
-        self._out_of_step = False
+        self._must_restart = False
 
     def _end(self) -> None:
         for camera in self._pair:
@@ -191,14 +189,14 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             camera.set_area(area)
 
     def _grab(self, deadline_s: float) -> StereoReading:
-        if self._out_of_step:
+        if self._must_restart:
             self._end()
             self._begin()
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
         for camera in self._pair:
             camera.trigger()
         frames = [camera.take(deadline_s) for camera in self._pair]
-        self._out_of_step = any(frame is None or frame.pixels is None for frame in frames)
+        self._must_restart = any(frame is None or frame.pixels is None for frame in frames)
         if not any(frames):
             raise TriggerMissed("no image after a trigger", expected="an image from either camera")
         self._sequence += 1
@@ -210,7 +208,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         return stereo_reading(left, right, self._sequence, triggered_s, match)
 
     def _match(self, frames: list[Any], triggered_s: float) -> Validity:
-        if self._out_of_step:
+        if self._must_restart:
             return Validity.OK  # the missing side is reported anyway
         ticks = (frames[0].ticks, frames[1].ticks)
         now_s = self._clock.now_s()
@@ -220,7 +218,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             rates = (left.tick_frequency_hz, right.tick_frequency_hz)
             self._pair_clock.confirm(ticks, rates, triggered_s, now_s)
         else:
-            self._out_of_step = True
+            self._must_restart = True
         return match
 
     def _image(
@@ -233,7 +231,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         validity = Validity.OK if as_set else Validity.CORRUPT
         return CameraImage(stamp, validity, serial, frame.pixels, area)
 
-    def _let_go(self) -> None:
+    def _release_all(self) -> None:
         for camera in self._cameras or ():
             camera.close()
         self._cameras = None

@@ -1,4 +1,4 @@
-"""Diagnoses a pair behind the vendor's library: each address without it, then as a procedure connects."""
+"""Diagnosis of a pair behind the vendor's library: each address without it, then a connection with it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ronna_hw.devices.probing import (
 def probe(
     name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
 ) -> Sequence[Diagnostic]:
-    """See `Probe`. Cameras that the library emulates have no address of their own."""
+    """Diagnose a pair, see `Probe`. Cameras that the library emulates have no address of their own."""
     emulated = config.options.get("device_class") == EMULATED
     addresses = [each for each in endpoints_of(config) if each.scheme == "gev" and not emulated]
     found = cameras.probe.look_at(addresses, progress)

@@ -1,4 +1,4 @@
-"""Assembles frames from stream packets that may be lost, repeated or out of order. No I/O, no clock access.
+"""Assembly of frames from GVSP packets that may be lost, repeated or out of order. No I/O, no clock access.
 
 A frame is complete when leader, trailer and every payload packet have arrived. Missing packets are requested
 again at growing intervals; after the last, the frame is delivered incomplete.
@@ -10,17 +10,24 @@ import struct
 from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
 
-from drivers.basler_stereo.stream.gvsp import Leader, PacketHeader, decode_header, decode_leader, following
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
+
+if TYPE_CHECKING:
+    from ronna_hw.devices.readings import AreaOfInterest
 
 RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet; then give up
 AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other
 OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are resent
 PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
+Claim = Callable[[], tuple[int, bytearray | memoryview]]
+"""Memory for the next frame, of the payload's size, and its number."""
+_PACKET_HEADER = struct.Struct(gev.GVSP_HEADER)
+_LEADER = struct.Struct(gev.GVSP_LEADER)
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
-_GONE = frozenset(
+_UNAVAILABLE = frozenset(
     {
         GevStatus.PACKET_UNAVAILABLE,
         GevStatus.PACKET_REMOVED,
@@ -29,9 +36,63 @@ _GONE = frozenset(
 )
 
 
+class PacketHeader(NamedTuple):
+    """Header of every packet, eight bytes."""
+
+    status: int
+    block_id: int
+    kind: int  # a GvspFormat; arbitrary in the reply to a rejected resend request
+    packet_id: int
+
+
+class Leader(NamedTuple):
+    """Announcement of an image by the camera."""
+
+    ticks: int
+    pixel_format: int
+    offset_x: int
+    offset_y: int
+    width: int
+    height: int
+    padding_x: int
+
+    @property
+    def area(self) -> AreaOfInterest:
+        """Area of the sensor. Imported here: the receiver process needs neither readings nor numpy."""
+        from ronna_hw.devices.readings import AreaOfInterest
+
+        return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
+
+
+def decode_header(packet: memoryview) -> PacketHeader | None:
+    """Decode the header; None for bytes that are not a standard stream packet."""
+    if len(packet) < gev.GVSP_HEADER_BYTES:
+        return None
+    status, block_id, word = _PACKET_HEADER.unpack_from(packet)
+    kind = word >> gev.GVSP_FORMAT_SHIFT & gev.GVSP_FORMAT_MASK
+    if word & gev.GVSP_EXTENDED_ID_BIT or block_id == 0:
+        return None
+    return PacketHeader(status, block_id, kind, word & gev.GVSP_PACKET_ID_MASK)
+
+
+def decode_leader(content: memoryview) -> Leader | None:
+    """Decode the leader of an image; None for the leader of anything else."""
+    if len(content) < gev.GVSP_LEADER_BYTES:
+        return None
+    _, payload_type, ticks, pixel_format, width, height, x, y, padding_x, _ = _LEADER.unpack_from(content)
+    if payload_type != gev.PayloadType.IMAGE:
+        return None
+    return Leader(ticks, pixel_format, x, y, width, height, padding_x)
+
+
+def next_block_id(block_id: int) -> int:
+    """Return the next block id; it wraps around and is never 0."""
+    return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST
+
+
 @dataclass(frozen=True)
 class Frame:
-    """One received image: raw bytes and the leader (None when it never came)."""
+    """Received image: raw bytes and the leader (None when it never came)."""
 
     block_id: int
     leader: Leader | None
@@ -59,21 +120,17 @@ class _Block:
     block_id: int
     slot: int
     data: bytearray | memoryview
-    came: bytearray  # one flag per packet id, including leader and trailer
+    received: bytearray  # one flag per packet id, including leader and trailer
     leader: Leader | None = None
-    left: int = 0
+    remaining: int = 0
     rounds: int = 0  # of resend requests since one was completely fulfilled
     requested: list[int] = field(default_factory=list)  # packets of the last resend request
     last_packet_s: float = 0.0
-    gone: set[int] = field(default_factory=set)
-
-
-Claim = Callable[[], tuple[int, bytearray | memoryview]]
-"""Memory for the next frame, of the payload's size, and its number."""
+    unavailable: set[int] = field(default_factory=set)
 
 
 class FrameAssembler:
-    """Assembles the frames of one stream with known payload and packet size.
+    """Assembler of one stream's frames, with known payload and packet size.
 
     Frames are stored in the memory from `claim`, by default newly allocated.
     """
@@ -93,19 +150,19 @@ class FrameAssembler:
 
     @property
     def waiting(self) -> bool:
-        """Whether a frame has begun and is incomplete."""
+        """True while a frame has begun and is incomplete."""
         return bool(self._open)
 
     def expect(self, block_id: int, from_s: float) -> None:
-        """A block was triggered: request it from then on, even if none of its packets has arrived."""
+        """Expect a triggered block: request it from then on, even if none of its packets has arrived."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
         self._block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
-        """Process one packet; returns the frame that it completes, or one displaced by a newer block."""
+        """Process one packet; return the frame that it completes, or one displaced by a newer block."""
         self.counters.packets += 1
-        if self._store_usual(packet, now_s):
+        if self._store_fast(packet, now_s):
             return None
         header = decode_header(packet)
         if header is None or header.packet_id > self._trailer_id or header.block_id in self._finished:
@@ -113,57 +170,59 @@ class FrameAssembler:
             return None
         if header.block_id not in self._open:
             self._expect_skipped(header.block_id, now_s)
-        pushed_out = self._give_way(header.block_id)
+        displaced = self._displace_oldest(header.block_id)
         block = self._block(header.block_id)
         block.last_packet_s = now_s
-        self._take(block, header, packet[gev.GVSP_HEADER_BYTES :])
+        self._accept_content(block, header, packet[gev.GVSP_HEADER_BYTES :])
         # a single packet never completes a block, so no frame is lost here
-        return self._finish(block) if block.left == 0 else pushed_out
+        return self._finish(block) if block.remaining == 0 else displaced
 
     def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
-        """What to request again, as (block id, first, last packet id), and a frame that was given up."""
+        """Return packets to request again, as (block id, first, last packet id), and a frame given up."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._pause_s(block):
                 continue
-            missing = [i for i in range(self._trailer_id + 1) if not block.came[i] and i not in block.gone]
+            missing = [
+                i for i in range(self._trailer_id + 1) if not block.received[i] and i not in block.unavailable
+            ]
             if self._fulfilled(block):
                 block.rounds = 0
             used_up = block.rounds >= len(RESEND_INTERVALS_S)
             # an expected block that has not begun may be late: it is requested until displaced
-            if not missing or (used_up and block.left <= self._trailer_id):
+            if not missing or (used_up and block.remaining <= self._trailer_id):
                 return [], self._finish(block)
             block.rounds += not used_up
             block.last_packet_s = now_s
-            block.requested = missing[:PACKETS_PER_ROUND] if block.left <= self._trailer_id else missing
+            block.requested = missing[:PACKETS_PER_ROUND] if block.remaining <= self._trailer_id else missing
             ranges = _ranges(block.requested)
             self.counters.resend_requests += len(ranges)
             return [(block.block_id, first, last) for first, last in ranges], None
         return [], None
 
     def _pause_s(self, block: _Block) -> float:
-        """Pause after a block's last packet before it is requested again."""
+        """Return the pause after a block's last packet before it is requested again."""
         if self._fulfilled(block):
             return AFTER_TRAILER_S
-        if block.rounds == 0 and block.left <= self._trailer_id:
+        if block.rounds == 0 and block.remaining <= self._trailer_id:
             newer_begun = next(reversed(self._open.values())) is not block
-            if newer_begun or block.came[self._trailer_id]:
+            if newer_begun or block.received[self._trailer_id]:
                 return AFTER_TRAILER_S
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _expect_skipped(self, block_id: int, now_s: float) -> None:
-        """Blocks between the newest one and this one that have not begun must be requested."""
+        """Expect the blocks between the newest one and this one: they have not begun."""
         newest, self._newest = self._newest, block_id
         skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
         if skipped >= OPEN_BLOCKS:
             self._newest = max(newest, block_id)  # a straggler or a wrap-around: no conclusion
             return
         for _ in range(skipped):
-            newest = following(newest)
+            newest = next_block_id(newest)
             self.expect(newest, now_s)
 
     @staticmethod
     def _fulfilled(block: _Block) -> bool:
-        return bool(block.requested) and all(block.came[packet_id] for packet_id in block.requested)
+        return bool(block.requested) and all(block.received[packet_id] for packet_id in block.requested)
 
     def _block(self, block_id: int) -> _Block:
         block = self._open.get(block_id)
@@ -172,50 +231,55 @@ class FrameAssembler:
                 block_id,
                 *self._claim(),
                 bytearray(self._trailer_id + 1),
-                left=self._trailer_id + 1,
+                remaining=self._trailer_id + 1,
             )
             self._open[block_id] = block
         return block
 
-    def _give_way(self, block_id: int) -> Frame | None:
+    def _displace_oldest(self, block_id: int) -> Frame | None:
         if block_id in self._open or len(self._open) < OPEN_BLOCKS:
             return None
         return self._finish(next(iter(self._open.values())))
 
-    def _store_usual(self, packet: memoryview, now_s: float) -> bool:
-        """Fast path for nearly every packet: full, new, of an open block that it does not complete."""
+    def _store_fast(self, packet: memoryview, now_s: float) -> bool:
+        """Store nearly every packet on a fast path: full, new, of an open block that stays incomplete."""
         if len(packet) != self._full_bytes:
             return False
         status, block_id, word = _UNPACK_HEADER(packet)
         block = self._open.get(block_id)
-        if block is None or status or word >> gev.GVSP_FORMAT_SHIFT != GvspFormat.PAYLOAD or block.left == 1:
+        if (
+            block is None
+            or status
+            or word >> gev.GVSP_FORMAT_SHIFT != GvspFormat.PAYLOAD
+            or block.remaining == 1
+        ):
             return False
         packet_id = word & gev.GVSP_PACKET_ID_MASK
-        if not 0 < packet_id < self._payload_packets or block.came[packet_id]:
+        if not 0 < packet_id < self._payload_packets or block.received[packet_id]:
             return False
         begin = (packet_id - 1) * self._data_bytes
         block.data[begin : begin + self._data_bytes] = packet[gev.GVSP_HEADER_BYTES :]
-        block.came[packet_id] = 1
-        block.left -= 1
+        block.received[packet_id] = 1
+        block.remaining -= 1
         block.last_packet_s = now_s
         return True
 
-    def _take(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
+    def _accept_content(self, block: _Block, header: PacketHeader, content: memoryview) -> None:
         packet_id = header.packet_id
-        if header.status in _GONE:
+        if header.status in _UNAVAILABLE:
             self.counters.refusals += 1
             # until the trailer arrives, "unavailable" may mean "not yet"
-            if block.came[self._trailer_id]:
-                block.gone.add(packet_id)
+            if block.received[self._trailer_id]:
+                block.unavailable.add(packet_id)
             return
-        if block.came[packet_id]:
+        if block.received[packet_id]:
             self.counters.duplicates += 1
             return
         if not self._store(block, header, content):
             self.counters.ignored += 1
             return
-        block.came[packet_id] = 1
-        block.left -= 1
+        block.received[packet_id] = 1
+        block.remaining -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
         """Store the content in its place; False if kind, position and length do not match."""
@@ -233,10 +297,10 @@ class FrameAssembler:
 
     def _finish(self, block: _Block) -> Frame | None:
         del self._open[block.block_id]
-        if block.left > self._trailer_id:
+        if block.remaining > self._trailer_id:
             return None  # expected, never seen
         self._finished.append(block.block_id)
-        missing = [i for i in range(1, self._trailer_id) if not block.came[i]] if block.left else []
+        missing = [i for i in range(1, self._trailer_id) if not block.received[i]] if block.remaining else []
         for packet_id in missing:
             begin, end = self._place(packet_id)
             block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
@@ -245,13 +309,13 @@ class FrameAssembler:
         return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
 
     def _place(self, packet_id: int) -> tuple[int, int]:
-        """Range of a payload packet's bytes."""
+        """Return the range of a payload packet's bytes."""
         begin = (packet_id - 1) * self._data_bytes
         return begin, min(begin + self._data_bytes, self._payload_bytes)
 
 
 def _ranges(numbers: list[int]) -> list[tuple[int, int]]:
-    """Runs of consecutive numbers, ascending, as (first, last)."""
+    """Group ascending numbers into runs, as (first, last)."""
     runs: list[tuple[int, int]] = []
     for number in numbers:
         if runs and number == runs[-1][1] + 1:

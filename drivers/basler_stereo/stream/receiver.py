@@ -1,4 +1,4 @@
-"""The driver's side of the receiver process: starts it, gives it orders, fetches frames."""
+"""Driver's end of a stream: its socket, the packet size that arrives, and the receiver process."""
 
 from __future__ import annotations
 
@@ -12,27 +12,39 @@ import sys
 import time
 from collections.abc import Callable
 
-from drivers.basler_stereo.errors import ReceiverEnded
+from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.errors import PacketTooLarge, ReceiverEnded
+from drivers.basler_stereo.gvcp import LARGEST_DATAGRAM_BYTES
+from drivers.basler_stereo.options import SMALLEST_PACKET_BYTES
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
-from drivers.basler_stereo.stream.frame_slots import NOTE_BYTES, FrameSlots
-from drivers.basler_stereo.stream.receiver_orders import (
+from drivers.basler_stereo.stream.receiver_interface import (
+    NOTE_BYTES,
     CloseStream,
     EndKeepAlive,
     ExpectBlock,
+    FrameSlots,
     KeepAlive,
     OpenStream,
     Order,
     send_order,
 )
 from ronna_hw.host.interruption import children_uninterrupted, describe_exit
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
-LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a hopeless wait is noticed
+LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a lost camera is noticed
+SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
+# largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
+CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
+DEFAULT_BYTES = 1500  # for a device that sends no test packets: any Ethernet carries it
+PROBE_LIMIT_S = 0.1
+PROBES = 2  # per size: one may be lost by chance
 
 
 class ReceiverProcess:
-    """One process for the streams of all cameras; it ends when `close` is called or its parent dies."""
+    """Process for the streams of all cameras; it ends when `close` is called or its parent dies."""
 
     def __init__(self) -> None:
         self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -72,7 +84,7 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send keep-alives to a camera; returns the number for ending them. Raises GEV-017."""
+        """Send keep-alives to a camera; return the number for ending them. Raises GEV-017."""
         number = next(self._numbers)
         self.tell(KeepAlive(number, period_s), control.fileno())
         return number
@@ -83,7 +95,7 @@ class ReceiverProcess:
             self.tell(EndKeepAlive(number))
 
     def ended(self, got: OSError | None = None) -> ReceiverEnded:
-        """The error for a process that no longer answers, with how it ended."""
+        """Return the error for a process that no longer answers, with how it ended."""
         try:
             how = describe_exit(self._process.wait(LOOK_UP_S))  # its end follows that of its channels
         except subprocess.TimeoutExpired:
@@ -100,7 +112,7 @@ class ReceiverProcess:
             self._process.wait()
 
     def tell(self, order: Order, *descriptors: int) -> None:
-        """Send it an order. Raises GEV-017."""
+        """Send an order. Raises GEV-017."""
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
@@ -108,7 +120,7 @@ class ReceiverProcess:
 
 
 class StreamReceiver:
-    """The frames of one stream, fetched from shared memory in the order of their completion."""
+    """Frames of one stream, fetched from shared memory in the order of their completion."""
 
     def __init__(
         self, process: ReceiverProcess, number: int, slots: FrameSlots, notes: socket.socket
@@ -125,18 +137,18 @@ class StreamReceiver:
 
     @property
     def begun(self) -> bool:
-        """Whether any image packet has arrived since the stream was opened."""
+        """True once an image packet has arrived since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
-        """A block was triggered; request it if it has not begun after `patience_s`."""
+        """Expect a triggered block; it is requested if it has not begun after `patience_s`."""
         self._process.tell(ExpectBlock(self._number, block_id, patience_s))
 
-    def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
-        """The oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
+    def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
+        """Return the oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
 
-        Also None as soon as `hopeless()`. Raises GEV-017.
+        Also None as soon as `give_up()`. Raises GEV-017.
         """
         while True:
             left_s = deadline_s - time.monotonic()
@@ -145,7 +157,7 @@ class StreamReceiver:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:
                     return frame
-            elif left_s <= 0 or hopeless():
+            elif left_s <= 0 or give_up():
                 return None
 
     def discard(self) -> None:
@@ -167,3 +179,75 @@ class StreamReceiver:
         if not note:
             raise self._process.ended()
         return note
+
+
+def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.socket:
+    """Open a socket for the stream on a free port of the host's address."""
+    stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    # The kernel caps the size at net.core.rmem_max, except for the superuser; packets that do not fit are
+    # lost and requested again.
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer_bytes)
+    with contextlib.suppress(OSError):
+        stream.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, receive_buffer_bytes)
+    stream.bind((local_address, 0))
+    return stream
+
+
+def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
+    """Wait for a datagram of this packet size from the sender; others are dropped."""
+    deadline_s = time.monotonic() + limit_s
+    # a datagram that is already there counts even if the host stalled beyond the limit
+    while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+        datagram, (host, _) = stream.recvfrom(LARGEST_DATAGRAM_BYTES)
+        if host == sender and len(datagram) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
+            return True
+    return False
+
+
+def choose_packet_bytes(
+    control: ControlChannel, stream: socket.socket, wanted_bytes: int | None, deadline_s: float
+) -> tuple[int, bool]:
+    """Find the packet size and set it in the camera; True if a test packet proved it.
+
+    Uses the largest candidate that arrives, or checks the wanted size. For a device that sends
+    no test packets, the wanted or the default size is used. Raises GEV-012 when only sizes below
+    the wanted one arrive.
+    """
+    point_stream_to(control, stream, deadline_s)
+    try:
+        for size in (wanted_bytes,) if wanted_bytes else CANDIDATES_BYTES:
+            if _size_arrives(control, stream, size, deadline_s):
+                return _set_packet_bytes(control, size, deadline_s), True
+        for size in CANDIDATES_BYTES if wanted_bytes else ():
+            if size < (wanted_bytes or 0) and _size_arrives(control, stream, size, deadline_s):
+                raise PacketTooLarge(
+                    f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
+                    expected=f"a test packet within {PROBE_LIMIT_S} s",
+                    limit=f"{size} bytes, which do arrive",
+                )
+        return _set_packet_bytes(control, wanted_bytes or DEFAULT_BYTES, deadline_s), False
+    finally:
+        control.write_register(Bootstrap.SCP, 0, deadline_s)
+
+
+def point_stream_to(control: ControlChannel, stream: socket.socket, deadline_s: float) -> None:
+    """Set the camera's stream destination."""
+    host, port = stream.getsockname()
+    address = int.from_bytes(socket.inet_aton(host), "big")
+    control.write_register(Bootstrap.SCDA, address, deadline_s)
+    control.write_register(Bootstrap.SCP, port & gev.SCP_PORT_MASK, deadline_s)
+
+
+def _size_arrives(control: ControlChannel, stream: socket.socket, size: int, deadline_s: float) -> bool:
+    fire = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
+    for _ in range(PROBES):
+        control.write_register(Bootstrap.SCPS, fire, deadline_s)
+        if probe_arrives(stream, control.peer_address, size, PROBE_LIMIT_S):
+            return True
+    return False
+
+
+def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
+    """Set the size; return what the camera accepted."""
+    control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
+    return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

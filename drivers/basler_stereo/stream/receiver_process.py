@@ -1,8 +1,8 @@
-"""The receiver process: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
+"""Receiver process of both streams: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
 
-Started only by the driver. It receives both cameras' streams, so that a stalled driver loses no packets. The
-channel FD carries orders; when it closes, the driver is gone. It never sees Ctrl-C: the driver started it in
-a session of its own with SIGINT blocked.
+The driver starts it, so that a stalled driver loses no packets. The channel FD carries orders; when it
+closes, the driver is gone. Ctrl-C never reaches it: the driver starts it in a session of its own with
+SIGINT blocked.
 """
 
 from __future__ import annotations
@@ -10,17 +10,209 @@ from __future__ import annotations
 import contextlib
 import gc
 import os
+import select
 import socket
 import sys
+import time
 
-from drivers.basler_stereo.stream.receiver_loop import ReceiverLoop
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.stream.frame_assembler import Frame, FrameAssembler
+from drivers.basler_stereo.stream.receiver_interface import (
+    CloseStream,
+    EndKeepAlive,
+    ExpectBlock,
+    FrameSlots,
+    KeepAlive,
+    OpenStream,
+    Order,
+    receive_order,
+)
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand, GvcpFlag
 
+FRAME_WAIT_S = 0.004  # while a frame is incomplete: how quickly a pause is noticed
+IDLE_WAIT_S = 1.0
+PACKETS_AT_ONCE = 64  # of one stream before the other's turn
+# Packets are collected for a moment: waking up for each burst costs as much as reading it, and on a busy
+# computer every wake-up has to wait.
+GATHER_S = 0.002
+GATHER_BUFFER_BYTES = 2 << 20  # in the kernel's units; a 1 Gbit/s link fills a quarter of it in that time
 EXIT_NOT_STARTED = 2
 NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
+class _Stream:
+    """Stream of one camera: socket, assembler, memory, and the channel on which frames are announced."""
+
+    def __init__(self, order: OpenStream, descriptors: list[int]) -> None:
+        stream, control, memory, notes = descriptors
+        self.socket = socket.socket(fileno=stream)
+        self.socket.setblocking(False)
+        self._control = socket.socket(fileno=control)
+        self._camera_address = self._control.getpeername()[0]
+        self._notes = socket.socket(fileno=notes)
+        self._notes.setblocking(False)
+        self._slots = FrameSlots(memory, order.payload_bytes)
+        os.close(memory)
+        self._may_gather = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= GATHER_BUFFER_BYTES
+        self._resend = order.resend
+        self._assembler = FrameAssembler(order.payload_bytes, order.packet_bytes, self._slots.claim)
+        self._request_id = 0
+
+    @property
+    def waiting(self) -> bool:
+        return self._assembler.waiting
+
+    @property
+    def gathers(self) -> bool:
+        """True if packets may wait in the socket for a moment."""
+        return self._may_gather and self._assembler.waiting
+
+    def expect(self, block_id: int, from_s: float) -> None:
+        self._assembler.expect(block_id, from_s)
+
+    def receive(self, buffer: bytearray, view: memoryview) -> bool:
+        """Read the packets that have arrived, up to a limit; True if there may be more."""
+        accept, receive = self._assembler.accept, self.socket.recvfrom_into
+        now_s = time.monotonic()
+        with contextlib.suppress(OSError):  # nothing more has arrived
+            for _ in range(PACKETS_AT_ONCE):
+                size, (sender, _) = receive(buffer)
+                if sender != self._camera_address:
+                    self._assembler.counters.foreign += 1
+                    continue
+                frame = accept(view[:size], now_s)
+                if frame is not None:
+                    self._announce(frame)
+            return True
+        self._slots.write_counters(self._assembler.counters)
+        return False
+
+    def request_missing(self, now_s: float) -> None:
+        """Request missing packets again; give up frames that stay incomplete."""
+        ranges, given_up = self._assembler.overdue(now_s)
+        if self._resend:
+            for block_id, first, last in ranges:
+                self._request_id = self._request_id % gev.REQUEST_ID_LAST + gev.REQUEST_ID_FIRST
+                with contextlib.suppress(OSError):
+                    self._control.send(gvcp.encode_resend(self._request_id, block_id, first, last))
+        if given_up is not None:
+            self._announce(given_up)
+        if ranges or given_up is not None:
+            self._slots.write_counters(self._assembler.counters)
+
+    def close(self) -> None:
+        for each in (self.socket, self._control, self._notes):
+            each.close()
+
+    def _announce(self, frame: Frame) -> None:
+        self._slots.write_counters(self._assembler.counters)
+        with contextlib.suppress(OSError):  # the driver does not fetch: newer frames reuse the slots
+            self._notes.send(self._slots.note(frame))
+
+
+class _KeepAlive:
+    """Keep-alives to one camera.
+
+    They request no acknowledge: the driver's own heartbeat checks who is in control. They continue while the
+    driver is busy or gets no CPU time.
+    """
+
+    def __init__(self, period_s: float, control: int) -> None:
+        self._period_s = period_s
+        self._control = socket.socket(fileno=control)
+        self._command = gvcp.encode(
+            GvcpCommand.READREG,
+            gev.REQUEST_ID_LAST,  # reserved by the driver for this process
+            gvcp.read_register_command(Bootstrap.CCP),
+            GvcpFlag(0),
+        )
+        self.due_s = 0.0
+
+    def send_when_due(self, now_s: float) -> None:
+        if now_s >= self.due_s:
+            self.due_s = now_s + self._period_s
+            with contextlib.suppress(OSError):
+                self._control.send(self._command)
+
+    def close(self) -> None:
+        self._control.close()
+
+
+class ReceiverLoop:
+    """Loop of the process; waits only for packets and orders."""
+
+    def __init__(self, orders: socket.socket) -> None:
+        self._orders = orders
+        self._streams: dict[int, _Stream] = {}
+        self._keep_alives: dict[int, _KeepAlive] = {}
+        self._poll = select.poll()
+        self._poll.register(orders, select.POLLIN)
+        self._by_descriptor: dict[int, _Stream] = {}
+
+    def run(self) -> None:
+        """Run until the driver is gone."""
+        buffer = bytearray(gvcp.LARGEST_DATAGRAM_BYTES)
+        view = memoryview(buffer)
+        while True:
+            more = False
+            for descriptor, _ in self._poll.poll(self._wait_s() * 1e3):
+                stream = self._by_descriptor.get(descriptor)
+                if stream is not None:
+                    more |= stream.receive(buffer, view)
+                elif descriptor == self._orders.fileno() and not self._take_order():
+                    return
+            now_s = time.monotonic()
+            for stream in self._streams.values():
+                if stream.waiting:
+                    stream.request_missing(now_s)
+            for keep_alive in self._keep_alives.values():
+                keep_alive.send_when_due(now_s)
+            if not more and any(stream.gathers for stream in self._streams.values()):
+                time.sleep(GATHER_S)
+
+    def _wait_s(self) -> float:
+        if any(stream.waiting for stream in self._streams.values()):
+            return FRAME_WAIT_S
+        now_s = time.monotonic()
+        return max(
+            0.0, min([IDLE_WAIT_S, *(keep_alive.due_s - now_s for keep_alive in self._keep_alives.values())])
+        )
+
+    def _take_order(self) -> bool:
+        try:
+            received = receive_order(self._orders)
+        except OSError:
+            return False
+        if received is None:
+            return False
+        self._execute(*received)
+        return True
+
+    def _execute(self, order: Order, descriptors: list[int]) -> None:
+        match order:
+            case OpenStream():
+                stream = _Stream(order, descriptors)
+                self._streams[order.stream] = stream
+                self._by_descriptor[stream.socket.fileno()] = stream
+                self._poll.register(stream.socket, select.POLLIN)
+            case CloseStream():
+                if (ended := self._streams.pop(order.stream, None)) is not None:
+                    self._poll.unregister(ended.socket)
+                    del self._by_descriptor[ended.socket.fileno()]
+                    ended.close()
+            case ExpectBlock():
+                if (expecting := self._streams.get(order.stream)) is not None:
+                    expecting.expect(order.block_id, time.monotonic() + order.patience_s)
+            case KeepAlive():
+                self._keep_alives[order.camera] = _KeepAlive(order.period_s, descriptors[0])
+            case EndKeepAlive():
+                if (keep_alive := self._keep_alives.pop(order.camera, None)) is not None:
+                    keep_alive.close()
+
+
 def main(arguments: list[str]) -> int:
-    """Serve until the driver is gone; returns 2 if not started by it."""
+    """Serve until the driver is gone; return 2 if not started by it."""
     try:
         orders = socket.socket(fileno=int(arguments[0]))
     except (IndexError, ValueError, OSError) as error:

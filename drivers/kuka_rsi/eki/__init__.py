@@ -1,1 +1,1 @@
-"""The EKI channel: program control, status, tool and base; never for real-time control."""
+"""EKI channel: program control, status, tool and base; never for real-time control."""

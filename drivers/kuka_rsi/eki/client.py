@@ -1,7 +1,7 @@
-"""The EKI channel: commands with answers, and the controller's state, which is also sent unsolicited.
+"""Client of the EKI channel: commands with answers, and the controller's state, also sent unsolicited.
 
-A thread reads everything the controller sends, since it also sends unsolicited telegrams and closes the
-connection if they are not read.
+A thread reads everything the controller sends, since it closes the connection if unsolicited telegrams are
+not read.
 """
 
 from __future__ import annotations
@@ -17,8 +17,7 @@ from typing import NamedTuple, Protocol, TypeVar
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
-from drivers.kuka_rsi.eki.controller_state import ControllerState, read_state
-from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.eki.telegrams import ControllerState, TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.errors import (
     EKI_LISTENS,
     BadEkiTelegram,
@@ -27,7 +26,9 @@ from drivers.kuka_rsi.errors import (
     ControllerNotFound,
     NoAnswer,
 )
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 
@@ -36,42 +37,41 @@ CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
 ASK_AGAIN_S = 0.2  # two periods of the unsolicited state
 QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
-_TIMEVAL = struct.Struct("ll")
-
 T = TypeVar("T")
+NOT_SERVED = (
+    "A controller serves one program at a time: another run or another computer has the arm. Stop that "
+    f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
+)
+AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could alter
+DEFAULT_TIMEOUT_S = 5.0
+_TIMEVAL = struct.Struct("ll")
 
 
 class Ack(NamedTuple):
-    """The controller's answer to a command."""
+    """Controller's answer to a command."""
 
     code: AckCode
     text: str
 
 
 class Listener(Protocol):
-    """Called from the reader's thread: be quick."""
+    """Listener to an EKI connection, called from the reader's thread: be quick."""
 
-    def controller_said(self, state: ControllerState) -> None:
-        """A state arrived, requested or unsolicited."""
+    def on_state(self, state: ControllerState) -> None:
+        """Handle a state, requested or unsolicited."""
         ...
 
-    def controller_quiet(self) -> None:
-        """Nothing was received for `QUIET_S`; called repeatedly."""
+    def on_silence(self) -> None:
+        """Handle a silence of `QUIET_S`; called repeatedly."""
         ...
 
-    def controller_lost(self, failure: RonnaError) -> None:
-        """The connection broke; not called for one closed by us."""
+    def on_loss(self, failure: RonnaError) -> None:
+        """Handle a broken connection; not called for one closed by us."""
         ...
-
-
-NOT_TAKEN_UP = (
-    "A controller serves one program at a time: another run or another computer has the arm. Stop that "
-    f"one, or wait; there is nothing to recover. Or this port is not the controller's: {EKI_LISTENS}."
-)
 
 
 class EkiClient:
-    """One connection. Calls may come from any thread."""
+    """EKI connection. Calls may come from any thread."""
 
     def __init__(
         self,
@@ -108,7 +108,7 @@ class EkiClient:
 
     @property
     def latest(self) -> ControllerState | None:
-        """The last state the controller sent, requested or unsolicited."""
+        """The last state sent by the controller, requested or unsolicited."""
         return self._latest
 
     @property
@@ -119,14 +119,14 @@ class EkiClient:
 
     @property
     def failure(self) -> RonnaError | None:
-        """Why the connection is broken, if it is."""
+        """Error that broke the connection, if any."""
         return self._failure
 
     def listen(self, listener: Listener) -> None:
         """Register for every state, and for the loss of the connection."""
         self._listener = listener
         if self._failure is not None and not self._closing:
-            listener.controller_lost(self._failure)
+            listener.on_loss(self._failure)
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
@@ -136,15 +136,15 @@ class EkiClient:
         return state
 
     def ask(self) -> int:
-        """Request the state without waiting for it; returns the request's number. Raises EKI-002."""
+        """Request the state without waiting for it; return the request's number. Raises EKI-002."""
         return self._send(CommandName.STATUS, {})
 
     def reply(self, number: int) -> ControllerState | None:
-        """The state sent in reply to a request, None before it has come."""
+        """Return the state sent in reply to a request; None before it has come."""
         return self._states.get(number)
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
-        """The same, None after the time limit. Raises EKI-002 or EKI-004 on a broken link."""
+        """Wait for the reply to a request; None after the time limit. Raises EKI-002 or EKI-004."""
         return self._await(lambda: self._states.get(number), timeout_s)
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
@@ -156,7 +156,7 @@ class EkiClient:
         return ack
 
     def require(self, name: CommandName, timeout_s: float, **values: object) -> None:
-        """As `command`; raises EKI-008 unless the answer is OK."""
+        """Send a command like `command`; raises EKI-008 unless the answer is OK."""
         ack = self.command(name, timeout_s, **values)
         if ack.code is not AckCode.OK:
             raise CommandRefused(f"the controller refused {name}", got=f"{ack.code.name} {ack.text}".strip())
@@ -164,7 +164,7 @@ class EkiClient:
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """The first state that meets the condition, or None after the time limit.
+        """Wait for a state that meets the condition; None after the time limit.
 
         States arrive unsolicited; one is nevertheless requested now and then.
         """
@@ -233,22 +233,22 @@ class EkiClient:
             self._failure = failure
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
-            self._listener.controller_lost(failure)
+            self._listener.on_loss(failure)
 
     def _lost(self, how: str) -> ControllerLost:
-        """The error for a broken connection; one that never delivered a state was never really open."""
+        """Return the error for a broken connection; without any state it was never really open."""
         if self._latest is None:
-            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_TAKEN_UP)
+            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
     def _next(self) -> bytes:
-        """The next bytes from the controller; empty when it has closed the connection."""
+        """Receive the next bytes; empty when the controller has closed the connection."""
         while True:
             try:
                 data = self._socket.recv(RECEIVE_BYTES)
             except BlockingIOError:
                 if self._listener is not None:
-                    self._listener.controller_quiet()
+                    self._listener.on_silence()
                 continue
             if self._passed is not None:
                 self._passed(Direction.RECEIVED, data)
@@ -270,10 +270,59 @@ class EkiClient:
                 _keep(self._acks, number, Ack(code, root.get("Text") or ""))
             self._arrived.notify_all()
         if state is not None and self._listener is not None:
-            self._listener.controller_said(state)
+            self._listener.on_state(state)
 
 
 def _keep(store: dict[int, T], number: int, value: T) -> None:
     store.setdefault(number, value)
     while len(store) > ACKS_KEPT:
         del store[next(iter(store))]
+
+
+class ControllerCommands:
+    """Commands of `arm.controller`: tool, base and override, neither motion nor the RSI stream.
+
+    Each raises EKI-003 without an answer and EKI-008 when refused.
+    """
+
+    def __init__(self, guard: LifecycleGuard, eki: Callable[[], EkiClient]) -> None:
+        """Take `eki`, which returns the open connection or raises EKI-001."""
+        self._guard = guard
+        self._eki = eki
+
+    def state(self, timeout_s: float = DEFAULT_TIMEOUT_S) -> ControllerState:
+        """Request the controller's present state."""
+        self._guard.require("controller.state", (*READABLE, Lifecycle.FAULT))
+        return self._eki().status(timeout_s)
+
+    def set_tool(
+        self,
+        number: int,
+        tool_in_flange: Pose,
+        *,
+        mass_kg: float,
+        centre_of_mass_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+    ) -> None:
+        """Set a tool frame (number 1..16) with its load; at rest only."""
+        CX, CY, CZ = centre_of_mass_mm
+        frame = _frame(tool_in_flange)
+        self._give(CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ)
+
+    def set_base(self, number: int, base_in_world: Pose, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Set a base frame (number 1..32); at rest only."""
+        self._give(CommandName.SET_BASE, timeout_s, No=number, **_frame(base_in_world))
+
+    def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        """Set the program override, 1..100; it does not scale RSI corrections."""
+        self._give(CommandName.SET_OV, timeout_s, Val=percent)
+
+    def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:
+        self._guard.require(f"controller {command}", AT_REST)
+        self._eki().require(command, timeout_s, **values)
+
+
+def _frame(pose: Pose) -> dict[str, object]:
+    X, Y, Z, A, B, C = pose.to_kuka()
+    values = {"X": X, "Y": Y, "Z": Z, "A": A, "B": B, "C": C}
+    return {name: f"{value:.6f}" for name, value in values.items()}

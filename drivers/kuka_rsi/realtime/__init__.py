@@ -1,1 +1,1 @@
-"""The real-time link process: answers the controller every cycle, and stops the arm on its own."""
+"""Real-time process of the link: answers the controller every cycle, and stops the arm on its own."""

@@ -1,7 +1,9 @@
-"""Vocabulary between the driver and its real-time process: orders, commands, states, faults, results."""
+"""Vocabulary between the driver and its real-time process: settings, orders, commands, states, results."""
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
@@ -12,9 +14,53 @@ from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 
+VIOLATIONS = ("", *ViolationKind)
+NOTHING_AROUND = Surroundings()
+STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
+STOP_KIND = (1 << STOP_KIND_BITS) - 1
+AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
+_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """Settings of the process, one line of JSON on its standard input; it reads no files itself."""
+
+    host: str
+    port: int
+    parent_pid: int
+    mailbox_fd: int
+    event_fd: int
+    variant: str
+    cycle_ms: int
+    sentype: str
+    send_tags: tuple[str, ...]
+    receive_tags: tuple[str, ...]
+    axis_tags: tuple[str, ...]  # which received tags feed AXISCORR A1..A6
+    stop_tag: str  # which one feeds STOP
+    silence_limit_s: float
+    heartbeat_limit_s: float
+    settle_tolerance_deg: float
+    real_time_priority: int
+    rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
+    controller_host: str = ""  # only telegrams from this host open a stream; "" for any
+    keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
+
+    def to_json(self) -> str:
+        """Encode as one line."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> LinkSettings:
+        """Decode; raises TypeError or ValueError if the line is not from `to_json`."""
+        values = json.loads(line)
+        for name in ("send_tags", "receive_tags", "axis_tags"):
+            values[name] = tuple(values[name])
+        return cls(**values)
+
 
 class CommandKind(IntEnum):
-    """Kind of a command in the command block."""
+    """Kind of a command."""
 
     MOVE = 1
     OPEN = 2  # answer the next telegrams; the first correction is zero
@@ -23,7 +69,7 @@ class CommandKind(IntEnum):
 
 
 class StopOrder(IntEnum):
-    """Kinds of stop, as in `ronna_hw.devices.StopKind`; the weakest first."""
+    """Kinds of stop, see `ronna_hw.devices.StopKind`; the weakest first."""
 
     HOLD = 1
     PROTECTIVE = 2
@@ -45,7 +91,7 @@ class Phase(IntEnum):
 
 
 class Fault(IntEnum):
-    """Why FAULT is latched."""
+    """Cause of a latched FAULT."""
 
     NONE = 0
     MONITOR = 1
@@ -75,7 +121,7 @@ class Result(IntEnum):
 
 
 class Choice(IntEnum):
-    """What a reply carries."""
+    """Content of a reply."""
 
     GO = 0
     STOP = 1
@@ -83,14 +129,8 @@ class Choice(IntEnum):
     HOLD = 3  # the point that the controller holds: only correct after it has held it for some cycles
 
 
-VIOLATIONS = ("", *ViolationKind)
-NOTHING_AROUND = Surroundings()
-STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
-STOP_KIND = (1 << STOP_KIND_BITS) - 1
-
-
 class Orders(NamedTuple):
-    """The three words that the real-time process reads in every cycle."""
+    """Words that the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int
@@ -98,7 +138,7 @@ class Orders(NamedTuple):
 
 
 class Command(NamedTuple):
-    """One command; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
+    """Command to the process; `plan` only for MOVE, `limits` of the operating mode only for OPEN."""
 
     number: int
     kind: CommandKind
@@ -142,7 +182,6 @@ class LinkState(NamedTuple):
     errno: Annotated[int, "i"]
 
 
-_ZEROS: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NO_STATE = LinkState(
     cycles=0,
     IPOC=0,
@@ -176,7 +215,7 @@ NO_STATE = LinkState(
 
 
 class Record(NamedTuple):
-    """One cycle in the recorder."""
+    """Cycle in the flight recorder."""
 
     cycle: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]

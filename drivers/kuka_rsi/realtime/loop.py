@@ -1,13 +1,13 @@
-"""The loop of the real-time process: receive, answer, then prepare the next answer.
+"""Loop of the real-time process: receive, answer, then prepare the next answer.
 
 The controller sends first and clocks everything. Nothing is computed between receiving and sending that could
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
 anyone but the stream's controller are counted and otherwise ignored.
 
-This process has priority over all others, so whatever transmits the reply on this processor (the network's
-soft interrupt, or a controller's stand-in) would have to wait until the next set-point is prepared. The
-processor is therefore yielded for a moment once the reply is out. Otherwise a peer on this machine would see
-the preparation, 60 us and more, as turnaround.
+This process has priority over all others. Whatever transmits the reply on this processor, such as the
+network's soft interrupt, would have to wait until the next set-point is prepared. The processor is therefore
+yielded for a moment once the reply is out. Otherwise a peer on this machine would see the preparation, 60 us
+and more, as turnaround.
 """
 
 from __future__ import annotations
@@ -17,14 +17,12 @@ import socket
 import time
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.realtime.histogram import bin_of
-from drivers.kuka_rsi.realtime.link_state import Command, Orders, Phase, Record
+from drivers.kuka_rsi.realtime.link_health import bin_of
+from drivers.kuka_rsi.realtime.link_state import Command, LinkSettings, Orders, Phase, Record
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
-from drivers.kuka_rsi.realtime.rehearsal import Rehearsal
-from drivers.kuka_rsi.realtime.replies import PreparedReply
 from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
-from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received
+from drivers.kuka_rsi.realtime.set_points import PreparedReply
+from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received, Rehearsal, TelegramReceiver
 from drivers.kuka_rsi.realtime.telegram import (
     REPLY_TAIL,
     Found,
@@ -32,7 +30,6 @@ from drivers.kuka_rsi.realtime.telegram import (
     read_strictly,
     telegram_of,
 )
-from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 from ronna_hw.host.processor_affinity import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.
@@ -42,13 +39,13 @@ LONGEST_ENDING_CYCLES = 250  # of sending Stop after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
-STRANGERS_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
+FOREIGN_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
 
 class LinkLoop:
-    """One per process. `run` returns when the parent is gone and the arm is at rest."""
+    """Loop of the process. `run` returns when the parent is gone and the arm is at rest."""
 
     def __init__(
         self,
@@ -93,19 +90,19 @@ class LinkLoop:
         while not self._done():
             received = self._receive()
             if received is None:
-                self._look_around()
+                self._check_orders()
             else:
                 self._serve(*received)
 
     def close(self) -> None:
         """Close the loop's own sockets."""
-        self._sockets.part()
+        self._sockets.disconnect()
         self._rehearsal.close()
 
     def _receive(self) -> Received | None:
-        """The controller's newest telegram, or None if none arrived for a while."""
+        """Return the controller's newest telegram, or None if none arrived for a while."""
         if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
-            self._part()
+            self._end_stream()
         received = self._receiver.next()
         if received is None:
             return None
@@ -123,7 +120,7 @@ class LinkLoop:
 
     def _drain(self, newest: Received | None) -> Received | None:
         try:
-            while self._sockets.something_there():
+            while self._sockets.datagram_waiting():
                 received = self._sockets.receive(socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
                     self.responder.dropped += newest is not None
@@ -132,25 +129,25 @@ class LinkLoop:
             pass
         return newest
 
-    def _meet(self, peer: Address) -> None:
-        """A controller has opened a responder."""
+    def _begin_stream(self, peer: Address) -> None:
+        """Adopt the controller that has opened a stream."""
         self._mailbox.clear_histograms()
         self._peer = peer
-        self._sockets.meet(peer)
+        self._sockets.connect_to(peer)
 
-    def _part(self) -> None:
-        """The stream has ended: the next may come from another port."""
+    def _end_stream(self) -> None:
+        """Release the peer: the next stream may come from another port."""
         self._peer = None
-        self._sockets.part()
+        self._sockets.disconnect()
         self._processor.free()
 
-    def _look_at_strangers(self) -> None:
-        for _ in range(STRANGERS_AT_ONCE):
-            address = self._sockets.stranger()
+    def _count_foreign_senders(self) -> None:
+        for _ in range(FOREIGN_AT_ONCE):
+            address = self._sockets.foreign_sender()
             if address is None:
                 return
             if address != self._peer:  # the controller's own may still be queued from before the stream
-                self.responder.strangers.met(address[0])
+                self.responder.senders.count_foreign(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
         responder = self.responder
@@ -159,12 +156,12 @@ class LinkLoop:
         else:
             foreign = bool(self._controller_host) and address[0] != self._controller_host
         if foreign:
-            responder.strangers.met(address[0])
+            responder.senders.count_foreign(address[0])
         return foreign
 
     def _serve(self, data: bytes, address: Address) -> None:
         responder = self.responder
-        found, ready = self._foreseen(data)
+        found, ready = self._prepared_reply(data)
         if found is not None and ready is not None:
             self._send(ready.reply, address)
             self._last_data = data
@@ -178,15 +175,15 @@ class LinkLoop:
         except BadTelegram:
             responder.rejected += 1
             if responder.phase is Phase.ARMED:
-                responder.strangers.host = address[0]
+                responder.senders.host = address[0]
             self._leave_unanswered(data)
             return
         if responder.phase is Phase.ARMED:
             if not responder.expects(telegram):
-                responder.strangers.host = address[0]
+                responder.senders.host = address[0]
                 self._leave_unanswered(data)
                 return
-            self._meet(address)
+            self._begin_stream(address)
         head = responder.answer(telegram, orders, self._received_ns)
         if head is None:
             self._leave_unanswered(data)
@@ -194,8 +191,8 @@ class LinkLoop:
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
         self._after_reply(data, telegram.ipoc, orders)
 
-    def _foreseen(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
-        """The match of a regular telegram, and the prepared reply if that is the one to send."""
+    def _prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
+        """Match a regular telegram; return the match, and the prepared reply if it is the right one."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
@@ -207,9 +204,9 @@ class LinkLoop:
         return found, ready
 
     def _rehearse(self) -> None:
-        """Run through the path from telegram to reply, without effect."""
+        """Run through the path from telegram to reply without effect."""
         self._rehearsal.exchange(self._last_data)
-        self._foreseen(self._last_data)
+        self._prepared_reply(self._last_data)
 
     def _send(self, reply: bytes, address: Address) -> None:
         try:
@@ -220,10 +217,10 @@ class LinkLoop:
         self._last_reply = reply
         if self._received_ns - self._answered_ns > self._paced_ns:
             time.sleep(GIVEN_AWAY_S)
-            if self._receiver.paced():
+            if self._receiver.note_paced():
                 self._processor.follow(self._sockets.processor())
         else:
-            self._receiver.hurried()
+            self._receiver.note_lock_step()
             self._processor.free()
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
@@ -250,16 +247,16 @@ class LinkLoop:
             )
         if self._keeps_bytes:
             mailbox.keep(self._received_ns, self._sent_ns, data, self._last_reply)
-        self._look_at_strangers()
+        self._count_foreign_senders()
         self._publish()
 
     def _leave_unanswered(self, data: bytes) -> None:
         if self._keeps_bytes:
             self._mailbox.keep(self._received_ns, 0, data, b"")
-        self._look_around()
+        self._check_orders()
 
-    def _look_around(self) -> None:
-        self._look_at_strangers()
+    def _check_orders(self) -> None:
+        self._count_foreign_senders()
         orders = self._mailbox.orders()
         self.responder.idle(orders, time.monotonic_ns())
         command = self._new_command(orders.command_number)
@@ -268,7 +265,7 @@ class LinkLoop:
         self._publish()
 
     def _new_command(self, number: int) -> Command | None:
-        """The command block, if it contains a complete command not seen yet."""
+        """Return the command if it is complete and not seen yet."""
         if number == self._command_number:
             return None
         command = self._mailbox.read_command()
@@ -281,7 +278,7 @@ class LinkLoop:
         real_time, locked = self._granted
         state = self.responder.state(real_time=real_time, locked=locked)
         self._mailbox.write_state(state)
-        self._mailbox.say_alive(time.monotonic_ns())
+        self._mailbox.write_alive(time.monotonic_ns())
         published = (
             state.phase,
             state.fault,

@@ -44,7 +44,7 @@ NO_LIMITS = (0.0,) * LIMITS_NUMBERS  # for a command that opens no stream
 
 
 class CommandRow(NamedTuple):
-    """A `Command` in plain numbers; a changed `surroundings_number` means that they must be read again."""
+    """Command in plain numbers; a new `surroundings_number` means that they must be read again."""
 
     number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]
@@ -79,7 +79,7 @@ _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
 
 
 class KeptHead(NamedTuple):
-    """What precedes a kept telegram and its reply. Host monotonic time."""
+    """Header of a kept telegram and its reply. Host monotonic time."""
 
     received_ns: Annotated[int, "q"]
     sent_ns: Annotated[int, "q"]
@@ -91,7 +91,7 @@ _KEPT_HEAD = RowCodec(KeptHead)
 
 
 class KeptCycle(NamedTuple):
-    """A telegram and its reply, which is empty if there was none. Host monotonic time."""
+    """Telegram and its reply, which is empty if there was none. Host monotonic time."""
 
     received_ns: int
     sent_ns: int
@@ -100,11 +100,11 @@ class KeptCycle(NamedTuple):
 
 
 class MailboxTorn(RuntimeError):
-    """No row was ever complete: the other side writes constantly, or the memory is not ours."""
+    """Failure to read a complete row: the other side writes constantly, or the memory is not ours."""
 
 
 class Mailbox:
-    """Either side's view of the memory."""
+    """View of the memory, for either side."""
 
     def __init__(self, fd: int) -> None:
         self._memory = mmap.mmap(fd, _MAP.size_bytes)
@@ -162,11 +162,11 @@ class Mailbox:
         return Orders(_HEARTBEAT.read(memory), _STOP.read(memory), _COMMAND_NUMBER.read(memory))
 
     def stop_word(self) -> int:
-        """The one order that affects the very next reply."""
+        """Read the one order that affects the very next reply."""
         return _STOP.read(self._memory)
 
     def read_command(self) -> Command | None:
-        """The last command; None while it is being written."""
+        """Read the last command; None while it is being written."""
         row = _COMMAND.read(self._memory)
         if row is None or not self._read_surroundings(row.surroundings_number):
             return None
@@ -191,7 +191,7 @@ class Mailbox:
     def write_state(self, state: LinkState) -> None:
         _STATE.write(self._memory, state)
 
-    def say_alive(self, now_ns: int) -> None:
+    def write_alive(self, now_ns: int) -> None:
         _ALIVE_NS.write(self._memory, now_ns)
 
     def count_turnaround(self, bin_number: int) -> None:
@@ -215,20 +215,20 @@ class Mailbox:
     # ... and read by the driver.
 
     def fetch_kept(self) -> tuple[list[KeptCycle], int]:
-        """What was kept since the last call, and the number of bytes overwritten before they were fetched."""
+        """Return the cycles kept since the last call, and the number of bytes lost by overwriting."""
         content, self._fetched, lost = _KEPT.read(self._memory, self._fetched)
         return list(_kept_cycles(content)), lost
 
     def read_state(self) -> LinkState:
-        """The state of the last cycle; raises MailboxTorn if no complete one can be read."""
+        """Read the state of the last cycle; raises MailboxTorn if no complete one can be read."""
         for _ in range(READ_TRIES):
             state = _STATE.read(self._memory)
             if state is not None:
                 return state
         raise MailboxTorn("the state row is never consistent")
 
-    def said_alive_ns(self) -> int:
-        """Host monotonic time of the real-time process' last heartbeat; 0 before the first."""
+    def alive_ns(self) -> int:
+        """Return the host monotonic time of the real-time process' last heartbeat; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
     def histogram(self) -> tuple[int, ...]:
@@ -238,7 +238,7 @@ class Mailbox:
         return tuple(self._jitter)
 
     def records(self) -> tuple[Record, ...]:
-        """The recorded cycles, oldest first. Consistent only while nothing is being recorded."""
+        """Return the recorded cycles, oldest first. Consistent only while nothing is being recorded."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
         return tuple(sorted(record for record in kept if record.cycle))
 

@@ -1,8 +1,8 @@
-"""The real-time process: `python -P -m drivers.kuka_rsi.realtime.process`, started by the driver only.
+"""Real-time process, `python -P -m drivers.kuka_rsi.realtime.process`, started by the driver only.
 
 Standard input carries one line of settings and nothing else: when it closes, the parent is gone. Orders and
-state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output.
-It never sees Ctrl-C: the driver starts it in a session of its own with SIGINT blocked.
+state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output. Ctrl-C
+never reaches it: the driver starts it in a session of its own with SIGINT blocked.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ import sys
 import threading
 from types import FrameType
 
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, LinkSettings, Phase
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,

@@ -1,4 +1,4 @@
-"""What the real-time process does with each telegram, without any I/O of its own.
+"""Responder of the real-time process: the answer to each telegram, without any I/O.
 
 Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
 faults are checked, to decide between the point that continues and the first point of a stop. The measured
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from math import degrees, radians
 
+from drivers.kuka_rsi.realtime.link_health import Losses, SenderCheck
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     STOP_KIND,
@@ -22,17 +23,14 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkSettings,
     LinkState,
     Orders,
     Phase,
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.losses import Losses
-from drivers.kuka_rsi.realtime.replies import PreparedReply, Replies
-from drivers.kuka_rsi.realtime.set_points import SetPoints
-from drivers.kuka_rsi.realtime.settings import LinkSettings
-from drivers.kuka_rsi.realtime.strangers import Strangers
+from drivers.kuka_rsi.realtime.set_points import PreparedReply, Replies, SetPoints
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -56,7 +54,7 @@ STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Responder:
-    """State of the link across cycles. `answer`, send, `after_reply`; `idle` if nothing arrives."""
+    """State of the link across cycles: `answer`, send, `after_reply`; `idle` if nothing arrives."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
@@ -73,7 +71,7 @@ class Responder:
         self.violation: Violation | None = None
         self.rejected = 0
         self.dropped = 0
-        self.strangers = Strangers()
+        self.senders = SenderCheck()
         self.cycles = 0
         self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
         self.parent_gone = False
@@ -95,7 +93,7 @@ class Responder:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points are changing."""
+        """True while set-points are changing."""
         return self._points is not None and self._points.moving
 
     @property
@@ -109,12 +107,12 @@ class Responder:
         return self._measured
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
-        """The reply up to its IPOC, or None if this telegram is not to be answered."""
+        """Return the reply up to its IPOC, or None if this telegram is not to be answered."""
         self.ready = None
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
-        self.strangers.sent_last = False
-        self._watch_heartbeat(orders.heartbeat, now_ns)
+        self.senders.sent_last = False
+        self._check_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
         if self.phase is Phase.ARMED and self._limits is not None:
             self._losses.count(ipoc, telegram.delay)
@@ -133,7 +131,7 @@ class Responder:
             self._latch(Fault.RESTARTED)
             self._cease(self._points)
             return None
-        self._look_at_stop(orders.stop_word)
+        self._check_stop(orders.stop_word)
         if self.phase is Phase.SILENT:
             return None
         points = self._points
@@ -149,18 +147,18 @@ class Responder:
         return self._replies.heads[self.choice]
 
     def answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
-        """The telegram was the one `ready` expected and its reply is out: the bookkeeping of `answer`."""
+        """Do the bookkeeping of `answer` for the expected telegram, whose prepared reply is out."""
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
-        self.strangers.sent_last = False
+        self.senders.sent_last = False
         self._ipoc = int(telegram.ipoc)
         self._missing = self._losses.count(self._ipoc, telegram.delay) or 0
         if self.ready is not None:
             self.choice = self.ready.choice
-        self._watch_heartbeat(orders.heartbeat, now_ns)
+        self._check_heartbeat(orders.heartbeat, now_ns)
 
     def after_reply(self, command: Command | None) -> None:
-        """The reply was sent: judge the measured axes, accept a new command, prepare the next reply."""
+        """Judge the measured axes, accept a new command, prepare the next reply."""
         points = self._points
         if points is None:
             return
@@ -185,10 +183,10 @@ class Responder:
         self._make_ready(points)
 
     def expects(self, telegram: Telegram) -> bool:
-        """Whether this telegram may open the stream; otherwise it gets no reply."""
+        """Test whether this telegram may open the stream; otherwise it gets no reply."""
         self._axes_deg = telegram.axes_deg
         self._measure()
-        return self.strangers.agrees(telegram.axes_deg)
+        return self.senders.matches_expected(telegram.axes_deg)
 
     def take(self, command: Command) -> None:
         """Act on a new command."""
@@ -203,7 +201,7 @@ class Responder:
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
             self.violation = None
             self.cycles = self.rejected = self.dropped = 0
-            self.strangers = Strangers(command.axes_rad)
+            self.senders = SenderCheck(command.axes_rad)
             self._losses = Losses(self._settings.cycle_ms)
             self._stopping, self._speed, self._points = False, 1.0, None
         elif command.kind is CommandKind.END and not self.moving:
@@ -213,13 +211,13 @@ class Responder:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def idle(self, orders: Orders, now_ns: int) -> None:
-        """Nothing arrived for a while: monitor silence and heartbeat, and act on stops."""
+        """Monitor silence and heartbeat, and act on stops, while nothing arrives."""
         self.ready = None
-        self._watch_heartbeat(orders.heartbeat, now_ns)
+        self._check_heartbeat(orders.heartbeat, now_ns)
         if self.phase not in STREAMING_PHASES or self._points is None:
             self._stop_word = orders.stop_word
             return
-        self._look_at_stop(orders.stop_word)
+        self._check_stop(orders.stop_word)
         if now_ns - self._received_ns > self._silence_ns:
             # The controller has held the last point for long: the arm is at rest there.
             self._points.abandon()
@@ -228,15 +226,15 @@ class Responder:
             self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
             if self.phase is Phase.RUNNING:
                 # A controller that restarts its program sends from another port.
-                self._latch(Fault.RESTARTED if self.strangers.sent_last else Fault.SILENCE)
+                self._latch(Fault.RESTARTED if self.senders.sent_last else Fault.SILENCE)
         self._make_ready(self._points)
 
     def silent_for_ns(self, now_ns: int) -> int:
-        """Host time since the last telegram."""
+        """Return the host time since the last telegram."""
         return now_ns - self._received_ns
 
     def state(self, *, real_time: bool, locked: bool) -> LinkState:
-        """For the mailbox."""
+        """Return the state for the mailbox."""
         violation = self.violation
         return LinkState(
             cycles=self.cycles,
@@ -256,9 +254,9 @@ class Responder:
             lost=self._losses.lost,
             rejected=self.rejected,
             dropped=self.dropped,
-            foreign=self.strangers.count,
-            foreign_host=self.strangers.host,
-            disagreeing=self.strangers.disagreeing,
+            foreign=self.senders.count,
+            foreign_host=self.senders.host,
+            disagreeing=self.senders.disagreeing,
             measured_rad=self._measured,
             commanded_rad=self.sent_rad,
             base_rad=NO_STATE.base_rad if self._points is None else self._base_rad,
@@ -270,7 +268,7 @@ class Responder:
         )
 
     def _answer_loss(self, points: SetPoints) -> bytes:
-        """The reply while the arm waits at a point because replies or telegrams were lost."""
+        """Return the reply while the arm waits at a point because replies or telegrams were lost."""
         violation = points.monitor.not_taken() if self._losses.untaken else None
         if violation is not None:
             self._trip(violation)
@@ -285,7 +283,7 @@ class Responder:
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
     def _begin(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
-        """First reply of a run: corrections are relative to these axes, and the first one is zero."""
+        """Return the first reply of a run: corrections are relative to these axes, and the first is zero."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
@@ -336,7 +334,7 @@ class Responder:
         if self.phase in (Phase.RUNNING, Phase.FAULT) and (self.parent_gone or self.fault is Fault.HEARTBEAT):
             self.phase = Phase.ENDING
 
-    def _look_at_stop(self, stop_word: int) -> None:
+    def _check_stop(self, stop_word: int) -> None:
         if stop_word == self._stop_word:
             return
         self._stop_word = stop_word
@@ -353,7 +351,7 @@ class Responder:
         points.abandon()
         self._follow_motion(points)
 
-    def _watch_heartbeat(self, value: int, now_ns: int) -> None:
+    def _check_heartbeat(self, value: int, now_ns: int) -> None:
         seen, since = self._heartbeat
         if value != seen or not since:
             self._heartbeat = (value, now_ns)
@@ -382,7 +380,7 @@ class Responder:
         )
         if unsettled or self.phase not in STREAMING_PHASES:
             return
-        self.ready = self._replies.whole(
+        self.ready = self._replies.complete(
             Choice.STOP if self._stopping else Choice.GO,
             last_ipoc=self._ipoc,
             reported_late=self._losses.reported_late,

@@ -1,4 +1,4 @@
-"""The set-points of one stream: prepared between telegrams, judged, and one of them sent.
+"""Set-points of one stream: prepared between telegrams, judged, and one of them sent in a reply.
 
 Generator and monitor meet only here. If the monitor rejects the path's own stop, a stop computed only from
 what was actually sent replaces it: onwards along the arm's present motion.
@@ -6,7 +6,11 @@ what was actually sent replaces it: onwards along the arm's present motion.
 
 from __future__ import annotations
 
-from drivers.kuka_rsi.realtime.link_state import Choice
+from math import degrees
+from typing import NamedTuple
+
+from drivers.kuka_rsi.realtime.link_state import Choice, LinkSettings
+from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, ReplyWriter
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.live_watch import LiveWatch
 from ronna_hw.arm.clearance.surroundings import Surroundings
@@ -19,9 +23,11 @@ from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
+NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
 
 class SetPoints:
-    """Call in turn: `prepare`, then one `commit` with what was sent."""
+    """Points of the next reply: call `prepare`, then `commit` with the choice that was sent."""
 
     def __init__(
         self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
@@ -46,12 +52,12 @@ class SetPoints:
 
     @property
     def held_rad(self) -> JointVector:
-        """The controller's current point, according to its last report."""
+        """The controller's present point, according to its last report."""
         return self.monitor.held_rad
 
     @property
     def moving(self) -> bool:
-        """Whether a motion is under way."""
+        """True while a motion is under way."""
         return self._motion is not None
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
@@ -104,7 +110,7 @@ class SetPoints:
             self._use_joint_stop()
 
     def commit(self, choice: Choice) -> None:
-        """Record which one was sent."""
+        """Record which point was sent."""
         if choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
@@ -124,7 +130,7 @@ class SetPoints:
             self._motion = None
 
     def abandon(self) -> None:
-        """The arm has been at rest at the last point for long: drop the motion."""
+        """Drop the motion: the arm has long been at rest at the last point."""
         if self._motion is not None:
             self.stopped_early = True
         self._motion = None
@@ -143,3 +149,60 @@ class SetPoints:
         state = state_from_history(self.monitor.history_rad, self._cycle_s)
         self._joint_stop = StopMotion(state, self._limits, self._cycle_s)
         self.stop_rad = self._joint_stop.prepare().stop_rad
+
+
+class PreparedReply(NamedTuple):
+    """Complete reply to the next expected telegram, valid if that contains nothing new."""
+
+    delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
+    stop_word: int  # no new stop
+    choice: Choice
+    reply: bytes
+
+
+class Replies:
+    """Replies of one stream; corrections are relative to the axes of `begin`, a head ends before the IPOC."""
+
+    def __init__(self, settings: LinkSettings) -> None:
+        self._writer = ReplyWriter(
+            settings.sentype, settings.receive_tags, settings.axis_tags, settings.stop_tag
+        )
+        self._cycle_ms = settings.cycle_ms
+        self._base_deg = NO_AXES
+        self.heads = (b"", b"")  # to continue and to stop
+
+    def begin(self, base_deg: JointVector) -> None:
+        """Start a run: the controller adds corrections to these axes."""
+        self._base_deg = base_deg
+
+    def prepare(self, points: SetPoints, *, ending: bool) -> None:
+        """Write the heads for the prepared points; `ending`: Stop is sent at rest."""
+        if points.moving:
+            self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
+        else:
+            hold = self.head(points.last_rad, ending)
+            self.heads = (hold, hold)
+
+    def complete(
+        self, choice: Choice, *, last_ipoc: int, reported_late: int, stop_word: int
+    ) -> PreparedReply:
+        """Return the complete reply to the next telegram."""
+        ipoc = str(last_ipoc + self._cycle_ms).encode()
+        delay = str(reported_late).encode() if reported_late >= 0 else b""
+        return PreparedReply((delay, ipoc), stop_word, choice, self.heads[choice] + ipoc + REPLY_TAIL)
+
+    def head(self, joints_rad: JointVector, stop: bool) -> bytes:
+        """Write everything before the IPOC; corrections in deg with six decimals."""
+        base = self._base_deg
+        a, b, c, d, e, f = joints_rad
+        return self._writer.head(
+            (
+                degrees(a) - base[0],
+                degrees(b) - base[1],
+                degrees(c) - base[2],
+                degrees(d) - base[3],
+                degrees(e) - base[4],
+                degrees(f) - base[5],
+            ),
+            stop,
+        )

@@ -1,30 +1,40 @@
-"""The sockets of one link: an unconnected one, and during a stream one connected to its controller.
+"""Sockets of the link, and the wait for the next telegram with warm caches.
 
-A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
-reply. The kernel also records which processor received the last one.
+A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
+controller keeps a pace, the process wakes up some time before the next telegram is due, runs through the
+reply without any effect, and goes back to sleep. Not immediately before: the sender may need this processor.
 """
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import struct
 import termios
+import time
+from collections.abc import Callable
 from fcntl import ioctl
 
 from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
 
 IDLE_LOOK_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
 ANY_HOST = "0.0.0.0"
-_NO_BYTES = struct.pack("i", 0)
-_TIMEVAL = struct.Struct("ll")
-
 Address = tuple[str, int]
 Received = tuple[bytes, Address]
+STEADY_ARRIVALS = 8  # consecutive arrivals near their predictions before the next prediction is trusted
+NEAR_SHARE = 0.25  # of the interval: a larger deviation means another schedule
+MOST_MISSING = 25  # consecutive telegrams over which the schedule is kept
+# Shares of a deviation applied to the schedule's phase and interval: two clocks never run alike.
+EARLY_GAINS = (1.0, 1.0 / 32.0)
+LATE_GAINS = (1.0 / 16.0, 1.0 / 256.0)
+_NO_BYTES = struct.pack("i", 0)
+_TIMEVAL = struct.Struct("ll")
+_NS = 1e9
 
 
 def bind(host: str, port: int) -> socket.socket:
-    """The socket that the controller sends to. No address reuse: a second listener would take telegrams."""
+    """Open the socket for the controller. No address reuse: a second listener would take telegrams."""
     link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         link.bind((host, port))
@@ -36,16 +46,20 @@ def bind(host: str, port: int) -> socket.socket:
 
 
 class LinkSockets:
-    """Telegrams arrive on the stream's socket between `meet` and `part`."""
+    """An unconnected socket, and during a stream one connected to its controller.
+
+    A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
+    reply. The kernel also records which processor received the last one.
+    """
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
         self._line = listening  # the socket that telegrams arrive on now
         self._peer: Address | None = None  # only while the stream has its own socket
 
-    def meet(self, peer: Address) -> None:
-        """A stream with this controller begins."""
-        self.part()
+    def connect_to(self, peer: Address) -> None:
+        """Open the socket of a stream with this controller."""
+        self.disconnect()
         own: Address = self._listening.getsockname()
         if own[0] == ANY_HOST:
             return  # the controller may send to another of our addresses than the kernel would choose
@@ -65,21 +79,21 @@ class LinkSockets:
         finally:
             self._listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 0)
 
-    def part(self) -> None:
-        """The stream is over: a telegram may come from anywhere again."""
+    def disconnect(self) -> None:
+        """Close the socket of the stream: a telegram may come from anywhere again."""
         if self._peer is not None:
             self._line.close()
             self._line, self._peer = self._listening, None
 
     def receive(self, flags: int = 0) -> Received:
-        """The next datagram; raises OSError if none arrived for a while, or the network refused a reply."""
+        """Receive a datagram; raises OSError if none arrived for a while, or a reply was refused."""
         if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
         return received
 
     def send(self, reply: bytes, address: Address) -> None:
-        """One reply; raises OSError."""
+        """Send a reply; raises OSError."""
         if self._peer is not None:
             self._line.send(reply)
         else:
@@ -89,12 +103,12 @@ class LinkSockets:
         """Wait for a datagram; False if none arrived in time."""
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
-    def something_there(self) -> bool:
-        """Whether a datagram is waiting. Cheaper than the exception of an empty socket."""
+    def datagram_waiting(self) -> bool:
+        """Test for a datagram, more cheaply than by the exception of an empty socket."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
-    def stranger(self) -> Address | None:
-        """Sender of the next datagram that is not the stream's; None if there is none."""
+    def foreign_sender(self) -> Address | None:
+        """Take a datagram that is not the stream's; return its sender, or None."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:
@@ -104,10 +118,117 @@ class LinkSockets:
         return address
 
     def processor(self) -> int:
-        """Number of the processor that received the last telegram; -1 when unknown."""
+        """Return the number of the processor that received the last telegram; -1 when unknown."""
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 
 def _limit_waiting(link: socket.socket) -> None:
     seconds, rest = divmod(IDLE_LOOK_S, 1.0)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
+
+
+class TelegramReceiver:
+    """Receiver of one telegram after another."""
+
+    def __init__(
+        self,
+        sockets: LinkSockets,
+        *,
+        lead_ns: int,
+        rehearse: Callable[[], None],
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        """Call `rehearse` `lead_ns` before a telegram is due; never if that is 0."""
+        self._sockets = sockets
+        self._lead_ns = lead_ns
+        self._rehearse = rehearse
+        self._now_ns = now_ns
+        self._pace = Pace()
+        self._keeps_pace = False
+        self.received_ns = 0  # arrival of the last telegram
+        self.queued = False  # whether it was there before the wait began: others may be queued behind it
+
+    def next(self) -> Received | None:
+        """Receive the next datagram, from any sender; None if none arrived for a while."""
+        try:
+            self.queued = self._sockets.datagram_waiting()
+            if self._lead_ns and not self.queued:
+                self._sleep_until_rehearsal()
+            received = self._sockets.receive()
+        except OSError:  # timed out, or the network reported something about an earlier reply
+            return None
+        self.received_ns = self._now_ns()
+        return received
+
+    def note_paced(self) -> bool:
+        """Note that the last datagram came a whole cycle after the previous one; True at a known pace.
+
+        Once the controller's schedule is known this stays true through a pause, until it hurries.
+        """
+        self._pace.arrived(self.received_ns)
+        self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
+        return self._keeps_pace
+
+    def note_lock_step(self) -> None:
+        """Note that it followed as soon as the reply was out: there is no schedule."""
+        self._pace.forget()
+        self._keeps_pace = False
+
+    def _sleep_until_rehearsal(self) -> None:
+        pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
+        if 0.0 < pause_s < IDLE_LOOK_S and not self._sockets.sleep(pause_s):
+            self._rehearse()
+
+
+class Pace:
+    """Prediction of the next telegram: the controller keeps an absolute schedule. Host time in ns.
+
+    The pace is learnt from arrivals alone. A telegram may be delayed on its way, but never arrives before it
+    was sent: an early one corrects the schedule at once, a late one only slightly.
+    """
+
+    def __init__(self) -> None:
+        self._place_ns = 0.0  # scheduled time of the last arrival
+        self._interval_ns = 0.0
+        self._steady = 0
+
+    @property
+    def due_ns(self) -> int:
+        """Arrival of the next telegram unless delayed; 0 while no schedule is known."""
+        return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
+
+    def arrived(self, now_ns: int) -> None:
+        """Add an arrival."""
+        gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
+        steps = round(gap_ns / interval_ns) if interval_ns else 0
+        off_ns = gap_ns - steps * interval_ns
+        if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
+            self._steady, self._place_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
+            return
+        self._steady += 1
+        place_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
+        self._place_ns = now_ns - (1.0 - place_gain) * off_ns
+        self._interval_ns += interval_gain * off_ns / steps
+
+    def forget(self) -> None:
+        """Discard the schedule."""
+        self._steady, self._interval_ns = 0, 0.0
+
+
+class Rehearsal:
+    """Dry run of receiving and sending, on a loopback socket connected to itself."""
+
+    def __init__(self) -> None:
+        self._own = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._own.bind(("127.0.0.1", 0))
+        self._own.connect(self._own.getsockname())
+
+    def exchange(self, data: bytes) -> None:
+        """Send and receive a datagram like the next one, through the same calls."""
+        with contextlib.suppress(OSError):  # nothing depends on it
+            self._own.send(data)
+            self._own.recv(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._own.close()

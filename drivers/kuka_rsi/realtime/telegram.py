@@ -14,7 +14,7 @@ from typing import NamedTuple
 from xml.parsers import expat
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
+from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
 from ronna_hw.devices.readings import JointVector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire
@@ -47,7 +47,7 @@ Found = re.Match[bytes]
 
 
 class Telegram(NamedTuple):
-    """The content of one telegram. `ipoc` is kept as text: it is echoed unchanged."""
+    """Content of a telegram. `ipoc` is kept as text: it is echoed unchanged."""
 
     axes_deg: JointVector
     delay: int  # the controller's own count of late packets, -1 if it does not send it
@@ -55,14 +55,14 @@ class Telegram(NamedTuple):
 
 
 class Element(NamedTuple):
-    """An element on the wire: attributes, or text if there are none."""
+    """Element on the wire: attributes, or text if there are none."""
 
     name: str
     attributes: tuple[str, ...]
 
 
 def elements_of(tags: tuple[str, ...]) -> tuple[Element, ...]:
-    """Elements for the declared tags, in order; consecutive tags of one group share an element."""
+    """Group the declared tags into elements, in order; consecutive tags of one group share an element."""
     result: list[Element] = []
     for tag in tags:
         if tag == FREE_TAG:
@@ -83,7 +83,7 @@ def elements_of(tags: tuple[str, ...]) -> tuple[Element, ...]:
 
 
 class TelegramReader:
-    """Reads the telegrams of one context."""
+    """Reader of one context's telegrams."""
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
@@ -107,17 +107,17 @@ class TelegramReader:
         self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
 
     def match(self, data: bytes) -> Found | None:
-        """A telegram in the usual form, for `telegram_of`; None for one that must be read strictly."""
+        """Match a telegram in the usual form, for `telegram_of`; None for one to be read strictly."""
         return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
-        """One telegram; raises RSI-014 if neither the expression nor the strict parser accepts it."""
+        """Read a telegram; raises RSI-014 if neither the expression nor the strict parser accepts it."""
         found = self._match(data)
         return read_strictly(data) if found is None else telegram_of(found)
 
 
 def telegram_of(found: Found) -> Telegram:
-    """The numbers of a telegram in the usual form."""
+    """Return the numbers of a telegram in the usual form."""
     a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
     return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
@@ -128,7 +128,7 @@ def _never(_data: bytes) -> None:
 
 
 def read_strictly(data: bytes) -> Telegram:
-    """The same with an XML parser, in any order and spacing. Raises RSI-014; a DTD is refused."""
+    """Read a telegram by an XML parser, in any order and spacing. Raises RSI-014, also for a DTD."""
     values: dict[tuple[str, str], str] = {}
     path: list[str] = []
     text: list[str] = []
@@ -184,7 +184,7 @@ def read_strictly(data: bytes) -> Telegram:
 
 
 class ReplyWriter:
-    """Writes the replies of one context: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
+    """Writer of one context's replies: `head(...)`, then the IPOC, then `REPLY_TAIL`."""
 
     def __init__(
         self, sentype: str, receive_tags: tuple[str, ...], axis_tags: tuple[str, ...], stop_tag: str
@@ -207,6 +207,6 @@ class ReplyWriter:
         self._template = template.replace("%(Stop)s", "%d").encode("ascii")
 
     def head(self, corrections_deg: JointVector, stop: bool = False) -> bytes:
-        """Everything before the IPOC; corrections in deg with six decimals."""
+        """Write everything before the IPOC; corrections in deg with six decimals."""
         head: bytes = self._template % self._in_order((*corrections_deg, stop))
         return head.replace(NEGATIVE_ZERO, ZERO) if NEGATIVE_ZERO in head else head

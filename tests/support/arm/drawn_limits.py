@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import random
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints
@@ -47,9 +44,8 @@ class LimitedDriver:
     def planned(self, motion: Motion) -> MotionPlan:
         """As for a request of the workcell; raises what the driver raises."""
         self.planner.surroundings = motion.around
-        link = cast("LinkClient", SimpleNamespace(surroundings=None))
         plan = self.planner.plan(self._request(motion), motion.plan.start_rad, self.mode)
-        return self.planner.clear(plan, link, self.mode)
+        return self.planner.clear(plan, self.mode)
 
     def driven(self, motion: Motion) -> tuple[float, float]:
         """Duration (s) and largest speed of any body (mm/s) of all that is sent, as judged by the monitor."""

@@ -1,4 +1,4 @@
-"""What the tests of the driver's arm share: targets, a long motion under way, the largest step sent."""
+"""Targets, a long motion under way, and the largest step sent, for tests of the driver's arm."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def state_of(arm: Any) -> Lifecycle:
 
 
 def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:
-    """Largest step of a command over the full-speed step of its axis."""
+    """Return the largest step of a command over the full-speed step of its axis."""
     worst = 0.0
     for (_, a, _), (_, b, _) in pairwise(replies):
         for axis in range(6):
@@ -35,7 +35,7 @@ def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:
 
 
 def moving(arm: Any, controller: Any) -> tuple[threading.Thread, list[BaseException]]:
-    """A long motion in a thread of its own, well under way."""
+    """Start a long motion in a thread of its own; return when it is well under way."""
     controller.pace_s = 0.001
     caught: list[BaseException] = []
 

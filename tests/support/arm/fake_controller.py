@@ -1,7 +1,4 @@
-"""A small controller in threads of the test: real sockets, real bytes, and it misbehaves when told to.
-
-It is written from the protocol and shares no code with the driver. Axes follow the commands two cycles late.
-"""
+"""Small controller in threads of the test: real sockets, real bytes, misbehaving on request."""
 
 from __future__ import annotations
 
@@ -24,7 +21,7 @@ STATE_PERIOD_S = 0.1  # between two states that nobody asked for
 
 
 class FakeController:
-    """Lock-step: the next telegram goes when the reply has come, or after 0.1 s without one."""
+    """Controller in lock-step: the next telegram goes when the reply has come, or after 0.1 s without one."""
 
     def __init__(self) -> None:
         self.facts: dict[str, str] = {
@@ -105,7 +102,7 @@ class FakeController:
         self._client.sendall(data)
 
     def tell(self, **facts: str) -> None:
-        """Facts change, and the controller says so unasked."""
+        """Change facts and report them unasked."""
         self.facts.update(facts)
         self.send_raw(self.state())
 

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from recording_cell import RecordingArm
 
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -33,7 +31,6 @@ class PlannedArm(RecordingArm):
 
     def __post_init__(self) -> None:
         self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions(), CYCLE_S)
-        self.link = cast("LinkClient", SimpleNamespace(surroundings=None))  # reads no more than these
 
     @property
     def surroundings(self) -> Surroundings:
@@ -66,7 +63,7 @@ class PlannedArm(RecordingArm):
 
     def _drive(self, motion: Motion) -> ArmReading:
         plan = self.planner.plan(motion, self.joints_rad, self.operating_mode)
-        return self._follow(self.planner.clear(plan, self.link, self.operating_mode))
+        return self._follow(self.planner.clear(plan, self.operating_mode))
 
     def _follow(self, plan: MotionPlan) -> ArmReading:
         if self.interruptions:

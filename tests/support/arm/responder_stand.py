@@ -1,4 +1,4 @@
-"""A session of the real-time process and a controller around it, cycle by cycle, without any process."""
+"""Session of the real-time process with a controller around it, cycle by cycle, without any process."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkSettings,
     Orders,
     Phase,
     Result,
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.responder import Responder
-from drivers.kuka_rsi.realtime.settings import LinkSettings
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -56,7 +56,7 @@ WORKING_STEP_DEG = [degrees(v) * 0.004 for v in LIMITS.speed_rad_s]
 
 
 class ResponderStand:
-    """A session and the arm that follows it exactly, cycle by cycle."""
+    """Session and an arm that follows it exactly, cycle by cycle."""
 
     def __init__(self, limits: MotionLimits = LIMITS, **changes: Any) -> None:
         self.limits = limits
@@ -85,7 +85,7 @@ class ResponderStand:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
 
     def cycle(self, lost: int = 0) -> bool:
-        """One telegram; True when it was answered."""
+        """Exchange one telegram; True when it was answered."""
         self.now_ns += 4_000_000 * (1 + lost)
         self.beat += self.beats
         self.ipoc += 4 * (1 + lost)
@@ -106,7 +106,7 @@ class ResponderStand:
         return True
 
     def run(self, most: int = 3000) -> int:
-        """Cycles until the motion's result is there."""
+        """Run cycles until the motion has a result."""
         for count in range(most):
             if self.responder.result is not Result.RUNNING:
                 return count
@@ -114,7 +114,7 @@ class ResponderStand:
         raise AssertionError("no result")
 
     def smooth(self, share: float = 1.05) -> bool:
-        """No step of a command beyond `share` of the working step, far from what a controller refuses."""
+        """Assert that no step exceeds `share` of the working step, far below a controller's limit."""
         steps = (
             (abs(y - x), limit)
             for (a, _), (b, _) in pairwise(self.sent)

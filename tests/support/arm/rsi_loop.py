@@ -1,4 +1,4 @@
-"""The driver's receive loop in process: no sockets, no second process, and a clock that is told."""
+"""Driver's receive loop in process: no sockets, no second process, and a clock that is told."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CORRECTIONS = re.compile(rb'A\d="(-?\d+\.\d{6})"')
 
 
 class SentReplies:
-    """In place of a socket."""
+    """Replacement of a socket that keeps the replies."""
 
     def __init__(self) -> None:
         self.sent: list[bytes] = []
@@ -45,7 +45,7 @@ class SentReplies:
 
 
 class InProcessLink:
-    """A loop with an open session, given telegrams one by one."""
+    """Loop with an open session, given telegrams one by one."""
 
     def __init__(
         self, *, heartbeat_limit_s: float = 60.0, link: socket.socket | None = None, rehearses: bool = False
@@ -78,23 +78,23 @@ class InProcessLink:
         os.close(self._event_fd)
 
     def give(self, command: Command) -> None:
-        """A command for the loop; its number is chosen here."""
+        """Give a command to the loop, with a new number."""
         self._commands += 1
         self.mailbox.write_command(command._replace(number=self._commands, stop_number=self._stops))
 
     def open(self) -> None:
-        """A session as after a start of the stream, whatever was before."""
+        """Open a session as a start of the stream does, whatever was before."""
         self.give(Command(0, CommandKind.CLOSE))
-        self.loop._look_around()
+        self.loop._check_orders()
         self.give(Command(0, CommandKind.OPEN, limits=LIMITS))
-        self.loop._look_around()
+        self.loop._check_orders()
 
     def stop(self, kind: StopOrder) -> None:
         self._stops += 1
         self.mailbox.order_stop(self._stops, kind)
 
     def receive(self, data: bytes) -> bytes | None:
-        """The reply to a datagram of the controller."""
+        """Return the reply to a datagram of the controller."""
         self.now_ns += CYCLE_MS * 1_000_000
         self.loop._received_ns = self.now_ns
         before = len(self.replies.sent)

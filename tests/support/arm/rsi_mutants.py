@@ -11,7 +11,7 @@ ORIGINALS = (telegram(0), telegram(0, delay=7), telegram(0, (12.5, -80.0, 95.25,
 
 
 def answer_mutants(count: int, seed: int) -> tuple[int, int]:
-    """Mutants answered and not answered; every reply must command no motion."""
+    """Count mutants answered and not answered; every reply must command no motion."""
     link = InProcessLink()
     link.open()
     ipoc, answered = FIRST_IPOC, 0

@@ -1,4 +1,4 @@
-"""Both simulated cameras running free, received by the driver's own client: rate, CPU, losses."""
+"""Free-running simulated cameras received by the driver's own client: rate, CPU, losses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _TICK_S = 1.0 / os.sysconf("SC_CLK_TCK")
 
 @dataclass(frozen=True)
 class Streamed:
-    """What came of a number of pairs. CPU times are those of the client's own processes."""
+    """Result of receiving a number of pairs. CPU times are those of the client's own processes."""
 
     pairs: int
     seconds: float
@@ -40,7 +40,7 @@ class Streamed:
 
 
 class _Side:
-    """The images of one camera, numbered from the first that is counted."""
+    """Images of one camera, numbered from the first that is counted."""
 
     def __init__(self, camera: Camera, pairs: int) -> None:
         self._camera = camera
@@ -57,7 +57,7 @@ class _Side:
 
 @contextmanager
 def lossy_cameras(folder: Path, share_percent: float) -> Iterator[ChildProcess]:
-    """The simulated cameras on a network that loses that share of their packets."""
+    """Simulated cameras on a network that loses that share of their packets."""
     script = folder / "losses.txt"
     script.write_text(f"at 0 s: camera drop {share_percent:g} %\n" if share_percent else "")
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--faults", str(script))) as cameras:
@@ -65,7 +65,7 @@ def lossy_cameras(folder: Path, share_percent: float) -> Iterator[ChildProcess]:
 
 
 def stream_pairs(addresses: list[str], pairs: int, packet_bytes: int = 8000) -> Streamed:
-    """Receive so many pairs of full frames, each frame copied out of the shared memory.
+    """Receive a number of pairs of full frames, each frame copied out of the shared memory.
 
     An image counts as lost when its number has not come among the images wanted and those after them.
     """

@@ -1,4 +1,4 @@
-"""The simulated cameras as a process, faults for them, and drivers that are connected to them."""
+"""Simulated cameras as a process, faults for them, and drivers connected to them."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LIMIT_S = 30.0  # of host time; what takes longer hangs
 
 
 class Cameras:
-    """The simulated cameras, and pairs that are connected to them."""
+    """Simulated cameras, and pairs that are connected to them."""
 
     def __init__(self, child: ChildProcess) -> None:
         self.endpoints = dict(child.ready["endpoints"])

@@ -89,7 +89,7 @@ def crc_by_definition(data: bytes) -> int:
 
 
 class Tapped(UnitInProcess):
-    """The unit, with what its host has heard of late."""
+    """Unit that keeps what its host has received of late."""
 
     def __init__(self) -> None:
         super().__init__(baud=None)
@@ -106,7 +106,7 @@ class Tapped(UnitInProcess):
 
 
 class Campaign:
-    """One tracker on one line, disturbed burst after burst; AssertionError when a promise is broken."""
+    """Tracker on a line that is disturbed burst after burst; AssertionError when a promise is broken."""
 
     def __init__(self, seed: int, reply: str) -> None:
         self.mutated = 0

@@ -1,4 +1,4 @@
-"""A small unit for the driver's tests: in process, on a clock that only moves when somebody waits.
+"""Small Polaris unit in process, on a clock that only moves when somebody waits.
 
 It is written from the protocol's reference, not from the driver's code.
 """
@@ -39,6 +39,7 @@ NORMAL_PARAMETERS = {
 }
 
 Deliveries = list[tuple[float, bytes]]  # delay in seconds, bytes
+Handler = Callable[[str], str | bytes]  # a command's argument to its reply
 
 
 def with_crc(text: str) -> bytes:
@@ -52,7 +53,7 @@ def binary(body: bytes) -> bytes:
 
 
 class UnitInProcess:
-    """The unit and its line. Handles are given out from 01; each loaded tool is seen 10 mm apart."""
+    """Unit with its line. Handles are given out from 01; loaded tools are seen 10 mm apart."""
 
     def __init__(self, baud: int | None = 9600) -> None:
         self.now_s = 0.0
@@ -76,6 +77,7 @@ class UnitInProcess:
         self.frame = -1
         self.handles: dict[int, set[str]] = {}
         self.memory: dict[int, bytearray] = {}
+        self._overrides: dict[str, Handler] = {}
         self._arrivals: list[tuple[float, bytes]] = []
         self._typed = b""
         self._last_arrival_s = 0.0
@@ -125,7 +127,19 @@ class UnitInProcess:
         self.unit_baud, self.initialised, self.tracking = 9600, False, False
         self.handles.clear()
 
+    def send_unasked(self, data: bytes) -> None:
+        """Send bytes that answer no command, with the next read."""
+        self._arrivals.append((self.now_s, data))
+
     # --- the unit -----------------------------------------------------------------------------------
+
+    def override(self, name: str, handler: Handler) -> None:
+        """Answer a command by `handler` instead of as usual."""
+        self._overrides[name] = handler
+
+    def usual(self, name: str) -> Any:
+        """Return the handler of a command, None for an unknown one."""
+        return getattr(self, f"_do_{name.lower()}", None)
 
     def _command(self, line: bytes) -> None:
         text = line.decode("latin-1")
@@ -149,7 +163,7 @@ class UnitInProcess:
     def _answer(self, name: str, argument: str) -> bytes:
         if name in self.answers_to:
             return with_crc(self.answers_to[name])
-        handler: Callable[[str], str | bytes] | None = getattr(self, f"_do_{name.lower()}", None)
+        handler = self._overrides.get(name) or self.usual(name)
         if handler is None:
             return with_crc("ERROR01")
         if not self.initialised and name not in ("INIT", "APIREV", "VER", "ECHO", "COMM"):
@@ -253,7 +267,7 @@ class UnitInProcess:
         return "OKAY"
 
     def pose_of(self, handle: int) -> tuple[float, ...]:
-        """Q0 Qx Qy Qz Tx Ty Tz error of one handle in the present frame: the frame number is in the depth."""
+        """Return Q0 Qx Qy Qz Tx Ty Tz error of a handle; the depth carries the frame number."""
         return (1.0, 0.0, 0.0, 0.0, 10.0 * handle, -20.0, -1500.0 - self.frame / 100, 0.125)
 
     def _enabled(self) -> list[int]:
@@ -302,7 +316,7 @@ class StillClock:
 
 
 def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options: Any) -> PolarisTracker:
-    """A tracker whose line is the unit itself, and whose time limits are counted on the unit's clock."""
+    """Make a tracker whose line is the unit itself, and whose time limits count on the unit's clock."""
     options.setdefault("tools", [{"name": "robot_frame", "rom": "robot_frame.rom"}])
     return PolarisTracker(
         "tracker",
@@ -315,7 +329,7 @@ def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options:
 
 
 def bring_up(device: PolarisTracker) -> PolarisTracker:
-    """The same device, tracking."""
+    """Bring the tracker to tracking, and return it."""
     device.connect()
     device.configure()
     device.activate()

@@ -1,4 +1,4 @@
-"""A byte sink that remembers."""
+"""Byte sink that remembers."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ronna_hw.devices.byte_sink import Direction, Passed
 
 
 class RecordedBytes:
-    """What drivers handed over, by link."""
+    """Bytes handed over by drivers, by link."""
 
     def __init__(self) -> None:
         self.by_link: dict[str, list[tuple[Direction, bytes]]] = defaultdict(list)

@@ -16,11 +16,11 @@ ANSWER_LIMIT_S = 40.0  # host time; only a hang takes so long
 
 
 class StrangerError(Exception):
-    """What ndicapi raised."""
+    """Error raised by ndicapi."""
 
 
 class NdicapiHost:
-    """ndicapi at work in its own process."""
+    """Process at work with ndicapi."""
 
     def __init__(self, endpoint: str, *, probe: bool = True) -> None:
         self.process = subprocess.Popen(
@@ -41,13 +41,13 @@ class NdicapiHost:
         self.kill()
 
     def begin(self, action: str, **arguments: Any) -> None:
-        """Have something done; `answer` waits for it."""
+        """Begin a request; `answer` waits for it."""
         assert self.process.stdin is not None
         self.process.stdin.write(json.dumps({"do": action, **arguments}) + "\n")
         self.process.stdin.flush()
 
     def answer(self) -> Any:
-        """The answer to the request begun before; raises StrangerError."""
+        """Return the answer to the request begun before; raises StrangerError."""
         output = self.process.stdout
         assert output is not None
         assert select.select([output], [], [], ANSWER_LIMIT_S)[0], "ndicapi hangs"
@@ -63,7 +63,7 @@ class NdicapiHost:
         return self.answer()
 
     def command(self, line: str) -> str:
-        """The reply to one command, without its CRC."""
+        """Return the reply to one command, without its CRC."""
         reply: str = self.ask("command", line=line)
         return reply
 
@@ -77,12 +77,12 @@ class NdicapiHost:
         return handles
 
     def track(self, line: str, handles: list[int], frames: int) -> list[dict[str, Any]]:
-        """That many different frames."""
+        """Return that many different frames."""
         seen: list[dict[str, Any]] = self.ask("track", line=line, handles=handles, frames=frames)
         return seen
 
     def kill(self) -> None:
-        """End it as a crash would: nothing is said to the unit."""
+        """End the process as a crash would: nothing is said to the unit."""
         self.process.kill()
         self.process.wait()
         for pipe in (self.process.stdin, self.process.stdout):
@@ -91,7 +91,7 @@ class NdicapiHost:
 
 
 def scikit_frames(configuration: dict[str, Any], frames: int) -> list[dict[str, Any]]:
-    """A whole session of scikit-surgerynditracker, and what its `get_frame` gave."""
+    """Run a session of scikit-surgerynditracker; return the results of its `get_frame`."""
     done = subprocess.run(
         [sys.executable, "-P", str(SCIKIT_PROGRAM), json.dumps(configuration), str(frames)],
         stdin=subprocess.DEVNULL,

@@ -11,13 +11,13 @@ from sim.world.scene.model import Scene
 
 
 def with_turned_camera(scene: Scene, degrees: float) -> Scene:
-    """The same with the left camera turned in its mount, about its own columns."""
+    """Turn the left camera in its mount, about its own columns."""
     turn = matrix_from(np.zeros(3), rotation_from_vector((0.0, float(np.radians(degrees)), 0.0)))
     pose = pose_of(turn @ matrix_of(scene.left.camera_from_tool))
     return scene.model_copy(update={"left": scene.left.model_copy(update={"camera_from_tool": pose})})
 
 
 def write_scene(scene: Scene, path: Path) -> Path:
-    """As a scene file."""
+    """Write a scene as a file."""
     path.write_text(scene.model_dump_json(by_alias=True))
     return path

@@ -53,23 +53,21 @@ from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
 from console.feed.recorded import RecordedCase
-from drivers.basler_stereo.control import gvcp
-from drivers.basler_stereo.control.identity import decode_identity
-from drivers.basler_stereo.features.description import parse_description, parse_url, unpacked
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
+from drivers.basler_stereo.identity import decode_identity
 from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
 from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
-from drivers.kuka_rsi.eki.controller_state import read_state
-from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
+from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
-from drivers.ndi_polaris.line.codec import open_ascii, split_binary
-from drivers.ndi_polaris.rom.definition import decode_definition
-from drivers.ndi_polaris.rom.description import read_description
-from drivers.ndi_polaris.tools.shipped import FOLDER as SHIPPED_TOOLS
-from drivers.ndi_polaris.tracking.bx_reply import decode_bx
-from drivers.ndi_polaris.tracking.tx_reply import decode_tx
-from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
+from drivers.ndi_polaris.command_link import open_ascii, split_binary
+from drivers.ndi_polaris.measuring_volume import parse_volumes
+from drivers.ndi_polaris.replies import decode_bx, decode_tx
+from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
+from drivers.ndi_polaris.tool_definition import decode_definition
+from drivers.ndi_polaris.tool_description import read_description
 from procedures.cli.case.answers import read_answers
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.scene_choice import SceneChoice
@@ -308,7 +306,9 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "control line": Parser((b'{"do": "fault", "line": "now: x"}',), _control),
         "fault script": Parser((FAULTS,), lambda data: parse_faults(data.decode("utf-8", "replace"))),
         "GenICam XML": Parser((DESCRIPTION,), _features),
-        "GenICam ZIP": Parser((zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unpacked),
+        "GenICam ZIP": Parser(
+            (zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unzip_description
+        ),
         "GenICam formula": Parser(FORMULAS, _formula),
         "GVCP": Parser(
             tuple(

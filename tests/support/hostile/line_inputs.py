@@ -16,12 +16,10 @@ from typing import Any, cast
 from more_hostile_inputs import ROOM_REQUESTS
 
 from drivers.kuka_rsi.eki.client import RECEIVE_BYTES, EkiClient
-from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
-from drivers.ndi_polaris.line.codec import open_ascii, unit_error
-from drivers.ndi_polaris.line.command_link import CommandLink
-from drivers.ndi_polaris.tools.port_handles import list_handles, request_handle
-from drivers.ndi_polaris.unit.identity import read_identity
-from drivers.ndi_polaris.unit.user_parameters import read_parameter, whole_number
+from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram
+from drivers.ndi_polaris.command_link import CommandLink, open_ascii, unit_error
+from drivers.ndi_polaris.tool_loading import list_handles, request_handle
+from drivers.ndi_polaris.unit import read_identity, read_parameter, whole_number
 from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
 from procedures.cli.tool.gauge_readings import DIALS, read_gauge
 from ronna_hw.errors import RonnaError

@@ -22,7 +22,7 @@ from painted_ct import compress_slice, write_series
 
 from conformance.case import Nonconformity
 from conformance.polaris.bx_reply import read_body
-from drivers.basler_stereo.images import pixels_of
+from drivers.basler_stereo.readings import pixels_of
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order

@@ -21,11 +21,11 @@ import numpy as np
 import pytest
 
 from drivers.basler_stereo.camera import Camera
-from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
-from drivers.basler_stereo.control.channel import send_together
+from drivers.basler_stereo.control_channel import send_together
 from drivers.basler_stereo.errors import OutOfRange
-from drivers.basler_stereo.images import camera_image
+from drivers.basler_stereo.identity import discover_cameras
 from drivers.basler_stereo.options import BaslerOptions
+from drivers.basler_stereo.readings import camera_image
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.devices.readings import AreaOfInterest, Validity
 from ronna_hw.host.network_interfaces import interface_of

@@ -9,7 +9,6 @@ import pytest
 from faulty_cameras import AREA, LIMIT_S
 
 from drivers.basler_stereo import BaslerStereoPair
-from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.errors import (
     CameraLost,
     ControlLost,
@@ -18,6 +17,7 @@ from drivers.basler_stereo.errors import (
     PacketTooLarge,
     TriggerMissed,
 )
+from drivers.basler_stereo.identity import discover_cameras
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import AreaOfInterest, Validity

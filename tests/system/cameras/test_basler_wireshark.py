@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from captured import Datagram, wireshark_reads, write_capture
 
-from drivers.basler_stereo.control import gvcp
+from drivers.basler_stereo import gvcp
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, GvcpCommand, PixelFormat
 from sim.basler.message_channel import Event, MessageChannel
 from sim.basler.settings import EventKind, RampImage, Settings

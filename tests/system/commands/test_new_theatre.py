@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from user_commands import in_this_process
 
-from drivers.kuka_rsi import controller_discovery
+from drivers.kuka_rsi import probe as kuka_probe
 from procedures.cli.doctor import inspection
 from procedures.cli.procedure import app
 from ronna_hw.config import read_theatre_file
@@ -88,7 +88,7 @@ def test_a_controller_in_use_is_written_to_the_file_with_the_reason(
 def test_no_controller_is_found_where_none_answers(
     cell: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(controller_discovery, "CONNECT_LIMIT_S", 0.3)
+    monkeypatch.setattr(kuka_probe, "CONNECT_LIMIT_S", 0.3)
     lab = tmp_path / "lab.toml"
     refused, not_ours = "tcp://127.0.0.1:9", cell["endpoints"]["kuka"]["eki"]
     said = ""

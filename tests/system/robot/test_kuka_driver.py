@@ -46,7 +46,7 @@ there = (start[0] + radians(60), *start[1:])
 threading.Thread(target=arm.move_joints, args=(there,), daemon=True).start()
 while not arm.read_state().joints_rad[0] > start[0] + radians(3):
     pass
-print(arm._connections.open_link._process.pid, flush=True)
+print(arm.connections.open_link.process.pid, flush=True)
 sys.stdin.read()
 """
 
@@ -156,15 +156,15 @@ def test_a_killed_link_process_leaves_a_message_that_recover_acknowledges(
 ) -> None:
     arm = _activated(make_arm())
     start = arm.read_state().joints_rad
-    assert arm._connections.open_link is not None
-    os.kill(arm._connections.open_link._process.pid, signal.SIGKILL)
+    assert arm.connections.open_link is not None
+    os.kill(arm.connections.open_link.process.pid, signal.SIGKILL)
     eventually(lambda: _state(arm) is Lifecycle.FAULT)
     assert isinstance(arm.fault, LinkProcessDied)
     eventually(
         lambda: (
-            arm._connections.open_eki is not None
-            and arm._connections.open_eki.latest is not None
-            and arm._connections.open_eki.latest.error != 0
+            arm.connections.open_eki is not None
+            and arm.connections.open_eki.latest is not None
+            and arm.connections.open_eki.latest.error != 0
         )
     )
     arm.recover("operator")

@@ -24,8 +24,14 @@ from fake_controller import FakeController
 from drivers.kuka_rsi import KukaRsiArm
 from drivers.kuka_rsi.controller.generate import render
 from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Phase, Result
-from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
+from drivers.kuka_rsi.realtime.link_state import (
+    AXIS_NAMES,
+    CommandKind,
+    LinkSettings,
+    LinkState,
+    Phase,
+    Result,
+)
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits

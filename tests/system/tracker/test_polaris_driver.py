@@ -19,7 +19,7 @@ from waiting import STALL_OF_THE_COMPUTER_S
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
 from drivers.ndi_polaris.errors import LinkLost, ToolRefused
-from drivers.ndi_polaris.rom.definition import encode_definition, planar_tool
+from drivers.ndi_polaris.tool_definition import encode_definition, planar_tool
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle

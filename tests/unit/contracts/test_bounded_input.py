@@ -15,7 +15,7 @@ import pytest
 from bounded_cost import bounded_cost
 
 from drivers.ndi_polaris.errors import BadToolFile
-from drivers.ndi_polaris.rom.description import read_description
+from drivers.ndi_polaris.tool_description import read_description
 from procedures.cli.case.answers import read_answers
 from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun

@@ -13,7 +13,7 @@ from good_inputs import PARSER_NAMES
 from hostile_inputs import Parser, parsers
 from memory_folder import memory_folder
 
-from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
+from drivers.ndi_polaris.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.host.control_port import LONGEST_LINE

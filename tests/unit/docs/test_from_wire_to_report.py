@@ -54,7 +54,7 @@ SPHERE = 1  # whose number is followed
 LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
 # Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
-NOT_RUN = {"drivers/ndi_polaris/line/transport.py", "ronna_hw/devices/tracker.py"}
+NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/tracker.py"}
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The driver's arm and a small controller of the tests' own."""
+"""Driver's arm with a small controller of the tests' own."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MakeArm = Callable[..., KukaRsiArm]
 
 @pytest.fixture
 def make_arm(controller: FakeController) -> Iterator[MakeArm]:
-    """Arms for the fake controller, closed at the end; patient, as these machines stall."""
+    """Make arms for the fake controller, closed at the end; patient, as these machines stall."""
     made: list[KukaRsiArm] = []
 
     def make(eki_port: int | None = None, **options: Any) -> KukaRsiArm:

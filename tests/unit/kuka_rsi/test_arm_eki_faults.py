@@ -18,6 +18,7 @@ from drivers.kuka_rsi.errors import (
     Unverified,
     WrongController,
 )
+from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
@@ -142,14 +143,14 @@ def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
     def torn() -> Any:
         raise MailboxTorn("the state row is never consistent")
 
-    notice, reader = active_arm._watch.notice, active_arm._connections.eki._reader
+    check = FaultWatch.check
     monkeypatch.setattr(
-        active_arm._watch, "notice", lambda: torn() if current_thread() is reader else notice()
+        FaultWatch, "check", lambda watch: torn() if current_thread().name == "eki reader" else check(watch)
     )
-    eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
+    eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, ControllerLost)
     assert "never consistent" in str(active_arm.fault)
-    eventually(lambda: active_arm._connections.link.stop_number > 0)
+    eventually(lambda: active_arm.connections.link.stop_number > 0)
 
 
 def test_a_session_that_fell_silent_is_recovered_by_a_new_one(controller: Any, make_arm: Any) -> None:

@@ -123,7 +123,7 @@ def test_axes_that_disagree_between_eki_and_rsi_are_refused(controller: Any, mak
 
 @pytest.fixture
 def waiting_arm(controller: Any, make_arm: Any) -> Iterator[tuple[Any, Future[None]]]:
-    """An arm that waits for its controller's first telegram, and what became of that."""
+    """Start an arm that waits for its controller's first telegram; keep the outcome."""
     controller.silent.set()
     arm = make_arm()
     arm.connect()

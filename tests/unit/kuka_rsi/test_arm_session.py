@@ -1,8 +1,9 @@
-"""The driver against a fake controller: sessions from connect to close."""
+"""Sessions of the driver with a fake controller, from connect to close, and their recorded bytes."""
 
 from __future__ import annotations
 
 import os
+import re
 import time
 from concurrent.futures import ThreadPoolExecutor
 from threading import current_thread
@@ -11,11 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 from driven_arm import MODEL, THERE, largest_step, moving, state_of
+from fake_controller import FakeController
+from recorded_bytes import RecordedBytes
 from waiting import HANG_LIMIT_S
 
-from drivers.kuka_rsi.errors import MotionStopped
+from drivers.kuka_rsi.errors import MotionStopped, NoTelegram
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
+from ronna_hw.devices.byte_sink import Direction, RecordsBytes
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform
@@ -78,7 +82,7 @@ def test_observe_works_in_every_state_from_any_thread_without_checking_for_fault
     arm.activate()
     arm.move_joints(THERE)
     with monkeypatch.context() as patch:
-        patch.setattr(FaultWatch, "notice", lambda _watch: looked_in.append(current_thread().name))
+        patch.setattr(FaultWatch, "check", lambda _watch: looked_in.append(current_thread().name))
         with ThreadPoolExecutor(thread_name_prefix="observer") as elsewhere:
             seen = elsewhere.submit(arm.observe).result()
     assert not [name for name in looked_in if name.startswith("observer")]
@@ -144,6 +148,41 @@ def test_close_during_motion_brings_the_arm_to_rest_and_ends_the_program(
 
 
 def test_close_leaves_no_process(active_arm: Any) -> None:
-    pid = active_arm._connections.open_link._process.pid
+    pid = active_arm.connections.open_link.process.pid
     active_arm.close()
     assert not os.path.exists(f"/proc/{pid}")
+
+
+def test_telegrams_replies_and_the_eki_session_are_recorded(make_arm, controller: FakeController) -> None:
+    arm, sink = make_arm(), RecordedBytes()
+    assert isinstance(arm, RecordsBytes)
+    arm.record_bytes(sink)
+    with arm.active():
+        arm.read_tool_identity()
+    arm.close()
+    cycles = [ipoc for ipoc, _, _ in controller.replies]
+    assert len(cycles) > 10
+    answered = re.findall(rb"<IPOC>(\d+)</IPOC></Sen>", sink.sent("robot.master.rsi"))
+    assert [int(ipoc) for ipoc in answered] == cycles
+    said = re.findall(rb"<IPOC>(\d+)</IPOC></Rob>", sink.received("robot.master.rsi"))
+    assert set(answered) <= set(said)
+    assert b'<Cmd Id="1"' in sink.sent("robot.master.eki")
+    assert b"<State" in sink.received("robot.master.eki")
+
+
+def test_the_real_time_process_keeps_no_bytes_without_a_recorder(make_arm) -> None:
+    arm = make_arm()
+    with arm.active():
+        assert arm.connections.link._mailbox.fetch_kept() == ([], 0)
+
+
+def test_a_telegram_without_a_reply_is_recorded_too(make_arm, controller: FakeController) -> None:
+    arm, sink = make_arm(), RecordedBytes()
+    arm.record_bytes(sink)
+    controller.root_type = "OTHER"
+    arm.connect()
+    arm.configure()
+    with pytest.raises(NoTelegram):
+        arm.activate(timeout_s=0.5)
+    arm.close()
+    assert {direction for direction, _ in sink.by_link["robot.master.rsi"]} == {Direction.RECEIVED}

@@ -17,10 +17,12 @@ from drivers.kuka_rsi.errors import (
     MotionStopped,
     ProtectiveStop,
 )
+from drivers.kuka_rsi.motion import MotionFollower
 from drivers.kuka_rsi.realtime.link_state import Fault, StopOrder
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.lifecycle import LifecycleGuard
 from ronna_hw.errors import RonnaError
 
 
@@ -46,16 +48,16 @@ def test_a_motion_begun_while_a_hold_is_carried_out_is_refused(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = active_arm.read_state().commanded_rad
-    follower, wait = active_arm._follower, active_arm._follower.wait
+    wait = MotionFollower.wait
 
     def move_once_the_stop_is_seen(*condition: Any) -> Any:
         state = wait(*condition)
-        monkeypatch.setattr(follower, "wait", wait)
+        monkeypatch.setattr(MotionFollower, "wait", wait)
         with pytest.raises(WrongState):
             active_arm.move_joints(FAR)
         return state
 
-    monkeypatch.setattr(follower, "wait", move_once_the_stop_is_seen)
+    monkeypatch.setattr(MotionFollower, "wait", move_once_the_stop_is_seen)
     active_arm.stop(StopKind.HOLD)
     assert state_of(active_arm) is Lifecycle.HOLD
     assert active_arm.read_state().commanded_rad == held
@@ -66,14 +68,14 @@ def test_a_hold_right_after_the_state_was_checked_refuses_the_motion(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     held = active_arm.read_state().commanded_rad
-    guard, require = active_arm._guard, active_arm._guard.require
+    require = LifecycleGuard.require
 
-    def check_and_be_stopped(call: str, allowed: Any) -> None:
-        require(call, allowed)
-        monkeypatch.setattr(guard, "require", require)
+    def check_and_be_stopped(guard: LifecycleGuard, call: str, allowed: Any) -> None:
+        require(guard, call, allowed)
+        monkeypatch.setattr(LifecycleGuard, "require", require)
         active_arm.stop(StopKind.HOLD)
 
-    monkeypatch.setattr(guard, "require", check_and_be_stopped)
+    monkeypatch.setattr(LifecycleGuard, "require", check_and_be_stopped)
     with pytest.raises(MotionStopped, match="stopped before it began"):
         active_arm.move_joints(FAR)
     assert active_arm.read_state().commanded_rad == held
@@ -86,7 +88,7 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
     if state is Lifecycle.HOLD:
         active_arm.stop(StopKind.HOLD)
     with monkeypatch.context() as patched:
-        patched.setattr(active_arm._follower, "wait", lambda *_condition: None)
+        patched.setattr(MotionFollower, "wait", lambda *_condition: None)
         with pytest.raises(MotionNotFinished, match="does not come to rest"):
             active_arm.stop(StopKind.HOLD)
     assert state_of(active_arm) is state
@@ -124,12 +126,12 @@ def test_every_stop_except_hold_is_latched_until_recovered(
 
 @pytest.mark.hazard(32)
 def test_of_two_stops_within_one_cycle_the_stronger_one_counts(active_arm: Any) -> None:
-    link = active_arm._connections.link
-    os.kill(link._process.pid, signal.SIGSTOP)
-    os.waitid(os.P_PID, link._process.pid, os.WSTOPPED)
+    link = active_arm.connections.link
+    os.kill(link.process.pid, signal.SIGSTOP)
+    os.waitid(os.P_PID, link.process.pid, os.WSTOPPED)
     link.stop(StopOrder.PROTECTIVE)
     link.stop(StopOrder.HOLD)
-    os.kill(link._process.pid, signal.SIGCONT)
+    os.kill(link.process.pid, signal.SIGCONT)
     eventually(lambda: link.state.stop_number == 2)
     eventually(lambda: link.state.fault)
     assert link.state.fault is Fault.PROTECTIVE
@@ -162,7 +164,7 @@ def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
 def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_motion_timeout(
     active_arm: Any, controller: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drivers.kuka_rsi.motion_following.SETTLE_LIMIT_S", 0.5)
+    monkeypatch.setattr("drivers.kuka_rsi.motion.SETTLE_LIMIT_S", 0.5)
     controller.frozen = True
     with pytest.raises(
         MotionNotFinished,
@@ -175,7 +177,7 @@ def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_
 def test_a_pushed_arm_is_in_fault_although_it_is_deactivated(active_arm: Any, controller: Any) -> None:
     controller.frozen = True
     controller.axes_deg = (controller.axes_deg[0] + 1.0, *controller.axes_deg[1:])
-    eventually(lambda: active_arm._connections.link.state.fault)
+    eventually(lambda: active_arm.connections.link.state.fault)
     with pytest.raises(RonnaError, match="RSI-005"):
         active_arm.deactivate()
     assert state_of(active_arm) is Lifecycle.FAULT

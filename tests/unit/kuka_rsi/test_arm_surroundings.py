@@ -34,7 +34,7 @@ CYCLE_S = 0.004
 
 
 def _post_beside(angle_deg: float) -> Surroundings:
-    """A ball where the flange comes past when A1 stands at that angle."""
+    """Place a ball where the flange comes past when A1 stands at that angle."""
     place = MODEL.forward(radians6(angle_deg, -90.0, 90.0, 0.0, 60.0, 0.0)).position_mm
     return Surroundings(obstacles=(Obstacle("drip stand", Capsule(place, place, 20.0)),))
 

@@ -120,11 +120,11 @@ def test_a_second_client_of_the_controller_gets_no_answer(
 def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any, make_arm: Any) -> None:
     arm = _configured(make_arm(heartbeat_limit_s=0.5))
     arm.activate()
-    os.kill(arm._connections.link._process.pid, signal.SIGSTOP)
+    os.kill(arm.connections.link.process.pid, signal.SIGSTOP)
 
     def latched() -> bool:
         controller.tell()  # as it does every 0.1 s, whatever happens on the other link
-        return bool(arm._guard.state is Lifecycle.FAULT)
+        return bool(arm.observe().state is Lifecycle.FAULT)
 
     eventually(latched)
     assert isinstance(arm.fault, LinkProcessStalled)

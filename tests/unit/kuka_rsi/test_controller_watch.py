@@ -11,7 +11,8 @@ from typing import Any
 import pytest
 from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi import micro_move, stream
+from drivers.kuka_rsi import micro_move
+from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import (
     ControllerNotReady,
     HandshakeFailed,
@@ -23,6 +24,7 @@ from drivers.kuka_rsi.errors import (
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
+from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.errors import RonnaError
 
 THERE = radians6(10, -85, 85, 5, 65, -10)
@@ -43,7 +45,7 @@ def test_recovery_is_refused_while_the_cause_persists(
 @pytest.mark.hazard(4)
 def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, active_arm: Any) -> None:
     controller.tells = False
-    eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
+    eventually(lambda: active_arm.observe().state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, NoAnswer)
     assert "is silent" in str(active_arm.fault)
     controller.tells = True
@@ -62,7 +64,7 @@ def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_ar
     with pytest.raises(ControllerNotReady, match="T1"):
         arm.activate()
     arm.recover("Ana")
-    with pytest.raises(ValueError, match="name of the person"):
+    with pytest.raises(PersonNotNamed):
         arm.allow_t1(" ")
     arm.allow_t1("Ana")
     arm.activate()
@@ -131,7 +133,7 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_a_person_con
     arm = _configured(make_arm)
     with pytest.raises(Unverified):
         arm.activate()
-    with pytest.raises(ValueError, match="name of the person"):
+    with pytest.raises(PersonNotNamed):
         arm.activate_unverified("")
     arm.activate_unverified("Ana")
     assert arm.state is Lifecycle.ACTIVE
@@ -236,15 +238,15 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     def fail_once_moving(name: str, link: Any, state: Any, *limits: Any) -> None:
         require_small(name, link, state, *limits)
         if state.moving:
-            link._process.send_signal(signalled)
+            link.process.send_signal(signalled)
             monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
 
     monkeypatch.setattr(micro_move, "_require_small", fail_once_moving)
     with pytest.raises(error):
         arm.activate_unverified("Ana")
     assert isinstance(arm.fault, error)
-    arm._connections.link._process.kill()  # so that closing need not wait for a stopped one
-    arm._connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
+    arm.connections.link.process.kill()  # so that closing need not wait for a stopped one
+    arm.connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
 def test_a_stop_during_a_start_leaves_the_arm_in_hold(
@@ -253,14 +255,14 @@ def test_a_stop_during_a_start_leaves_the_arm_in_hold(
     arm = make_arm()
     arm.connect()
     arm.configure()
-    start = stream.start_stream
+    start = Connections.start_stream
 
     def started(*details: Any) -> Any:
         mode = start(*details)
         arm.stop()
         return mode
 
-    monkeypatch.setattr(stream, "start_stream", started)
+    monkeypatch.setattr(Connections, "start_stream", started)
     arm.activate()
     assert arm.state is Lifecycle.HOLD
 
@@ -276,7 +278,8 @@ def test_a_wrong_fact_reported_by_an_unverified_controller_is_refused(controller
 def test_close_stops_the_eki_reader_before_closing_the_links_memory(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader, link = active_arm._connections.eki._reader, active_arm._connections.link
+    reader = next(thread for thread in threading.enumerate() if thread.name == "eki reader")
+    link = active_arm.connections.link
     heard: list[bool] = []
     close = link.close
 

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from drivers.kuka_rsi.connections import Connections
-from drivers.kuka_rsi.eki.controller_state import ControllerState
+from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied, RecordedCycle
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
@@ -44,7 +44,7 @@ STREAMING_WELL = ControllerState(
 
 @dataclass
 class Link:
-    """As the driver sees its real-time process."""
+    """Real-time process as the driver sees it."""
 
     state: LinkState = MOVING
     alive: bool = True
@@ -58,13 +58,13 @@ class Link:
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         return ()
 
-    def death(self) -> RonnaError:
+    def death_error(self) -> RonnaError:
         return LinkProcessDied("the real-time process ended: killed by SIGKILL")
 
 
 @dataclass
 class Eki:
-    """As the driver sees its EKI session."""
+    """EKI session as the driver sees it."""
 
     where: str = "tcp://127.0.0.1:54602"
     silent_s: float = 0.0
@@ -114,10 +114,10 @@ def test_eki_silence_is_tolerated_up_to_its_limit_and_no_longer(
 ) -> None:
     watched = Watched(**options)
     watched.eki.silent_s = limit_s
-    watched.watch.controller_quiet()
+    watched.watch.on_silence()
     assert watched.outcome == ("", [])
     watched.eki.silent_s = limit_s + A_LITTLE_S
-    watched.watch.controller_quiet()  # from the reader of the channel: nobody has asked
+    watched.watch.on_silence()  # from the reader of the channel: nobody has asked
     assert watched.outcome == ("EKI-003", [StopOrder.PROTECTIVE])
 
 
@@ -132,10 +132,10 @@ def test_a_stalled_real_time_process_is_tolerated_up_to_its_limit(
 ) -> None:
     watched = Watched(**options)
     watched.link.stalled_s = limit_s
-    watched.watch.notice()
+    watched.watch.check()
     assert watched.outcome == ("", [])
     watched.link.stalled_s = limit_s + A_LITTLE_S
-    watched.watch.notice()
+    watched.watch.check()
     # Nobody is there to carry a stop out: the controller's Timeout does.
     assert watched.outcome == ("RSI-020", [])
 
@@ -154,18 +154,18 @@ def test_a_stalled_real_time_process_is_tolerated_up_to_its_limit(
 )
 def test_a_state_that_forbids_motion_latches_a_fault_and_orders_the_stop_once(change: dict[str, Any]) -> None:
     watched = Watched()
-    watched.watch.controller_said(STREAMING_WELL)
+    watched.watch.on_state(STREAMING_WELL)
     assert watched.outcome == ("", [])
-    watched.watch.controller_said(_changed(**change))
+    watched.watch.on_state(_changed(**change))
     assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])
-    watched.watch.controller_said(_changed(**change))
+    watched.watch.on_state(_changed(**change))
     assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])  # latched, and ordered once
 
 
 def test_a_stop_names_a_foreign_sender_of_telegrams() -> None:
     watched = Watched()
     watched.link.state = MOVING._replace(foreign=101, foreign_host="192.168.1.7")
-    watched.watch.controller_said(_changed(error=29002))
+    watched.watch.on_state(_changed(error=29002))
     assert (
         "29002 is not acknowledged; note: 101 telegrams came from another sender, the last from 192.168.1.7"
         in str(watched.guard.fault)
@@ -175,7 +175,7 @@ def test_a_stop_names_a_foreign_sender_of_telegrams() -> None:
 @pytest.mark.hazard(4)
 def test_a_lost_eki_channel_orders_the_stop() -> None:
     watched = Watched()
-    watched.watch.controller_lost(ControllerLost("tcp://127.0.0.1:54602 closed the connection"))
+    watched.watch.on_loss(ControllerLost("tcp://127.0.0.1:54602 closed the connection"))
     assert watched.outcome == ("EKI-002", [StopOrder.PROTECTIVE])
 
 
@@ -187,10 +187,10 @@ def _changed(**change: Any) -> ControllerState:
 def test_a_link_process_that_dies_while_the_arm_is_parked_is_a_fault_at_once() -> None:
     watched = Watched()
     watched.guard.enter(Lifecycle.CONFIGURED)
-    watched.watch.controller_said(STREAMING_WELL)
+    watched.watch.on_state(STREAMING_WELL)
     assert watched.guard.fault is None
     watched.link.alive = False
-    watched.watch.controller_said(STREAMING_WELL)
+    watched.watch.on_state(STREAMING_WELL)
     assert isinstance(watched.guard.fault, LinkProcessDied)
 
 
@@ -211,10 +211,10 @@ def test_a_following_error_is_attributed_to_the_controllers_next_state(
     watched = Watched()
     watched.eki.latest = STREAMING_WELL  # sent before
     watched.link.state = NO_LONGER_FOLLOWS
-    watched.watch.notice()
+    watched.watch.check()
     assert watched.outcome[0] == ""
     watched.eki.answer = _changed(**change)
-    watched.watch.controller_said(watched.eki.answer)
+    watched.watch.on_state(watched.eki.answer)
     assert watched.outcome[0] == code
     assert watched.eki.asked == 1
 
@@ -223,7 +223,7 @@ def test_a_following_error_is_attributed_to_the_controllers_next_state(
 def test_a_call_waits_for_the_cause_of_a_following_error() -> None:
     watched = Watched()
     watched.link.state = NO_LONGER_FOLLOWS
-    watched.watch.notice()
+    watched.watch.check()
     watched.eki.answer = _changed(guard_open=True)
     with pytest.raises(ControllerStopped, match="guard is open"):
         watched.watch.raise_any()
@@ -234,10 +234,10 @@ def test_the_wait_for_the_cause_of_a_following_error_is_limited(monkeypatch: pyt
     watched, now_s = Watched(), [100.0]
     monkeypatch.setattr("drivers.kuka_rsi.fault_watch.time.monotonic", lambda: now_s[0])
     watched.link.state = NO_LONGER_FOLLOWS
-    watched.watch.notice()
+    watched.watch.check()
     now_s[0] += REASON_S
-    watched.watch.notice()
+    watched.watch.check()
     assert watched.outcome[0] == ""
     now_s[0] += A_LITTLE_S
-    watched.watch.notice()
+    watched.watch.check()
     assert watched.outcome[0] == "RSI-005"

@@ -1,4 +1,4 @@
-"""A tracker on a unit in the test's own process."""
+"""Tracker on a unit in the test's own process."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 from polaris_unit_in_process import StillClock, UnitInProcess, bring_up, tracker_on
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.rom.definition import ToolDefinition, planar_tool
+from drivers.ndi_polaris.tool_definition import ToolDefinition, planar_tool
 
 
 @pytest.fixture
@@ -33,13 +33,13 @@ def make_tracker(unit: UnitInProcess, clock: StillClock) -> Callable[..., Polari
 
 @pytest.fixture
 def tracker(make_tracker: Callable[..., PolarisTracker]) -> PolarisTracker:
-    """A tracker that is tracking."""
+    """Return a tracker that is tracking."""
     return bring_up(make_tracker())
 
 
 @pytest.fixture
 def pointer() -> ToolDefinition:
-    """A tool that is not the robot's frame."""
+    """Return a tool that is not the robot's frame."""
     return planar_tool(
         "POINTER",
         ((0.0, 0.0, 0.0), (0.0, 110.0, 0.0), (52.0, 140.0, 0.0), (-35.0, 33.0, 0.0)),

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.rom.definition import decode_definition, encode_definition, read_definition
-from drivers.ndi_polaris.rom.description import describe
 from drivers.ndi_polaris.rom_command import app
-from drivers.ndi_polaris.tools.shipped import FOLDER, shipped_definitions
+from drivers.ndi_polaris.shipped_tools import FOLDER, shipped_definitions
+from drivers.ndi_polaris.tool_definition import decode_definition, encode_definition, read_definition
+from drivers.ndi_polaris.tool_description import describe
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
@@ -25,7 +25,7 @@ markers_mm = [[0, 0, 0], [0, 110.5, 0], [52, 140, 0], [-35, 33, 0]]
 
 @pytest.fixture
 def rom(capsys: pytest.CaptureFixture[str]) -> Rom:
-    """Runs the command; gives exit code, standard output and standard error."""
+    """Run the command; return exit code, standard output and standard error."""
 
     def run(*arguments: object) -> tuple[int, str, str]:
         code = exit_code_of(app, [str(argument) for argument in arguments])

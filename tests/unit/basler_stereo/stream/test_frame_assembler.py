@@ -15,8 +15,9 @@ from drivers.basler_stereo.stream.frame_assembler import (
     PACKETS_PER_ROUND,
     RESEND_INTERVALS_S,
     FrameAssembler,
+    decode_header,
+    next_block_id,
 )
-from drivers.basler_stereo.stream.gvsp import decode_header, following
 from ronna_hw.devices.readings import AreaOfInterest
 
 WIDTH, HEIGHT = 40, 30
@@ -165,7 +166,7 @@ def test_malformed_packets_are_counted_and_ignored(assembler, packet):
 
 
 def test_block_ids_wrap_without_zero():
-    assert [following(1), following(0xFFFE), following(0xFFFF)] == [2, 0xFFFF, 1]
+    assert [next_block_id(1), next_block_id(0xFFFE), next_block_id(0xFFFF)] == [2, 0xFFFF, 1]
     assert decode_header(packets(0xFFFF)[3]).block_id == 0xFFFF
 
 

@@ -15,7 +15,7 @@ import pytest
 from driven_arm import FAR, THERE, largest_step, moving, state_of
 from waiting import eventually
 
-from drivers.kuka_rsi.eki.framing import LONGEST_TELEGRAM
+from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
@@ -30,7 +30,7 @@ Happen = Callable[[Any], None]
 
 @pytest.fixture
 def patient_arm(make_arm: Any) -> Any:
-    """Active, and as patient as a controller that stands still needs."""
+    """Return an active arm, as patient as a controller that stands still needs."""
     arm = make_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
     arm.connect()
     arm.configure()
@@ -39,13 +39,13 @@ def patient_arm(make_arm: Any) -> Any:
 
 
 def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
-    """The error of a long motion in which something happens between two telegrams, well under way."""
+    """Return the error of a long motion in which something happens between two telegrams."""
     mover, caught = moving(arm, controller)
     controller.silent.set()
     assert controller.standing.wait(HANG_S)
     before = len(controller.replies)
     happen(controller)
-    eventually(lambda: arm._connections.link.stop_number > 0)
+    eventually(lambda: arm.connections.link.stop_number > 0)
     controller.silent.clear()
     mover.join(HANG_S)
     _stopped_at_once(controller.replies, before, {c.IPOC: c.choice for c in arm.recorded_cycles})
@@ -156,6 +156,6 @@ def test_an_unreadable_eki_telegram_stops_the_arm(
 def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, patient_arm: Any) -> None:
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
-    eventually(lambda: patient_arm._connections.eki.latest.tool == 7)
+    eventually(lambda: patient_arm.connections.eki.latest.tool == 7)
     patient_arm.move_joints(THERE)
     assert state_of(patient_arm) is Lifecycle.ACTIVE

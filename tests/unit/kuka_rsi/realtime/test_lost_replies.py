@@ -16,6 +16,7 @@ from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_
 from drivers.kuka_rsi.errors import LinkUnusable
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_health import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.link_state import (
     Choice,
     Command,
@@ -25,7 +26,6 @@ from drivers.kuka_rsi.realtime.link_state import (
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.losses import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
@@ -46,7 +46,7 @@ LOSSES = st.lists(st.sampled_from(["", "", "", "reply", "telegram"]), min_size=1
 
 
 class HoldingController:
-    """Takes what arrives, keeps it otherwise. `tells`: by how many telegrams too late; None is never."""
+    """Controller that takes what arrives and keeps it otherwise; `tells` a loss so many telegrams late."""
 
     def __init__(self, tells: int | None = 0) -> None:
         self.responder = Responder(SETTINGS)
@@ -129,7 +129,7 @@ def _moving(cycles: int = AT_SPEED, tells: int | None = 0) -> HoldingController:
 
 
 def _whole() -> list[JointVector]:
-    """What acts, cycle by cycle, when nothing is lost."""
+    """Return what acts, cycle by cycle, when nothing is lost."""
     controller = _moving(0)
     controller.finish()
     return controller.taken

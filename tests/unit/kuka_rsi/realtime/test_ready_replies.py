@@ -27,7 +27,7 @@ EVENTS = st.lists(
 
 
 class Follower:
-    """A controller that follows at once, with a link under it."""
+    """Controller that follows at once, with a link under it."""
 
     def __init__(self, *, ahead: bool) -> None:
         self.link = InProcessLink()

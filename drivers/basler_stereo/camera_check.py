@@ -1,0 +1,295 @@
+"""Check of a camera's address: who replies, who controls it, which packet size arrives, what that means.
+
+Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
+packets, and is released; a controlled one is left alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.errors import CommandRefused, MalformedReply, NoCamera, NoReply
+from drivers.basler_stereo.identity import CameraIdentity, identify
+from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.network_interfaces import Interface, interface_of, interfaces
+from ronna_hw.host.port_users import PortUser, user_of_udp_port
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
+
+REPLY_LIMIT_S = 1.0  # per command, including retries
+TEST_LIMIT_S = 5.0  # for all test packets
+RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
+JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
+LISTED_CAMERAS = 4
+SECTION = "cameras"
+
+
+class Response(StrEnum):
+    """Kind of reply from an address."""
+
+    ANSWERED = "answered"
+    NO_ROUTE = "no way"
+    REFUSED = "refused"  # a computer is there, but nothing listens on the cameras' port
+    SILENT = "silent"
+
+
+@dataclass(frozen=True)
+class Controller:
+    """Application in control: none, or one with an address if the camera reports it."""
+
+    taken: bool
+    address: str = ""
+    port: int = 0
+    process: PortUser | None = None  # if it runs on this computer and is visible to us
+    here: bool = False  # the address is this computer's
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """Observations at one address; fields are None for stages not reached."""
+
+    endpoint: Endpoint
+    response: Response
+    interface: Interface | None = None
+    identity: CameraIdentity | None = None
+    controller: Controller | None = None
+    packet_bytes: int | None = None  # the largest that arrives; 0 if no test packet arrived at all
+    reason: str = ""  # the system's, if there is no route
+
+
+def look_at_camera(endpoint: Endpoint) -> CameraState:
+    """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
+    try:
+        with contextlib.closing(ControlChannel(endpoint.host)) as control:
+            return _check_through(control, endpoint)
+    except OSError as error:  # also when the network goes down meanwhile
+        return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
+
+
+def _check_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+    interface = interface_of(control.local_address)
+    try:
+        identity = identify(control, _reply_deadline_s())
+    except (NoCamera, MalformedReply, CommandRefused):
+        response = Response.REFUSED if control.port_closed else Response.SILENT
+        return CameraState(endpoint, response, interface)
+    controller = _controller(control)
+    size = None if controller.taken else _largest_packet(control)
+    return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
+
+
+def _controller(control: ControlChannel) -> Controller:
+    if _read(control, Bootstrap.CCP) == gev.CCP_OPEN:
+        return Controller(taken=False)
+    names_it = (_read(control, Bootstrap.GVCP_CAPABILITY) or 0) & GvcpCapability.CCP_APPLICATION
+    port = _read(control, Bootstrap.PRIMARY_APPLICATION_PORT) if names_it else None
+    address = _read(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if names_it else None
+    if not port or not address:
+        return Controller(taken=True)  # under exclusive access even reading is refused
+    owner = socket.inet_ntoa(address.to_bytes(4, "big"))
+    own = [each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))]
+    return Controller(True, owner, port, user_of_udp_port(owner, port) if own else None, bool(own))
+
+
+def _largest_packet(control: ControlChannel) -> int | None:
+    """Find the largest test packet that arrives; None if the camera does not grant control."""
+    try:
+        control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _reply_deadline_s())
+    except (CommandRefused, NoReply):
+        return None
+    before = _read(control, Bootstrap.SCPS)
+    try:
+        with open_stream_socket(control.local_address, RECEIVE_BUFFER_BYTES) as stream:
+            size, arrived = choose_packet_bytes(control, stream, None, time.monotonic() + TEST_LIMIT_S)
+        return size if arrived else 0
+    except (CommandRefused, NoReply, MalformedReply):
+        return 0
+    finally:
+        if before is not None:
+            with contextlib.suppress(CommandRefused, NoReply):
+                control.write_register(Bootstrap.SCPS, before & ~gev.SCPS_FIRE_TEST, _reply_deadline_s())
+        with contextlib.suppress(CommandRefused, NoReply):
+            control.write_register(Bootstrap.CCP, gev.CCP_OPEN, _reply_deadline_s())
+
+
+def _read(control: ControlChannel, register: int) -> int | None:
+    """Read a register; None if the camera refuses or does not reply."""
+    try:
+        return control.read_register(register, _reply_deadline_s())
+    except (CommandRefused, NoReply, MalformedReply):
+        return None
+
+
+def _reply_deadline_s() -> float:
+    return time.monotonic() + REPLY_LIMIT_S
+
+
+class Expected(NamedTuple):
+    """Address of a camera, and its expected identity, if known."""
+
+    endpoint: Endpoint
+    serial: str | None = None
+    model: str | None = None
+
+
+class Diagnosis(NamedTuple):
+    """Observation and advice for display."""
+
+    well: bool
+    seen: str
+    advice: str = ""
+
+
+def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
+    """Return the doctor's entry for a camera, with figures; `found` replied to broadcast discovery."""
+    well, seen, advice = diagnose(camera, found, expected)
+    document: dict[str, Any] = {
+        "endpoint": str(camera.endpoint),
+        "well": well,
+        "access": camera.response.value,
+        "interface": asdict(camera.interface) if camera.interface else None,
+        "camera": _identity(camera.identity) if camera.identity else None,
+        "control": _control(camera.controller) if camera.controller else None,
+        "packet_bytes": camera.packet_bytes,
+        "seen": seen,
+        "cause": advice,
+    }
+    serials = {str(camera.endpoint): camera.identity.serial if camera.identity else None}
+    return Diagnostic(f"camera {camera.endpoint}", well, seen, advice, SECTION, document, serials)
+
+
+def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
+    """List the cameras on one network, and serial numbers that replied several times."""
+    serials = [each.serial for each in found]
+    doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
+    advice = (
+        f"{' and '.join(doubled)} replied several times: there is another cell on this network."
+        if doubled
+        else ""
+    )
+    shown = ", ".join(map(_shown, found))
+    by_endpoint = {f"gev://{each.address}": each.serial for each in found}
+    return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)
+
+
+def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
+    """Interpret the state of a camera's address: observation, likely cause, advice."""
+    identity, controller = camera.identity, camera.controller
+    if identity is None or controller is None:
+        return _unanswered(camera, found)
+    if expected.model and identity.model != expected.model:
+        advice = f"Expected a {expected.model}, got a {identity.model}: check address and cable."
+        return Diagnosis(False, f"a {identity.model}, expected a {expected.model}", advice)
+    if expected.serial and identity.serial != expected.serial:
+        seen = f"camera {identity.serial}, expected {expected.serial}"
+        return Diagnosis(False, seen, _wrong_serial_advice(expected.serial, found))
+    seen = "; ".join(_observations(camera, identity, controller))
+    if controller.taken:
+        advice = _release_advice(controller)
+    elif camera.packet_bytes is None:
+        advice = "It refused control although no application has it: power-cycle it."
+    elif not camera.packet_bytes:
+        advice = "No test packet arrived: a firewall drops UDP from the camera, or it sends none."
+    else:
+        jumbo = camera.packet_bytes >= JUMBO_BYTES
+        return Diagnosis(True, seen, "" if jumbo else _small_packets_advice(camera.interface))
+    return Diagnosis(False, seen, advice)
+
+
+def _identity(identity: CameraIdentity) -> dict[str, str]:
+    return {
+        "address": identity.address,
+        "vendor": identity.vendor,
+        "model": identity.model,
+        "serial": identity.serial,
+        "name": identity.user_name,
+        "firmware": identity.version,
+    }
+
+
+def _control(controller: Controller) -> dict[str, Any]:
+    return {
+        "taken": controller.taken,
+        "address": controller.address,
+        "port": controller.port,
+        "holder": asdict(controller.process) if controller.process else None,
+        "here": controller.here,
+    }
+
+
+def _observations(camera: CameraState, identity: CameraIdentity, controller: Controller) -> Iterator[str]:
+    yield f"{identity.vendor} {identity.model} {identity.serial}".strip()
+    if camera.interface is not None:
+        yield f"via {camera.interface.name} ({camera.interface.address}, MTU {camera.interface.mtu_bytes})"
+    yield f"controlled by {_controller_name(controller)}" if controller.taken else "no application in control"
+    if camera.packet_bytes:
+        yield f"packets of {camera.packet_bytes} bytes arrive"
+
+
+def _controller_name(controller: Controller) -> str:
+    if controller.process is not None:
+        return str(controller.process)
+    if controller.port:
+        return f"{controller.address}:{controller.port}"
+    return "an application not identified by the camera"
+
+
+def _release_advice(controller: Controller) -> str:
+    if controller.process is not None:
+        return "Stop that program; a camera releases a crashed one within its heartbeat time-out."
+    if controller.here:
+        return "That program has ended, or belongs to another user: wait for the heartbeat time-out, or ask."
+    return "Close the program on the other computer; if it crashed, wait for its heartbeat time-out."
+
+
+def _wrong_serial_advice(serial: str, found: Sequence[CameraIdentity]) -> str:
+    if others := [each for each in found if each.serial == serial]:
+        more = f" (and replied {len(others)} times)" if len(others) > 1 else ""
+        return (
+            f"Camera {serial} is at {others[0].address}{more}: swap cables, or endpoints in the theatre file."
+        )
+    return f"Expected camera {serial}, which did not reply. After replacing a camera, recalibrate the head."
+
+
+def _small_packets_advice(interface: Interface | None) -> str:
+    where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path MTU is small"
+    return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
+
+
+def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnosis:
+    interface = camera.interface
+    if camera.response is Response.NO_ROUTE:
+        advice = "Give this computer an address in the camera's subnet."
+        return Diagnosis(False, f"no route: {camera.reason}", advice)
+    via = f" via {interface.name} ({interface.address})" if interface else ""
+    elsewhere = _other_replies(camera, found)
+    if camera.response is Response.REFUSED:
+        advice = "A computer is at this address, not a camera: check the camera's power, cable and address."
+        return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere)
+    if interface is not None and not interface.reaches(camera.endpoint.host):
+        advice = "No network card of this computer is in its subnet: camera and host must share one."
+    else:
+        advice = "Check power and cable of the camera, and its address."
+    return Diagnosis(False, f"silent{via}", advice + elsewhere)
+
+
+def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
+    others = [each for each in found if each.address != camera.endpoint.host]
+    if not others:
+        return ""
+    listed = ", ".join(map(_shown, others[:LISTED_CAMERAS]))
+    more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""
+    return f" These reply: {listed}{more}."
+
+
+def _shown(camera: CameraIdentity) -> str:
+    return f"{camera.model} {camera.serial} at {camera.address}"

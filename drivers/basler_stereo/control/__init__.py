@@ -1,1 +1,0 @@
-"""GVCP: the control channel to one camera, its identity, and control privilege."""

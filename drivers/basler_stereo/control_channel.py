@@ -1,0 +1,327 @@
+"""Control channel to one camera: commands with retries, control privilege, heartbeat.
+
+A camera keeps the privilege of a dead client until that client's heartbeat times out.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+import threading
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, ControlTaken, NoReply
+from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
+
+FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each retry waits twice as long
+COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's deadline is earlier
+REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
+OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
+LAST_LOOK_S = 1e-3  # for a reply that arrived while the host stalled
+Command = tuple[GvcpCommand, bytes]
+"""A command and its payload."""
+ASK_AGAIN_S = 0.1
+LAPSE_MARGIN_S = 0.5  # cameras check their timer only now and then
+BEATS_PER_TIMEOUT = 4
+SLOWEST_BEAT_S = 1.0
+SILENT_BEATS = 2  # consecutive failures, including retries, before the camera may count as lost
+ASK_LIMIT_S = 1.0
+JOIN_LIMIT_S = 1.5
+
+
+class ControlChannel:
+    """Channel with one socket and one command at a time; safe to use from several threads.
+
+    Retries reuse the request id, so that a device that replies late does not execute a command twice.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        *,
+        port: int = gev.GVCP_PORT,
+        monotonic: Callable[[], float] = time.monotonic,
+        passed: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
+    ) -> None:
+        """Open the channel; `passed` gets every datagram. Raises OSError without a route to the address."""
+        self._passed = passed
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.connect((address, port))  # datagrams from other addresses are filtered out
+        except OSError:
+            self._socket.close()
+            raise
+        self._address = address
+        self._monotonic = monotonic
+        self._lock = threading.RLock()
+        self._id_lock = threading.Lock()
+        self._request_id = 0
+        self.port_closed = False  # the address is reachable, but nothing listens on its GVCP port
+
+    @property
+    def address(self) -> str:
+        """Address of the camera."""
+        return self._address
+
+    @property
+    def peer_address(self) -> str:
+        """Address of the camera in numbers."""
+        return str(self._socket.getpeername()[0])
+
+    @property
+    def local_address(self) -> str:
+        """Address of the host on the route to the camera."""
+        return str(self._socket.getsockname()[0])
+
+    @property
+    def link(self) -> socket.socket:
+        """Socket for the receiver process, which sends resend requests and keep-alives through it."""
+        return self._socket
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def read_register(self, address: int, deadline_s: float) -> int:
+        """Read one 32-bit register; raises GEV-006, GEV-007, GEV-008."""
+        what = f"reading register 0x{address:X}"
+        payload = self.ask(GvcpCommand.READREG, gvcp.read_register_command(address), deadline_s, what)
+        return gvcp.register_value(payload, what)
+
+    def write_register(self, address: int, value: int, deadline_s: float) -> None:
+        """Set one 32-bit register; raises GEV-006, GEV-007."""
+        what = f"writing 0x{value:X} to register 0x{address:X}"
+        self.ask(GvcpCommand.WRITEREG, gvcp.write_register_command(address, value), deadline_s, what)
+
+    def read_memory(self, address: int, count: int, deadline_s: float) -> bytes:
+        """Read `count` bytes, in as many requests as needed; raises GEV-006, GEV-007, GEV-008."""
+        data = bytearray()
+        while len(data) < count:
+            start = address + len(data)
+            piece = min(gev.READMEM_LIMIT, -(-(count - len(data)) // 4) * 4)
+            payload = self.ask(
+                GvcpCommand.READMEM,
+                gvcp.read_memory_command(start, piece),
+                deadline_s,
+                f"reading memory at 0x{start:X}",
+            )
+            data += gvcp.memory_data(payload, start, piece)
+        return bytes(data[:count])
+
+    def write_memory(self, address: int, data: bytes, deadline_s: float) -> None:
+        """Write a few bytes, a multiple of 4; raises GEV-006, GEV-007."""
+        what = f"writing memory at 0x{address:X}"
+        self.ask(GvcpCommand.WRITEMEM, gvcp.write_memory_command(address, data), deadline_s, what)
+
+    def ask(self, command: GvcpCommand, payload: bytes, deadline_s: float, what: str) -> bytes:
+        """Send a command and return the payload of its acknowledge; raises GEV-006, GEV-007."""
+        with self._lock:
+            request_id, datagram = self._prepare(command, payload)
+            self._send(datagram)
+            return self._finish(command, request_id, datagram, deadline_s, what)
+
+    def _prepare(self, command: GvcpCommand, payload: bytes) -> tuple[int, bytes]:
+        request_id = self._next_id()
+        return request_id, gvcp.encode(command, request_id, payload)
+
+    def _finish(
+        self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
+    ) -> bytes:
+        """Wait for the acknowledge of a sent command, with retries."""
+        # a deadline that passed while waiting for the lock or the CPU still allows one try
+        begun_s = self._monotonic()
+        deadline_s = max(deadline_s, begun_s + FIRST_TRY_S)
+        limit_s = min(deadline_s, begun_s + COMMAND_LIMIT_S)
+        patience_s = FIRST_TRY_S
+        while True:
+            acknowledge = self._receive(
+                command, request_id, min(limit_s, self._monotonic() + patience_s), deadline_s
+            )
+            if acknowledge is not None:
+                return gvcp.require_success(acknowledge, f"{self._address}: {what}")
+            if self._monotonic() >= limit_s:
+                raise NoReply(f"{self._address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
+            patience_s *= 2.0
+            self._send(datagram)
+
+    def _receive(
+        self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
+    ) -> gvcp.Acknowledge | None:
+        """Receive the acknowledge with this request id; None if it has not arrived by `until_s`."""
+        while True:
+            # even after the deadline: whatever arrived while the host stalled was in time
+            left_s = until_s - self._monotonic()
+            if left_s < -COMMAND_LIMIT_S:
+                return None  # only unrelated datagrams
+            self._socket.settimeout(max(LAST_LOOK_S, left_s))
+            try:
+                datagram = self._socket.recv(gvcp.LARGEST_DATAGRAM_BYTES)
+            except TimeoutError:
+                return None
+            except ConnectionRefusedError:  # the host at that address reports a closed port
+                self.port_closed = True
+                time.sleep(max(0.0, min(REFUSED_PAUSE_S, until_s - self._monotonic())))
+                return None
+            self._passed(Direction.RECEIVED, datagram)
+            acknowledge = gvcp.decode(datagram)
+            if acknowledge is None or acknowledge.request_id != request_id:
+                continue  # a late acknowledge of an earlier command
+            if acknowledge.command == GvcpCommand.PENDING_ACK:
+                wait_s = gvcp.pending_ms(acknowledge.payload) / 1000.0
+                until_s = min(deadline_s, max(until_s, self._monotonic() + wait_s))
+                continue
+            if acknowledge.command == command + 1:
+                return acknowledge
+
+    def _send(self, datagram: bytes) -> None:
+        # an error here (network down, closed port) shows up as a missing acknowledge, which is reported
+        with contextlib.suppress(OSError):
+            self._socket.send(datagram)
+            self._passed(Direction.SENT, datagram)
+
+    def _next_id(self) -> int:
+        with self._id_lock:
+            self._request_id = self._request_id % OWN_IDS_LAST + gev.REQUEST_ID_FIRST
+            return self._request_id
+
+
+def register_write(address: int, value: int) -> Command:
+    """Return the command that sets one register."""
+    return GvcpCommand.WRITEREG, gvcp.write_register_command(address, value)
+
+
+def send_together(
+    commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
+) -> list[Exception | None]:
+    """Send a command on each of several channels as close together as one host can.
+
+    All commands are sent before the first acknowledge is awaited. Returns None or an error per channel.
+    """
+    results: list[Exception | None] = []
+    with ExitStack() as locks:
+        for channel, _ in commands:
+            locks.enter_context(channel._lock)
+        prepared = [
+            (channel, code, *channel._prepare(code, payload)) for channel, (code, payload) in commands
+        ]
+        for channel, _, _, datagram in prepared:
+            channel._send(datagram)
+        for channel, code, request_id, datagram in prepared:
+            try:
+                channel._finish(code, request_id, datagram, deadline_s, what)
+                results.append(None)
+            except (NoReply, CommandRefused) as error:
+                results.append(error)
+    return results
+
+
+def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
+    """Take the control privilege; `who` names the camera in the message.
+
+    Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
+    time). Raises GEV-005 when that controller is alive or time is up, GEV-006, GEV-007.
+    """
+    give_up_s: float | None = None
+    while (refusal := _try_control(control, deadline_s)) is not None:
+        if give_up_s is None:
+            give_up_s = _control_lapses_s(control, deadline_s)
+        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not two
+            raise ControlTaken(f"{who} is controlled by another application", got=refusal)
+        time.sleep(ASK_AGAIN_S)
+
+
+def require_control(control: ControlChannel, deadline_s: float) -> None:
+    """Raise GEV-015 unless we control the camera, GEV-007 when it does not reply."""
+    try:
+        privilege = control.read_register(Bootstrap.CCP, deadline_s)
+    except CommandRefused as error:  # while another client has exclusive access, even reading is rejected
+        raise ControlLost(f"{control.address} is controlled by another application") from error
+    if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
+        raise ControlLost(f"{control.address} has released control", got=f"privilege {privilege}")
+
+
+def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
+    """Ask for control; None if we have it, otherwise the reason for the refusal."""
+    try:
+        control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
+        privilege = control.read_register(Bootstrap.CCP, deadline_s)
+    except CommandRefused as error:
+        if error.status != GevStatus.ACCESS_DENIED:
+            raise
+        return "access denied"
+    return None if privilege & gev.CCP_CONTROL else f"privilege {privilege}"
+
+
+def _control_lapses_s(control: ControlChannel, deadline_s: float) -> float:
+    """Return when a controller that is dead now will lose control; never later than the deadline."""
+    try:
+        timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
+    except CommandRefused:  # exclusive access: others cannot even read
+        return deadline_s
+    return min(deadline_s, time.monotonic() + timeout_ms / 1000.0 + LAPSE_MARGIN_S)
+
+
+class Heartbeat:
+    """Thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
+
+    A silent camera is lost only after its time-out: until then it keeps us as its controller. Any command
+    would restart the camera's timer, but reading the privilege also shows whether the camera has restarted or
+    dropped us, and every device counts it as a heartbeat.
+    """
+
+    def __init__(
+        self,
+        control: ControlChannel,
+        timeout_ms: int,
+        on_lost: Callable[[RonnaError], None],
+        name: str,
+        *,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._control = control
+        self._monotonic = monotonic
+        self._timeout_s = timeout_ms / 1000.0
+        self._period_s = min(SLOWEST_BEAT_S, self._timeout_s / BEATS_PER_TIMEOUT)
+        self._on_lost = on_lost
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"{name}-heartbeat", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End the thread; takes at most as long as one command to a dead peer."""
+        self._ending.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(JOIN_LIMIT_S)
+
+    def _run(self) -> None:
+        silent, answered_s = 0, self._monotonic()
+        while not self._ending.wait(self._period_s):
+            try:
+                require_control(self._control, self._monotonic() + ASK_LIMIT_S)
+                silent, answered_s = 0, self._monotonic()
+            except NoReply as error:
+                silent += 1
+                silent_s = self._monotonic() - answered_s
+                if silent < SILENT_BEATS or silent_s < self._timeout_s or self._ending.is_set():
+                    continue
+                lost = CameraLost(
+                    f"{self._control.address} does not reply to the heartbeat",
+                    limit=f"{self._timeout_s:g} s",
+                    got=f"silent for {silent_s:.1f} s",
+                )
+                lost.__cause__ = error
+                self._on_lost(lost)
+                return
+            except (RonnaError, OSError) as error:
+                if self._ending.is_set():
+                    return
+                if not isinstance(error, RonnaError):
+                    error = CameraLost(f"the link to {self._control.address} broke", got=str(error))
+                self._on_lost(error)
+                return

@@ -1,0 +1,114 @@
+"""Identity of cameras from their replies to GVCP discovery, by address or by broadcast."""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import time
+from dataclasses import dataclass
+from ipaddress import IPv4Address
+
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.control_channel import ControlChannel
+from drivers.basler_stereo.errors import MalformedReply, NoCamera, NoReply
+from ronna_hw.host.network_interfaces import Interface, interface_of
+from ronna_hw.wire import gige_vision as gev
+from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
+
+REPLY_LIMIT_S = 0.5  # a camera replies within milliseconds
+EVERYBODY = "255.255.255.255"
+DATAGRAM_LIMIT_BYTES = 2048
+REQUEST_ID = gev.REQUEST_ID_FIRST
+
+
+@dataclass(frozen=True)
+class CameraIdentity:
+    """Identity of one camera from its bootstrap registers."""
+
+    address: str
+    mac: str
+    vendor: str
+    model: str
+    serial: str
+    version: str
+    user_name: str
+
+
+def identify(control: ControlChannel, deadline_s: float) -> CameraIdentity:
+    """Identify the device at the channel's address; raises GEV-001, GEV-008."""
+    try:
+        memory = control.ask(GvcpCommand.DISCOVERY, b"", deadline_s, "discovery")
+    except NoReply as error:
+        raise NoCamera(f"no camera replied at {control.address}", expected="a reply to discovery") from error
+    return decode_identity(memory, control.address)
+
+
+def decode_identity(memory: bytes, address: str) -> CameraIdentity:
+    """Decode the identity in a reply to discovery; raises GEV-008."""
+    if len(memory) != gev.DISCOVERY_BYTES:
+        raise MalformedReply(
+            f"{address}: the reply to discovery has the wrong length",
+            expected=f"{gev.DISCOVERY_BYTES} bytes",
+            got=f"{len(memory)} bytes",
+            wire=memory[:16],
+        )
+    (high,) = struct.unpack_from(">H", memory, Bootstrap.MAC_HIGH + 2)
+    (low,) = struct.unpack_from(">I", memory, Bootstrap.MAC_LOW)
+    return CameraIdentity(
+        address=address,
+        mac=(high << 32 | low).to_bytes(6, "big").hex(":"),
+        vendor=_text(memory, Bootstrap.MANUFACTURER_NAME),
+        model=_text(memory, Bootstrap.MODEL_NAME),
+        serial=_text(memory, Bootstrap.SERIAL_NUMBER),
+        version=_text(memory, Bootstrap.DEVICE_VERSION),
+        user_name=_text(memory, Bootstrap.USER_DEFINED_NAME),
+    )
+
+
+def _text(memory: bytes, register: Bootstrap) -> str:
+    field = memory[register : register + gev.TEXT_BYTES[register]]
+    return field.split(b"\0", 1)[0].decode("utf-8", errors="replace").strip()
+
+
+def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
+    """Find all GigE Vision devices that reply on one network interface; needs no control.
+
+    A device also replies if its address belongs to another subnet.
+    """
+    found: dict[tuple[str, str], CameraIdentity] = {}
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller, contextlib.suppress(OSError):
+        caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        caller.bind((interface.address, 0))  # also selects the interface
+        caller.sendto(gvcp.encode(GvcpCommand.DISCOVERY, REQUEST_ID), (EVERYBODY, gev.GVCP_PORT))
+        deadline_s = time.monotonic() + limit_s
+        while (left_s := deadline_s - time.monotonic()) > 0.0 and select.select([caller], [], [], left_s)[0]:
+            with contextlib.suppress(MalformedReply):
+                identity = _decode_reply(*caller.recvfrom(DATAGRAM_LIMIT_BYTES))
+                found[identity.address, identity.serial] = identity
+    return tuple(sorted(found.values(), key=lambda identity: IPv4Address(identity.address)))
+
+
+def cameras_near(address: str) -> str:
+    """List in words the cameras on the network of an address; no other network is queried."""
+    if (interface := interface_of(address)) is None:
+        return f"no network interface of this computer is in the subnet of {address}"
+    if not (cameras := discover_cameras(interface)):
+        return "no camera replied to broadcast discovery"
+    return "broadcast discovery found " + ", ".join(f"{each.serial} at {each.address}" for each in cameras)
+
+
+def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
+    """Decode a reply to broadcast discovery; raises GEV-008 for anything else."""
+    acknowledge = gvcp.decode(datagram)
+    if (
+        acknowledge is None
+        or acknowledge.command != GvcpCommand.DISCOVERY_ACK
+        or acknowledge.status != GevStatus.SUCCESS
+    ):
+        raise MalformedReply(f"{sender[0]}: not a reply to discovery", wire=datagram[:16])
+    # a camera of another subnet also replies: its own address is in the reply
+    place = acknowledge.payload[Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES]
+    own = socket.inet_ntoa(place) if any(place) and len(place) == gev.REGISTER_BYTES else sender[0]
+    return decode_identity(acknowledge.payload, own)

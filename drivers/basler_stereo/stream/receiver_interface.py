@@ -1,0 +1,181 @@
+"""Interface between the driver and its receiver process: orders one way, frames in shared memory the other.
+
+An order is one datagram with the file descriptors it needs. The memory is anonymous and passed by file
+descriptor, so nothing is left behind whichever process dies. Frames rotate through a few slots. Each slot has
+a use count, which a reader compares before and after copying to detect a frame overwritten in between.
+Neither side ever waits for the other.
+"""
+
+from __future__ import annotations
+
+import json
+import mmap
+import os
+import socket
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from typing import Annotated, NamedTuple
+
+from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
+from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import FieldCode, RowCodec
+
+LONGEST_ORDER_BYTES = 4096
+MOST_DESCRIPTORS = 4
+SLOTS = 32  # more than can be in reception at a time; the others stay complete for a third of a second
+_MAP = MemoryMap(b"frames")
+_COUNTERS = _MAP.counters(len(fields(StreamCounters)))
+_USE_COUNTS = _MAP.counters(SLOTS)
+_DATA_AT = -(-_MAP.size_bytes // mmap.PAGESIZE) * mmap.PAGESIZE
+
+
+@dataclass(frozen=True)
+class OpenStream:
+    """Order to receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
+
+    stream: int
+    payload_bytes: int
+    packet_bytes: int
+    resend: bool
+
+
+@dataclass(frozen=True)
+class CloseStream:
+    """Order to stop receiving a stream."""
+
+    stream: int
+
+
+@dataclass(frozen=True)
+class ExpectBlock:
+    """Order to request a triggered block if it has not begun after `patience_s`."""
+
+    stream: int
+    block_id: int
+    patience_s: float
+
+
+@dataclass(frozen=True)
+class KeepAlive:
+    """Order to send keep-alives to a camera. Descriptor: the control socket."""
+
+    camera: int
+    period_s: float
+
+
+@dataclass(frozen=True)
+class EndKeepAlive:
+    """Order to stop keep-alives."""
+
+    camera: int
+
+
+Order = OpenStream | CloseStream | ExpectBlock | KeepAlive | EndKeepAlive
+
+
+_KINDS: dict[str, type[Order]] = {
+    kind.__name__: kind for kind in (OpenStream, CloseStream, ExpectBlock, KeepAlive, EndKeepAlive)
+}
+
+
+def send_order(channel: socket.socket, order: Order, descriptors: Sequence[int] = ()) -> None:
+    """Send an order; raises OSError when the process is gone."""
+    text = json.dumps({"order": type(order).__name__, **asdict(order)}).encode()
+    socket.send_fds(channel, [text], list(descriptors))
+
+
+def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
+    """Receive the next order and its descriptors; None when the driver is gone."""
+    text, descriptors, _, _ = socket.recv_fds(channel, LONGEST_ORDER_BYTES, MOST_DESCRIPTORS)
+    if not text:
+        return None
+    fields = json.loads(text)
+    return _KINDS[fields.pop("order")](**fields), descriptors
+
+
+def _packed_leader(leader: Leader | None) -> tuple[int, ...]:
+    return (leader is not None, *(leader or (0,) * len(Leader._fields)))
+
+
+def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
+    came, *leader = values
+    return Leader(*leader) if came else None
+
+
+class _FrameNote(NamedTuple):
+    """Note about a finished frame, for fetching it."""
+
+    slot: Annotated[int, "I"]
+    use_count: Annotated[int, "Q"]
+    block_id: Annotated[int, "I"]
+    missing_packets: Annotated[int, "I"]
+    leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _packed_leader, _unpacked_leader)]
+
+
+_NOTE = RowCodec(_FrameNote)
+
+
+NOTE_BYTES = _NOTE.size_bytes
+
+
+class FrameSlots:
+    """View of one stream's memory, for either side."""
+
+    def __init__(self, fd: int, payload_bytes: int) -> None:
+        self._payload_bytes = payload_bytes
+        self._memory = mmap.mmap(fd, _size(payload_bytes))
+        self._view = memoryview(self._memory)
+        self._use_counts = _USE_COUNTS.view(self._memory)
+        self._counters = _COUNTERS.view(self._memory)
+        self._claimed = 0
+
+    @staticmethod
+    def allocate(payload_bytes: int) -> int:
+        """Allocate memory for frames of that size; return its descriptor."""
+        fd = os.memfd_create("basler_stereo")
+        os.ftruncate(fd, _size(payload_bytes))
+        return fd
+
+    def claim(self) -> tuple[int, memoryview]:
+        """Claim the least recently written slot for overwriting: its number and memory."""
+        self._claimed += 1
+        slot = self._claimed % SLOTS
+        self._use_counts[slot] = self._claimed
+        begin = _DATA_AT + slot * self._payload_bytes
+        return slot, self._view[begin : begin + self._payload_bytes]
+
+    def note(self, frame: Frame) -> bytes:
+        """Write the note about a finished frame."""
+        return _NOTE.pack(
+            _FrameNote(
+                frame.slot,
+                self._use_counts[frame.slot],
+                frame.block_id,
+                frame.missing_packets,
+                frame.leader,
+            )
+        )
+
+    def fetch(self, note: bytes) -> Frame | None:
+        """Return a copy of the frame, or None if newer ones have overwritten it."""
+        slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
+        if self._use_counts[slot] != use_count:
+            return None
+        begin = _DATA_AT + slot * self._payload_bytes
+        data = bytearray(self._view[begin : begin + self._payload_bytes])
+        if self._use_counts[slot] != use_count:
+            return None
+        return Frame(block_id, leader, data, missing)
+
+    def write_counters(self, counters: StreamCounters) -> None:
+        """Publish the counters to the other side."""
+        for index, count in enumerate(vars(counters).values()):
+            self._counters[index] = count
+
+    def counters(self) -> StreamCounters:
+        """Read the counters published by the other side."""
+        return StreamCounters(*self._counters)
+
+
+def _size(payload_bytes: int) -> int:
+    return _DATA_AT + SLOTS * payload_bytes

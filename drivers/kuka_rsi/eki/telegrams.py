@@ -1,0 +1,241 @@
+"""Telegrams of the EKI channel: split from the byte stream, and the controller's `State` read from them.
+
+EKI has no framing: a telegram ends with its root element. A truncated one is detected by the first bytes of
+the next, which would otherwise count as part of it, and the controller would go unheard until the longest
+telegram is full.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import isfinite
+from typing import NoReturn
+from xml.etree import ElementTree
+
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
+from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.bounded_input import InputRefused, parse_xml
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.wire.kuka_context import RsiContext, context_hash
+from ronna_hw.wire.kuka_eki import (
+    ACK,
+    AXIS,
+    AXIS_ATTRIBUTES,
+    STATE,
+    OperationMode,
+    Reference,
+    RsiState,
+    StateAttribute,
+)
+
+LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
+ROOTS = (STATE.encode(), ACK.encode())  # root tags with which a controller begins a telegram
+IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, Timeout and Precision"
+_MARK = re.compile(rb"[<>\"']")
+_NAME = re.compile(rb"[^\s/>]*")
+
+
+class TelegramScanner:
+    """Splitter of received bytes into complete root elements.
+
+    Padding and anything else before a root is skipped. A document type declaration is refused.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._begin = -1  # of the root, -1 between telegrams
+        self._place = 0  # scanned so far
+        self._depth = 0
+
+    def feed(self, data: bytes) -> Iterator[bytes]:
+        """Yield complete telegrams, in order; raises EKI-004 if one is truncated, too long or not XML."""
+        self._buffer += data
+        while (tag := self._next_tag()) is not None:
+            start, end = tag
+            inner = bytes(self._buffer[start + 1 : end])
+            if inner[:1] == b"!":
+                raise BadEkiTelegram("an XML declaration inside a telegram", wire=bytes(self._buffer))
+            if inner[:1] == b"?":
+                continue
+            if self._begin < 0:
+                if inner[:1] == b"/":
+                    continue  # the end of something whose beginning was lost
+                self._begin, self._depth = start, 0
+            elif _name(inner) in ROOTS:
+                self._refuse_truncated()
+            if inner[:1] == b"/":
+                self._depth -= 1
+            elif inner[-1:] != b"/":
+                self._depth += 1
+            if self._depth == 0:
+                yield bytes(self._buffer[self._begin : end + 1])
+                del self._buffer[: end + 1]
+                self._begin, self._place = -1, 0
+        if len(self._buffer) > LONGEST_TELEGRAM:
+            raise BadEkiTelegram(
+                "a telegram without end tag", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
+            )
+
+    def _next_tag(self) -> tuple[int, int] | None:
+        """Find the next "<" and its ">", respecting quotes; None until both have arrived."""
+        buffer = self._buffer
+        start = buffer.find(b"<", self._place)
+        if start < 0:
+            if self._begin < 0:
+                buffer.clear()
+            self._place = len(buffer)
+            return None
+        if self._begin < 0 and start > 0:
+            del buffer[:start]
+            start = 0
+        quote = b""
+        for mark in _MARK.finditer(buffer, start + 1):
+            found = mark[0]
+            if found == b"<":
+                self._refuse_truncated()  # no tag contains one, not even in quotes
+            if quote:
+                quote = b"" if found == quote else quote
+            elif found != b">":
+                quote = found
+            else:
+                self._place = mark.end()
+                return start, mark.start()
+        self._place = start
+        return None
+
+    def _refuse_truncated(self) -> NoReturn:
+        raise BadEkiTelegram("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
+
+
+def _name(tag: bytes) -> bytes:
+    """Return the name of an opening tag; empty for a closing one."""
+    found = _NAME.match(tag)
+    return found[0] if found else b""
+
+
+def parse_telegram(telegram: bytes) -> ElementTree.Element:
+    """Parse the root element; raises EKI-004 when the bytes are not well-formed."""
+    try:
+        return parse_xml(telegram, LONGEST_TELEGRAM)
+    except InputRefused as error:
+        raise BadEkiTelegram(f"not a well-formed telegram: {error.summary}", wire=telegram) from error
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """Content of a `State`. The last seven are None if the controller does not report them."""
+
+    received_s: float  # host monotonic
+    mode: OperationMode
+    drives: bool
+    emergency_stop: bool
+    guard_open: bool
+    moving: bool
+    error: int
+    rsi: RsiState
+    tool: int
+    axes_deg: JointVector
+    reference: str | None
+    holdon: bool | None
+    cycle_ms: int | None
+    context_hash: str | None
+    variant: str | None
+    serial: str | None
+    open_brakes: int | None  # one bit for each axis
+
+
+def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
+    """Read a `State` element; raises EKI-004 if a required value is missing or not a number."""
+    get = element.get
+    axis = element.find(AXIS)
+    if element.tag != STATE or axis is None:
+        raise BadEkiTelegram("a State without axes", wire=ElementTree.tostring(element))
+    holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
+    serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
+    try:
+        A1, A2, A3, A4, A5, A6 = (_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
+        return ControllerState(
+            received_s=received_s,
+            mode=OperationMode(element.attrib[StateAttribute.MODE]),
+            drives=_bool(element, StateAttribute.DRIVES),
+            emergency_stop=_bool(element, StateAttribute.ESTOP),
+            guard_open=_bool(element, StateAttribute.GUARD),
+            moving=_bool(element, StateAttribute.MOVING),
+            error=int(element.attrib[StateAttribute.ERROR]),
+            rsi=RsiState(int(element.attrib[StateAttribute.RSI])),
+            tool=int(element.attrib[StateAttribute.TOOL]),
+            axes_deg=(A1, A2, A3, A4, A5, A6),
+            reference=get(StateAttribute.REFERENCE),
+            holdon=None if holdon is None else bool(int(holdon)),
+            cycle_ms=None if cycle is None else int(cycle),
+            context_hash=get(StateAttribute.CONTEXT_HASH),
+            variant=get(StateAttribute.VARIANT),
+            serial=None if serial in (None, "", "0") else serial,
+            open_brakes=None if not brakes else int(brakes),
+        )
+    except (KeyError, ValueError) as error:
+        raise BadEkiTelegram(
+            f"a State that cannot be read: {error}", wire=ElementTree.tostring(element)
+        ) from error
+
+
+def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
+    """Return the facts not reported; raises EKI-005 listing every reported value that differs from ours."""
+    reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
+    facts = (
+        ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
+        ("corrections", reference.value, state.reference),
+        ("HOLDON", True, state.holdon),
+        ("context hash", context_hash(context), state.context_hash),
+        ("arm", variant.value, state.variant),
+    )
+    wrong = [
+        f"{name} is {said}, not {expected}"
+        for name, expected, said in facts
+        if said is not None and said != expected
+    ]
+    if wrong:
+        raise WrongController(
+            "the controller is not set up for this driver: " + "; ".join(wrong),
+            expected=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
+        )
+    return tuple(name for name, _, said in facts if said is None)
+
+
+def require_ready(
+    state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
+) -> None:
+    """Raise EKI-007 listing everything that forbids motion; `drives`: they must already be on."""
+    unmet = unmet_conditions(state, drives=drives, modes=modes)
+    if unmet:
+        raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
+
+
+def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...]) -> list[str]:
+    """List in words everything that forbids motion."""
+    unmet = []
+    if state.mode not in modes:
+        unmet.append(f"operating mode is {state.mode}, not {' or '.join(modes)}")
+    if state.emergency_stop:
+        unmet.append("emergency stop is active")
+    if state.guard_open:
+        unmet.append("the guard is open")
+    if state.error:
+        unmet.append(f"message {state.error} is not acknowledged")
+    if drives and not state.drives:
+        unmet.append("drives are off")
+    return unmet
+
+
+def _number(text: str) -> float:
+    """Parse a number; reject NaN, for which every comparison would be false."""
+    value = float(text)
+    if not isfinite(value):
+        raise ValueError(f"{text!r} is not a number")
+    return value
+
+
+def _bool(element: ElementTree.Element, attribute: StateAttribute) -> bool:
+    return bool(_number(element.attrib[attribute]))

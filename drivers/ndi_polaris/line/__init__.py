@@ -1,1 +1,0 @@
-"""The line to the unit: transport, framing, commands and replies, baud rate."""

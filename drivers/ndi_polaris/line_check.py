@@ -1,0 +1,302 @@
+"""Check of a tracker's line below the driver: which rate gets a reply, who has the port, and what it means.
+
+The inquiry is the driver's own: every unit answers it, and it changes nothing. A unit is never reset for
+this, not even by a break. A line that another program has open is left alone, and so is a server that speaks
+first, in XML: it is a controller, and takes every byte for a command.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import time
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.discovery import INQUIRY, LIKELY_BAUDS, inquire
+from drivers.ndi_polaris.errors import LinkLost, NotAPolaris, PortUnavailable
+from drivers.ndi_polaris.transport import open_transport
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import PortUser, clients_of_tcp_port, users_of_serial_port
+from ronna_hw.host.serial_ports import permission_advice
+from ronna_hw.wire.kuka_eki import STATE
+from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR, DEFAULT_BAUD
+
+# The driver reaches rates outside its list with a break, which a probe must not send.
+BAUDS = (*LIKELY_BAUDS, *sorted(set(COMM_BAUD_CODES.values()) - set(LIKELY_BAUDS)))
+OPEN_LIMIT_S = 2.0
+INQUIRY_LIMIT_S = 1.0  # for one rate, or for the connection
+SPEAKS_FIRST_S = 0.5  # host time; our EKI program sends its state every 0.1 s
+KEPT_BYTES = 32
+PRINTABLE_SHARE = 0.9
+EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
+LEAST_TEXT = 6  # characters for bytes to count as text
+SECTION = "lines"
+
+
+class Opening(StrEnum):
+    """Result of opening the line."""
+
+    OPENED = "opened"
+    MISSING = "missing"
+    FORBIDDEN = "forbidden"
+    HELD = "held"
+    REFUSED = "refused"  # nothing listens
+    UNREACHABLE = "unreachable"
+    CLOSED = "closed"  # accepted, and closed at once
+
+
+class Outcome(StrEnum):
+    """Result of an inquiry at one rate."""
+
+    ANSWERED = "answered"
+    GARBAGE = "garbage"
+    ECHO = "echo"
+    SILENCE = "silence"
+    REFUSED = "rate refused"  # by this computer's adapter
+    LOST = "line lost"
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """Inquiry at one rate: the end of the bytes received, and the text of a reply with a valid CRC."""
+
+    baud: int | None  # None over TCP
+    outcome: Outcome
+    heard: bytes = b""
+    reply: str = ""
+
+
+@dataclass(frozen=True)
+class LineState:
+    """Observations on one line."""
+
+    endpoint: Endpoint
+    opening: Opening
+    attempts: tuple[Attempt, ...] = ()
+    users: tuple[PortUser, ...] = ()
+    refusal: PortUnavailable | None = None  # if the line could not be opened
+
+    @property
+    def answered(self) -> Attempt | None:
+        """The attempt that got a reply, if any."""
+        return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
+
+    @property
+    def last_bytes(self) -> bytes:
+        """The end of the bytes received last."""
+        return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
+
+
+_OPENING_BY_ERROR = {
+    errno.EACCES: Opening.FORBIDDEN,
+    errno.EAGAIN: Opening.HELD,
+    errno.EBUSY: Opening.HELD,
+    errno.ECONNREFUSED: Opening.REFUSED,
+}
+
+
+def look_at_line(endpoint: Endpoint) -> LineState:
+    """Check a serial or TCP line without ever raising for what it does; raises CFG-002 for other schemes."""
+    if endpoint.require("serial", "tcp").scheme == "serial":
+        if not os.path.exists(endpoint.path):
+            return LineState(endpoint, Opening.MISSING)
+        users = users_of_serial_port(endpoint.path)
+        if not os.access(endpoint.path, os.R_OK | os.W_OK):
+            return LineState(endpoint, Opening.FORBIDDEN, users=users)
+        if users:
+            return LineState(endpoint, Opening.HELD, users=users)
+    elif users := clients_of_tcp_port(endpoint.host, endpoint.port):  # a second client may disturb theirs
+        return LineState(endpoint, Opening.HELD, users=users)
+    try:
+        transport = open_transport(endpoint, OPEN_LIMIT_S)
+    except PortUnavailable as error:
+        opening = _OPENING_BY_ERROR.get(error.number or 0, Opening.UNREACHABLE)
+        return LineState(endpoint, opening, refusal=error)
+    try:
+        attempts = _try_rates(CommandLink(transport))
+    finally:
+        transport.close()
+    closed = endpoint.scheme == "tcp" and attempts[-1].outcome is Outcome.LOST
+    return LineState(endpoint, Opening.CLOSED if closed else Opening.OPENED, () if closed else attempts)
+
+
+def _try_rates(link: CommandLink) -> tuple[Attempt, ...]:
+    attempts: list[Attempt] = []
+    for baud in BAUDS if link.transport.baud is not None else (None,):
+        attempts.append(_try_rate(link, baud))
+        if attempts[-1].outcome in (Outcome.ANSWERED, Outcome.LOST):
+            break
+    return tuple(attempts)
+
+
+def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
+    try:
+        if baud is not None:
+            link.transport.set_baud(baud)
+        elif (first := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
+            return Attempt(baud, Outcome.GARBAGE, first[-KEPT_BYTES:])
+        heard, reply = inquire(link, time.monotonic() + INQUIRY_LIMIT_S)
+    except PortUnavailable:
+        return Attempt(baud, Outcome.REFUSED)
+    except LinkLost:
+        return Attempt(baud, Outcome.LOST)
+    except NotAPolaris as error:
+        return Attempt(baud, Outcome.GARBAGE, error.wire[-KEPT_BYTES:])
+    if reply is not None:
+        outcome = Outcome.ANSWERED
+    elif INQUIRY.rstrip(CR) in heard:
+        outcome = Outcome.ECHO
+    else:
+        outcome = Outcome.GARBAGE if heard else Outcome.SILENCE
+    return Attempt(baud, outcome, heard[-KEPT_BYTES:], reply or "")
+
+
+class Diagnosis(NamedTuple):
+    """Observation and advice for display."""
+
+    well: bool
+    seen: str
+    advice: str = ""
+
+
+def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
+    """Return the doctor's entry for a line, with the bytes of every attempt."""
+    well, seen, advice = diagnose(line, of_tracker=of_tracker)
+    answered = line.answered
+    document: dict[str, Any] = {
+        "endpoint": str(line.endpoint),
+        "well": well,
+        "access": line.opening.value,
+        "answered_at_baud": answered.baud if answered else None,
+        "answer": answered.reply if answered else None,
+        "last_bytes": line.last_bytes.hex(" "),
+        "attempts": [
+            {"baud": attempt.baud, "outcome": attempt.outcome.value, "bytes": attempt.heard.hex(" ")}
+            for attempt in line.attempts
+        ],
+        "holders": [{"pid": user.pid, "name": user.name} for user in line.users],
+        "seen": seen,
+        "cause": advice,
+    }
+    return Diagnostic(f"line {line.endpoint}", well, seen, advice, SECTION, document)
+
+
+def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
+    """Interpret the state of a line: observation, likely cause, advice.
+
+    Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
+    """
+    if line.opening is not Opening.OPENED:
+        return _diagnose_refusal(line)
+    if (answered := line.answered) is not None:
+        return _diagnose_reply(answered)
+    if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
+        return Diagnosis(
+            False,
+            "lost during the inquiry",
+            "Was the adapter unplugged, or the program at the other end stopped?",
+        )
+    noisy = [attempt for attempt in line.attempts if attempt.heard]
+    if not noisy:
+        return _diagnose_silence(line)
+    if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
+        return Diagnosis(
+            False,
+            f"echoes our commands {_rate_text(noisy[0])}",
+            "A loop-back plug, or a terminal with its echo on: there is no unit.",
+        )
+    if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
+        return Diagnosis(
+            not of_tracker,
+            f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
+            "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
+        )
+    seen = "; ".join(
+        f"garbage {_rate_text(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:]
+    )
+    if (text := _as_text(noisy[-1].heard)) is not None:
+        advice = f"It sends text ({text!r}): another device or program is on this line."
+    elif line.endpoint.scheme == "tcp":
+        advice = "Another device or program is listening there: check address and port."
+    else:
+        advice = (
+            "Probably another rate, or another device. If it is the tracker: power-cycle it, which resets "
+            f"it to {DEFAULT_BAUD} baud."
+        )
+    return Diagnosis(False, seen, advice)
+
+
+def _diagnose_refusal(line: LineState) -> Diagnosis:
+    endpoint = line.endpoint
+    if line.opening is Opening.MISSING:
+        advice = "Is the adapter plugged in? The ports that exist are listed above."
+        return Diagnosis(False, f"{endpoint.path} does not exist", advice)
+    if line.opening is Opening.FORBIDDEN:
+        return Diagnosis(False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path))
+    if line.users:
+        users = " and ".join(str(user) for user in line.users)
+        return Diagnosis(
+            False,
+            f"held by another program: {users}",
+            "If it runs a case, leave it alone: its arm may be at a patient. Otherwise stop it, or use "
+            "another port.",
+        )
+    if line.opening is Opening.HELD:
+        return Diagnosis(
+            False,
+            "held by another program, not visible to this user",
+            f"Find it with: sudo fuser -v {endpoint.path}",
+        )
+    if line.opening is Opening.CLOSED:
+        return Diagnosis(
+            False,
+            "the connection is closed as soon as it is used",
+            "The unit may be serving another client: stop that one. Otherwise another program is "
+            "listening there.",
+        )
+    assert line.refusal is not None
+    return Diagnosis(False, line.refusal.reason, line.refusal.advice)
+
+
+def _diagnose_reply(attempt: Attempt) -> Diagnosis:
+    rate = "" if attempt.baud is None else f" at {attempt.baud}"
+    seen = f"answered{rate}: {attempt.reply} (last bytes {attempt.heard.hex(' ')})"
+    if attempt.baud in (None, DEFAULT_BAUD):
+        return Diagnosis(True, seen)
+    return Diagnosis(
+        True,
+        seen,
+        f"An earlier program left it at this rate. Our driver finds it there; others need {DEFAULT_BAUD}: "
+        "power-cycle the unit for them.",
+    )
+
+
+def _diagnose_silence(line: LineState) -> Diagnosis:
+    if line.endpoint.scheme == "tcp":
+        return Diagnosis(
+            False,
+            "accepts the connection and sends nothing",
+            "Another program is listening there, or the unit serves another client: check address and port.",
+        )
+    tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not Outcome.REFUSED]
+    return Diagnosis(
+        False,
+        f"silent at {', '.join(map(str, tried))} baud",
+        "Is the unit powered, is its cable plugged in, and is this its port? At power-up it sends RESET.",
+    )
+
+
+def _rate_text(attempt: Attempt) -> str:
+    return "over TCP" if attempt.baud is None else f"at {attempt.baud}"
+
+
+def _as_text(heard: bytes) -> str | None:
+    """Decode the bytes as text if most of them are printable."""
+    printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
+    if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):
+        return None
+    return heard.decode("ascii", "replace").strip()

@@ -1,0 +1,108 @@
+"""Measuring volume as read from the unit; the driver itself tests positions against it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.errors import MalformedReply, UnitError
+from drivers.ndi_polaris.unit import parameter_or, whole_number
+from ronna_hw.devices.readings import Vector3
+from ronna_hw.wire.polaris import (
+    LF,
+    PARAMETER_SELECTED_VOLUME,
+    SFLIST_DIMENSION_CHARACTERS,
+    SFLIST_DIMENSION_SCALE,
+    SFLIST_DIMENSIONS,
+    SFLIST_VOLUMES,
+)
+
+PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
+SLOPE_PER = 1000.0  # slopes are sent per 1000
+Section = tuple[float, float, float]  # of `ronna_hw.devices.tracker.BoundedTracker`
+SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
+_DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
+
+
+@dataclass(frozen=True)
+class MeasuringVolume:
+    """Measuring volume in tracker coordinates, mm: a pyramid with a knee, all of it at negative z."""
+
+    shape: str
+    far_z_mm: float  # D1
+    knee_z_mm: float  # D2
+    near_z_mm: float  # D3
+    knee_half_y_mm: float  # D4
+    knee_half_x_mm: float  # D5
+    slope_y_front: float  # D6: growth of half y per mm of depth, in front of the knee
+    slope_y_behind: float  # D7
+    slope_x: float  # D8, on both sides
+    cap_y_mm: float  # D9
+    cap_x_mm: float  # D10
+
+    def contains(self, position_mm: Vector3) -> bool | None:
+        """Test a position; None when the formula of this shape is unknown."""
+        if self.shape != PYRAMID_SHAPE:
+            return None
+        x, y, z = position_mm
+        if not self.far_z_mm <= z <= self.near_z_mm:
+            return False
+        half_x, half_y = self._halves_mm(z)
+        return abs(x) <= half_x and abs(y) <= half_y
+
+    @property
+    def sections_mm(self) -> tuple[Section, ...]:
+        """Sections where the faces bend, near to far: z, half x, half y; empty for unknown shapes."""
+        if self.shape != PYRAMID_SHAPE:
+            return ()
+        places = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
+        if self.slope_x > 0.0:
+            places.append(self.knee_z_mm - (self.cap_x_mm - self.knee_half_x_mm) / self.slope_x)
+        inside = sorted({z for z in places if self.far_z_mm <= z <= self.near_z_mm}, reverse=True)
+        return tuple((z, *self._halves_mm(z)) for z in inside)
+
+    def _halves_mm(self, z_mm: float) -> tuple[float, float]:
+        """Return half the extent along x and along y."""
+        behind_knee_mm = self.knee_z_mm - z_mm
+        slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
+        half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)
+        return min(self.knee_half_x_mm + behind_knee_mm * self.slope_x, self.cap_x_mm), half_y
+
+
+def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
+    """Parse the reply to SFLIST 03: a count of one digit, then one record per volume. Raises NDI-006."""
+    count, records = text[:1], text[1:].strip(LF).split(LF)
+    if not count.isdecimal() or int(count) != len(records):
+        raise MalformedReply(f"SFLIST announces {count or 'no'} volumes but sends {len(records)}")
+    return tuple(_parse_volume(record) for record in records)
+
+
+def _parse_volume(record: str) -> MeasuringVolume:
+    fields = [
+        record[1 + k * SFLIST_DIMENSION_CHARACTERS : 1 + (k + 1) * SFLIST_DIMENSION_CHARACTERS]
+        for k in range(SFLIST_DIMENSIONS)
+    ]
+    if not all(_DIMENSION.fullmatch(field) for field in fields):
+        raise MalformedReply("unknown form of a volume in SFLIST", wire=record.encode("ascii", "replace"))
+    d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / SFLIST_DIMENSION_SCALE for field in fields)
+    return MeasuringVolume(
+        record[0], d1, d2, d3, d4, d5, d6 / SLOPE_PER, d7 / SLOPE_PER, d8 / SLOPE_PER, d9, d10
+    )
+
+
+def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
+    """Select volume `wanted` (from 1) if given; return the volume in use, None if unknown."""
+    if wanted is not None:
+        link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
+    try:
+        volumes = parse_volumes(
+            link.ask("SFLIST", SFLIST_VOLUMES, deadline_s=deadline_s, reply_bytes=SFLIST_BYTES)
+        )
+    except (UnitError, MalformedReply):
+        return None
+    if wanted is not None:
+        index = wanted - 1
+    else:
+        index = whole_number(parameter_or(link, PARAMETER_SELECTED_VOLUME, "", deadline_s)) or 0
+    return volumes[index] if 0 <= index < len(volumes) else None

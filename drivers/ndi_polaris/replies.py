@@ -1,0 +1,372 @@
+"""Replies to TX and BX with the options 0001, 0800 and 1000: decoded, and assembled into readings. No I/O."""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from enum import Enum
+from typing import NamedTuple
+
+from drivers.ndi_polaris.errors import MalformedReply
+from drivers.ndi_polaris.measuring_volume import MeasuringVolume
+from drivers.ndi_polaris.tool_loading import LoadedTool
+from drivers.ndi_polaris.unit import DOUBTFUL_STATUS
+from ronna_hw.devices.readings import (
+    Quaternion,
+    Stamp,
+    StrayReading,
+    ToolReading,
+    TrackerFrame,
+    Validity,
+    Vector3,
+)
+from ronna_hw.wire.polaris import (
+    LF,
+    MAXIMUM_STRAYS,
+    REPLY_DISABLED,
+    REPLY_MISSING,
+    REPLY_UNOCCUPIED,
+    TX_ERROR_CHARACTERS,
+    TX_ERROR_SCALE,
+    TX_FRAME_DIGITS,
+    TX_PORT_STATUS_DIGITS,
+    TX_POSITION_CHARACTERS,
+    TX_POSITION_SCALE,
+    TX_QUATERNION_CHARACTERS,
+    TX_QUATERNION_SCALE,
+    TX_SYSTEM_STATUS_DIGITS,
+    HandleStatus,
+    PortStatus,
+)
+
+NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
+FARTHEST_MM = 9999.99  # limit of the unit's text format
+DISTURBED = 0x7F00  # every bit above the low byte reports a disturbed measurement
+REMARKABLE_PORT_STATUS = int(PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME) | DISTURBED
+_BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, frame
+_BX_STATUS_AND_FRAME = struct.Struct("<2I")
+_BX_POSITION = struct.Struct("<3f")
+_BX_SYSTEM_STATUS = struct.Struct("<H")
+_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
+_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
+_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
+_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
+_VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
+_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
+# Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
+_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
+_HEX2 = re.compile("[0-9A-F]{2}")
+_STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
+_HEX = re.compile("[0-9A-F]*")
+_STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
+_STRAY = re.compile(_POSITION * 3)
+
+
+class HandleState(Enum):
+    """State of a handle as reported by the unit."""
+
+    VALID = "valid"
+    MISSING = "missing"
+    DISABLED = "disabled"
+    UNOCCUPIED = "unoccupied"
+
+
+class HandleReport(NamedTuple):
+    """Report on one handle. Pose and error only when VALID; status and frame also when MISSING."""
+
+    handle: int
+    state: HandleState
+    rotation: Quaternion | None = None  # tracker <- tool, scalar first, as sent: not yet normalised
+    position_mm: Vector3 | None = None
+    fit_error_mm: float | None = None
+    port_status: int = 0  # bits of PortStatus
+    frame: int | None = None
+
+
+class TrackingReply(NamedTuple):
+    """Content of one reply as sent, common to both decoders."""
+
+    handles: tuple[HandleReport, ...]
+    strays_mm: tuple[Vector3, ...]
+    stray_outside: tuple[bool, ...] | None  # the unit's bits; None when it omitted those outside
+    system_status: int  # bits of SystemStatus
+
+
+def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
+    """Decode the body of a BX reply, CRC checked; `strays`: option 1000 was requested.
+
+    Raises NDI-006 when the body does not match the options.
+    """
+    try:
+        return _decode_bx_body(body, strays)
+    except (struct.error, IndexError) as error:
+        raise MalformedReply("a BX reply is too short", wire=body) from error
+
+
+def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
+    at = 1
+    handles = []
+    for _ in range(body[0]):
+        number, status = body[at], body[at + 1]
+        at += 2
+        if status == HandleStatus.VALID:
+            q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, at)
+            at += _BX_POSE.size
+            rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
+            handles.append(HandleReport(number, HandleState.VALID, rotation, position, fit, port, frame))
+        elif status == HandleStatus.MISSING:
+            port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, at)
+            at += _BX_STATUS_AND_FRAME.size
+            handles.append(HandleReport(number, HandleState.MISSING, port_status=port, frame=frame))
+        elif status == HandleStatus.DISABLED:
+            handles.append(HandleReport(number, HandleState.DISABLED))
+        else:
+            raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
+    positions: tuple[Vector3, ...] = ()
+    outside: tuple[bool, ...] | None = ()
+    if with_strays:
+        positions, outside, at = _bx_strays(body, at)
+    (system,) = _BX_SYSTEM_STATUS.unpack_from(body, at)
+    if at + _BX_SYSTEM_STATUS.size != len(body):
+        raise MalformedReply("a BX reply is too long", wire=body)
+    return TrackingReply(tuple(handles), positions, outside, system)
+
+
+def _bx_strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
+    count = body[at]
+    if count > MAXIMUM_STRAYS:
+        raise MalformedReply(f"BX announces {count} strays", limit=str(MAXIMUM_STRAYS), wire=body)
+    bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
+    outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
+    at += 1 + (count + 7) // 8
+    # Units may omit positions outside the volume; the remaining length shows whether they did.
+    sent, odd = divmod(len(body) - _BX_SYSTEM_STATUS.size - at, _BX_POSITION.size)
+    if odd or sent not in (count, count - sum(outside)):
+        raise MalformedReply(f"BX announces {count} strays but sends {sent}", wire=body)
+    flat = struct.unpack_from(f"<{3 * sent}f", body, at)
+    positions = tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
+    return positions, outside if sent == count else None, at + sent * _BX_POSITION.size
+
+
+def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
+    """Decode the text of a TX reply, CRC checked; `strays`: option 1000 was requested.
+
+    Raises NDI-006 when the text does not match the options.
+    """
+    count = _hex2(text[:2], "number of handles", text)
+    *records, tail = text[2:].split(LF)
+    if len(records) != count:
+        raise _malformed(f"TX announces {count} handles but sends {len(records)}", text)
+    handles = tuple(_tx_handle(record, text) for record in records)
+    positions: tuple[Vector3, ...] = ()
+    outside: tuple[bool, ...] | None = ()
+    if strays:
+        block, tail = tail[:-TX_SYSTEM_STATUS_DIGITS], tail[-TX_SYSTEM_STATUS_DIGITS:]
+        positions, outside = _tx_strays(block, text)
+    if not _STATUS.fullmatch(tail):
+        raise _malformed("TX has no system status", text)
+    return TrackingReply(handles, positions, outside, int(tail, 16))
+
+
+def _tx_handle(record: str, text: str) -> HandleReport:
+    number, content = _hex2(record[:2], "handle", text), record[2:]
+    if match := _VALID.fullmatch(content):
+        q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
+        return HandleReport(
+            number,
+            HandleState.VALID,
+            (
+                q0 / TX_QUATERNION_SCALE,
+                qx / TX_QUATERNION_SCALE,
+                qy / TX_QUATERNION_SCALE,
+                qz / TX_QUATERNION_SCALE,
+            ),
+            (tx / TX_POSITION_SCALE, ty / TX_POSITION_SCALE, tz / TX_POSITION_SCALE),
+            fit / TX_ERROR_SCALE,
+            int(match[9], 16),
+            int(match[10], 16),
+        )
+    if match := _MISSING.fullmatch(content):
+        return HandleReport(
+            number,
+            HandleState.MISSING,
+            port_status=int(match[1], 16),
+            frame=int(match[2], 16),
+        )
+    if match := _ABSENT.fullmatch(content):
+        state = HandleState.DISABLED if match[1] == REPLY_DISABLED else HandleState.UNOCCUPIED
+        return HandleReport(number, state)
+    raise _malformed(f"unknown form of the TX record of handle {number:02X}", text)
+
+
+def _tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
+    count = _hex2(block[:2], "number of strays", text)
+    if count > MAXIMUM_STRAYS:
+        raise _malformed(f"TX announces {count} strays", text)
+    digits = (count + 3) // 4
+    bits, rest = block[2 : 2 + digits], block[2 + digits :]
+    if len(bits) != digits or not _HEX.fullmatch(bits):
+        raise _malformed("TX has no out-of-volume bits for its strays", text)
+    # One number, padded at the front: the first stray is the highest of the `count` low bits.
+    number = int(bits, 16) if bits else 0
+    outside = tuple(bool(number >> (count - 1 - k) & 1) for k in range(count))
+    sent, odd = divmod(len(rest), _STRAY_CHARACTERS)
+    if odd or sent not in (count, count - sum(outside)):
+        raise _malformed(f"TX announces {count} strays but sends {len(rest)} characters", text)
+    positions = tuple(
+        _tx_position(rest[k : k + _STRAY_CHARACTERS], text) for k in range(0, len(rest), _STRAY_CHARACTERS)
+    )
+    return positions, outside if sent == count else None
+
+
+def _tx_position(record: str, text: str) -> Vector3:
+    match = _STRAY.fullmatch(record)
+    if not match:
+        raise _malformed("unknown form of a stray position in TX", text)
+    x, y, z = (int(value) / TX_POSITION_SCALE for value in match.groups())
+    return x, y, z
+
+
+def _hex2(digits: str, what: str, text: str) -> int:
+    if not _HEX2.fullmatch(digits):
+        raise _malformed(f"TX has no {what}", text)
+    return int(digits, 16)
+
+
+def _malformed(what: str, text: str) -> MalformedReply:
+    return MalformedReply(what, wire=text.encode("ascii", "replace"))
+
+
+def frame_number(reply: TrackingReply) -> int:
+    """Return the frame number of a reply; raises NDI-006 when no handle carries one."""
+    number: int | None = None
+    for report in reply.handles:
+        if report.frame is not None and (number is None or report.frame > number):
+            number = report.frame
+    if number is None:
+        raise MalformedReply("no handle of the reply carries a frame number")
+    return number
+
+
+def assemble(
+    reply: TrackingReply,
+    tools: tuple[LoadedTool, ...],
+    *,
+    frame: int,
+    stamp: Stamp,
+    repeated: bool,
+    volume: MeasuringVolume | None,
+    stray_to_marker_mm: float,
+) -> TrackerFrame:
+    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status.
+
+    `frame` is the frame number of the reply.
+    """
+    reports = {report.handle: report for report in reply.handles}
+    readings = []
+    seen = []
+    for tool in tools:
+        if tool.name is None or tool.definition is None:
+            continue
+        reading = _tool_reading(tool.name, reports.get(tool.handle), frame)
+        readings.append(reading)
+        if reading.rotation is not None:
+            seen.append((tool, reading))
+    if repeated:
+        validity = Validity.STALE
+    else:
+        validity = Validity.PARTIAL if reply.system_status & DOUBTFUL_STATUS else Validity.OK
+    strays = _strays(reply, seen, volume, stray_to_marker_mm) if reply.strays_mm else ()
+    return TrackerFrame(stamp, validity, tuple(readings), strays)
+
+
+def _tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolReading:
+    if report is None or report.rotation is None or report.position_mm is None:
+        outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
+        return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
+    rotation = _normalised(report.rotation)
+    if (
+        rotation is None
+        or not _is_plausible_position(report.position_mm)
+        or not _is_plausible_error(report.fit_error_mm)
+    ):
+        return ToolReading(name, Validity.CORRUPT, None, None, None)
+    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, report.fit_error_mm)
+
+
+def _validity(report: HandleReport, frame: int) -> Validity:
+    if report.frame != frame:
+        return Validity.STALE
+    if not report.port_status & REMARKABLE_PORT_STATUS:
+        return Validity.OK
+    outside = report.port_status & PortStatus.OUT_OF_VOLUME.value
+    return Validity.OUT_OF_VOLUME if outside else Validity.PARTIAL
+
+
+def _strays(
+    reply: TrackingReply,
+    seen: list[tuple[LoadedTool, ToolReading]],
+    volume: MeasuringVolume | None,
+    nearest_mm: float,
+) -> tuple[StrayReading, ...]:
+    strays = []
+    for index, position in enumerate(reply.strays_mm):
+        if not _is_plausible_position(position):
+            continue  # a stray is only a position
+        if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in seen):
+            continue
+        inside = volume.contains(position) if volume is not None else None
+        if inside is None:  # unknown volume: rely on the unit's own bit
+            inside = reply.stray_outside is None or not reply.stray_outside[index]
+        strays.append(StrayReading(position, Validity.OK if inside else Validity.OUT_OF_VOLUME))
+    return tuple(strays)
+
+
+def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nearest_mm: float) -> bool:
+    """Test whether the stray is one of the tool's own markers."""
+    assert tool.definition is not None
+    assert reading.rotation is not None
+    assert reading.position_mm is not None
+    if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
+        return False
+    placed = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
+    return any(math.dist(position, marker) < nearest_mm for marker in placed)
+
+
+def _normalised(rotation: Quaternion) -> Quaternion | None:
+    """Normalise a quaternion to scalar part >= 0; None if it is not a rotation."""
+    q0, qx, qy, qz = rotation
+    norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
+    if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also rejects NaN
+        return None
+    scale = -1.0 / norm if q0 < 0 else 1.0 / norm
+    return q0 * scale, qx * scale, qy * scale, qz * scale
+
+
+def _is_plausible_position(position_mm: Vector3) -> bool:
+    x, y, z = position_mm
+    return abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM and -FARTHEST_MM <= z < 0
+
+
+def _is_plausible_error(error_mm: float | None) -> bool:
+    return error_mm is not None and 0 <= error_mm <= FARTHEST_MM
+
+
+def _to_tracker_mm(
+    markers_mm: tuple[Vector3, ...], rotation: Quaternion, position_mm: Vector3
+) -> list[Vector3]:
+    """Transform markers to tracker coordinates: v + 2 w (u x v) + 2 u x (u x v) + t for q = (w, u)."""
+    w, ux, uy, uz = rotation
+    tx, ty, tz = position_mm
+    placed = []
+    for x, y, z in markers_mm:
+        cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
+        placed.append(
+            (
+                x + 2 * (w * cx + uy * cz - uz * cy) + tx,
+                y + 2 * (w * cy + uz * cx - ux * cz) + ty,
+                z + 2 * (w * cz + ux * cy - uy * cx) + tz,
+            )
+        )
+    return placed

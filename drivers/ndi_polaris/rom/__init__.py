@@ -1,1 +1,0 @@
-"""Tool definitions (.rom): read, write, describe and compare."""

@@ -1,0 +1,54 @@
+"""Tool definitions shipped with the driver: the robot's reference frame M and the x-shaped fiducial frame.
+
+`python -P -m drivers.ndi_polaris.shipped_tools` regenerates them; a test compares the committed files.
+"""
+
+from __future__ import annotations
+
+from datetime import date
+from pathlib import Path
+
+from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition, planar_tool
+from ronna_hw import x_frame
+
+FOLDER = Path(__file__).parent / "definitions"
+MANUFACTURER = "RONNA"
+# Frame M, four spheres on the tool mount. Six distances at least 4 mm apart, so that the pose is unique.
+ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
+
+
+def shipped_definitions() -> dict[str, ToolDefinition]:
+    """Return the shipped definitions by file name; markers in mm, in the tool's own frame."""
+    robot_frame = planar_tool(
+        "RONNA-M", ROBOT_FRAME_MARKERS_MM, manufacturer=MANUFACTURER, made_on=date(2025, 1, 6)
+    )
+    fiducials = planar_tool(
+        x_frame.PART_NUMBER,
+        x_frame.SPHERE_CENTRES_MM,
+        x_frame.OUTWARD,
+        manufacturer=MANUFACTURER,
+        made_on=date(2025, 1, 7),
+    )
+    return {"robot_frame.rom": robot_frame, f"{x_frame.NAME}.rom": fiducials}
+
+
+def find_definition(path: Path, folder: Path | None = None) -> Path:
+    """Resolve the path of a definition, relative to `folder` or else to the working directory.
+
+    A bare name without an existing file, with or without `.rom`, selects the shipped definition of that name.
+    """
+    found = path if folder is None else folder / path
+    shipped = FOLDER / f"{path.stem}.rom"
+    bare = path.name == str(path) and path.suffix in ("", ".rom")
+    return shipped if bare and not found.exists() and shipped.exists() else found
+
+
+def main() -> None:
+    """Write all shipped definitions."""
+    FOLDER.mkdir(exist_ok=True)
+    for name, tool in shipped_definitions().items():
+        (FOLDER / name).write_bytes(encode_definition(tool))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""Comparison of tool definitions: field by field, and by the marker distances that identify a tool."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from drivers.ndi_polaris.errors import SameGeometry
+from drivers.ndi_polaris.tool_definition import FIELDS, ToolDefinition, decode_definition, encode_definition
+from ronna_hw.devices.readings import Vector3
+from ronna_hw.wire import polaris_rom as layout
+
+# Segments closer in length than this may be confused: "a few mm" by the guide; NDI's own tools keep 5 mm.
+SEGMENT_TOLERANCE_MM = 3.5
+TRIANGLE_TOLERANCE_MM = 2.0  # triangles within this are the same to the unit: such tools are refused
+TRIANGLE_CORNERS = 3
+PER_MARKER = ("markers_mm", "normals", "faces", "face_normals")
+CHECKSUM_BYTES = 2
+
+
+@dataclass(frozen=True)
+class Difference:
+    """Property that differs; `distance_mm` is the distance between two marker positions."""
+
+    field: str
+    first: str
+    second: str
+    distance_mm: float | None = None
+
+
+def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[Difference, ...]:
+    """List all differences in the order of the fields, then bytes that no published field explains.
+
+    The checksum is ignored, since it follows from the rest. Empty if and only if all other bytes agree.
+    """
+    # in single precision, as in files: a tool must not differ from its own file
+    first, second = (decode_definition(encode_definition(tool)) for tool in (first, second))
+    found: list[Difference] = []
+    for property_ in FIELDS:
+        mine, theirs = getattr(first, property_.name), getattr(second, property_.name)
+        if mine == theirs:
+            continue
+        if property_.name in PER_MARKER:
+            found += _marker_differences(property_.name, mine, theirs)
+        else:
+            found.append(Difference(property_.name, _format_value(mine), _format_value(theirs)))
+    return (*found, *_unexplained_differences(encode_definition(first), encode_definition(second), found))
+
+
+def _marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> list[Difference]:
+    found = []
+    if len(mine) != len(theirs):
+        found.append(Difference(f"number of {name}", str(len(mine)), str(len(theirs))))
+    for index in range(max(len(mine), len(theirs))):
+        a = mine[index] if index < len(mine) else None
+        b = theirs[index] if index < len(theirs) else None
+        if a == b:
+            continue
+        moved = math.dist(a, b) if name == "markers_mm" and a is not None and b is not None else None
+        found.append(Difference(f"{name}[{index + 1}]", _format_value(a), _format_value(b), moved))
+    return found
+
+
+def _unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
+    """Find runs of differing bytes outside all fields, or inside a field whose value is the same."""
+    named_fields = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
+    explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
+    for property_ in FIELDS:
+        if property_.name in named_fields:
+            for offset, size in property_.spans:
+                explained.update(range(offset, offset + size))
+    found = []
+    start = None
+    for at in range(layout.ROM_BYTES + 1):
+        differs = at < layout.ROM_BYTES and mine[at] != theirs[at] and at not in explained
+        if differs and start is None:
+            start = at
+        elif not differs and start is not None:
+            where = f"byte {start}" if at == start + 1 else f"bytes {start} to {at - 1}"
+            found.append(Difference(where, mine[start:at].hex(" "), theirs[start:at].hex(" ")))
+            start = None
+    return found
+
+
+def _format_value(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, tuple):
+        return " ".join(_format_value(item) for item in value)
+    return f"{value:.7g}" if isinstance(value, float) else str(value)
+
+
+def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition) -> float | None:
+    """Return the largest difference between segment lengths, independent of the tools' origins.
+
+    Segments are paired in order of length. None for unequal numbers of markers.
+    """
+    if len(first.markers_mm) != len(second.markers_mm):
+        return None
+    pairs = zip(segment_lengths_mm(first.markers_mm), segment_lengths_mm(second.markers_mm), strict=True)
+    return max(abs(a - b) for a, b in pairs)
+
+
+@dataclass(frozen=True)
+class AlikeSegments:
+    """Pair of marker distances that are too similar; both tools are equal within one tool."""
+
+    first_tool: str
+    second_tool: str
+    first_mm: float
+    second_mm: float
+
+    def __str__(self) -> str:
+        lengths = f"{self.first_mm:.1f} and {self.second_mm:.1f} mm"
+        if self.first_tool == self.second_tool:
+            return f"{self.first_tool}: marker distances {lengths} are too similar"
+        return f"{self.first_tool} and {self.second_tool} share a marker distance: {lengths}"
+
+
+def find_alike(
+    tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[AlikeSegments, ...]:
+    """Find all segments that break the unique-geometry rules, within each tool and between every two."""
+    within = [
+        AlikeSegments(name, name, *pair)
+        for name, tool in tools.items()
+        for pair in alike_segments_mm(tool, tolerance_mm)
+    ]
+    between = [
+        AlikeSegments(name, other_name, *pair)
+        for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2)
+        for pair in shared_segments_mm(tool, other, tolerance_mm)
+    ]
+    return (*within, *between)
+
+
+def alike_segments_mm(
+    tool: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[tuple[float, float], ...]:
+    """Return segment lengths of one tool that are too similar; empty for a unique geometry."""
+    lengths = segment_lengths_mm(tool.markers_mm)
+    return tuple((a, b) for a, b in itertools.pairwise(lengths) if b - a < tolerance_mm)
+
+
+def shared_segments_mm(
+    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
+) -> tuple[tuple[float, float], ...]:
+    """Return segment lengths of two tools that are too similar, as (first, second)."""
+    theirs = segment_lengths_mm(second.markers_mm)
+    return tuple(
+        (a, b) for a in segment_lengths_mm(first.markers_mm) for b in theirs if abs(a - b) < tolerance_mm
+    )
+
+
+def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
+    """Raise NDI-012 when two of the named tools share a triangle of markers."""
+    for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
+        if shared_triangle(tool, other):
+            raise SameGeometry(
+                f"tools {name} and {other_name} share a triangle of markers",
+                limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",
+            )
+
+
+def shared_triangle(
+    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
+) -> bool:
+    """Test whether three markers of one tool are congruent with three of the other."""
+    triangles = [
+        segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
+    ]
+    return any(
+        all(abs(a - b) < tolerance_mm for a, b in zip(lengths, other, strict=True))
+        for corners in itertools.combinations(first.markers_mm, TRIANGLE_CORNERS)
+        for lengths in [segment_lengths_mm(corners)]
+        for other in triangles
+    )
+
+
+def segment_lengths_mm(markers_mm: tuple[Vector3, ...]) -> tuple[float, ...]:
+    """Return the distances between all pairs of markers, ascending."""
+    return tuple(sorted(math.dist(a, b) for a, b in itertools.combinations(markers_mm, 2)))

@@ -1,1 +1,0 @@
-"""Tools in the unit: port handles, loading, verification, and the definitions shipped with the driver."""

@@ -1,0 +1,220 @@
+"""Tracking from TSTART to TSTOP: one request per reading, in the order of the unit's frame numbers."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from itertools import combinations
+from statistics import median
+
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.errors import HandleRefused, UnitError, UnitRestarted, WrongMode
+from drivers.ndi_polaris.measuring_volume import MeasuringVolume
+from drivers.ndi_polaris.options import PolarisOptions
+from drivers.ndi_polaris.replies import TrackingReply, assemble, decode_bx, decode_tx, frame_number
+from drivers.ndi_polaris.tool_loading import LoadedTool
+from drivers.ndi_polaris.unit import ALARMING_STATUS, alarm
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import Stamp, TrackerFrame
+from ronna_hw.wire.polaris import (
+    BX_CRC_BYTES,
+    BX_HEADER_BYTES,
+    FRAME_RATE_HZ,
+    MAXIMUM_STRAYS,
+    TSTART_RESET_FRAME_COUNTER,
+    TX_FRAME_DIGITS,
+    ReplyOption,
+)
+
+FRAME_NUMBERS = 16**TX_FRAME_DIGITS  # the number wraps after 2.3 years
+NOMINAL_PERIOD_S = 1.0 / FRAME_RATE_HZ
+WINDOW_FRAMES = 60  # one second: long enough to contain a reply with hardly any delay
+WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
+LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
+LARGEST_DRIFT = 1e-3  # a quartz is within 1e-4; beyond this the nominal rate is the better estimate
+JUMP_S = 1.0  # a reply this early means that another client has reset the counter
+FRAME_OPTIONS = ReplyOption.TRANSFORMS | ReplyOption.OUT_OF_VOLUME | ReplyOption.STRAY_PASSIVE
+BYTES_PER_HANDLE = 80  # of TX, the longer form
+BYTES_PER_STRAY = 21
+REPLIES_KEPT = 10  # of which the times are reported
+_OPTIONS_TEXT = f"{FRAME_OPTIONS.value:04X}"
+
+
+@dataclass
+class TrackingStatistics:
+    """Counts since `start`, from the unit's frame numbers."""
+
+    frames: int = 0
+    repeated: int = 0
+    disturbed: int = 0  # replies that had to be requested again
+    missed: int = 0  # measurements made between two of our requests
+
+
+class Tracking:
+    """Tracking with a configured unit: tools, volume, clock. Deadlines are on the link's clock."""
+
+    def __init__(
+        self,
+        link: CommandLink,
+        tools: tuple[LoadedTool, ...],
+        volume: MeasuringVolume | None,
+        rate_hz: int,
+        options: PolarisOptions,
+        clock: Clock,
+    ) -> None:
+        self._link = link
+        self._tools = tools
+        self._volume = volume
+        self._options = options
+        self._clock = clock
+        self._frames_per_measurement = round(FRAME_RATE_HZ / rate_hz)
+        self._binary = options.reply != "TX"
+        self._longest_reply_bytes = (
+            BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
+        )
+        self.replies_s: tuple[float, ...] = ()
+        self._begin()
+
+    def _begin(self) -> None:
+        self._sequence = 0
+        self._last_count: int | None = None
+        self.statistics = TrackingStatistics()
+        self.frame_clock = FrameClock()
+
+    def start(self, deadline_s: float) -> None:
+        """Send TSTART; frame numbers begin at 0."""
+        try:
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+        except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
+            stop_tracking(self._link, deadline_s)
+            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+        self._begin()
+
+    def read(self, deadline_s: float) -> TrackerFrame:
+        """Read the next frame; raises like `PolarisTracker.read_frame`."""
+        asked_s = self._clock.now_s()
+        retries = self._link.statistics.retries
+        reply, count = self._newest(deadline_s)
+        self.statistics.disturbed += self._link.statistics.retries - retries
+        arrived_s = self._clock.now_s()
+        self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], min(self._link.waited_s, arrived_s - asked_s))
+        if reply.system_status & ALARMING_STATUS:
+            problem = alarm(reply.system_status, self._link, deadline_s)
+            if problem is not None:
+                raise problem
+        repeated = count == self._last_count
+        if repeated:
+            self.statistics.repeated += 1
+        elif self._last_count is not None:
+            step = count - self._last_count
+            self.statistics.missed += max(0, step // self._frames_per_measurement - 1)
+        self._last_count = count
+        self.statistics.frames += 1
+        self._sequence += 1
+        return assemble(
+            reply,
+            self._tools,
+            frame=frame_number(reply),
+            stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.note(count, arrived_s)),
+            repeated=repeated,
+            volume=self._volume,
+            stray_to_marker_mm=self._options.stray_to_marker_mm,
+        )
+
+    def _newest(self, deadline_s: float) -> tuple[TrackingReply, int]:
+        """Request a reply and its frame count, again if it is older than the previous one."""
+        for _ in range(2):
+            reply = self._request(deadline_s)
+            count = unwrap_frame_number(frame_number(reply), self._last_count)
+            if self._last_count is None or count >= self._last_count:
+                return reply, count
+            self._link.distrust()  # a late copy of another reply
+        raise UnitRestarted("the frame number went backwards: another client has restarted tracking")
+
+    def _request(self, deadline_s: float) -> TrackingReply:
+        try:
+            if self._binary:
+                try:
+                    return decode_bx(
+                        self._link.ask_binary(
+                            "BX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
+                        )
+                    )
+                except UnitError as error:
+                    if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
+                        raise
+                    self._binary = False  # this unit has no BX
+            return decode_tx(
+                self._link.ask(
+                    "TX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
+                )
+            )
+        except WrongMode as error:
+            raise UnitRestarted("the unit is no longer tracking") from error
+
+
+def stop_tracking(link: CommandLink, deadline_s: float) -> None:
+    """Send TSTOP; a unit that is not tracking is not an error."""
+    try:
+        link.ask("TSTOP", deadline_s=deadline_s)
+    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
+        return
+
+
+class FrameClock:
+    """Frame numbers of one run of tracking, unwrapped and fitted to theatre time by a line.
+
+    The delay of a reply is never negative, so the least delayed replies lie on the lower edge of time over
+    frame number. The least delayed reply of each second is kept. The slope is the median over all pairs of
+    these (Theil-Sen), the intercept that of the lowest line with no reply below it. The delay common to all
+    replies, the unit's processing and the transfer, cannot be separated from it.
+    """
+
+    def __init__(self) -> None:
+        self._begin()
+
+    def _begin(self) -> None:
+        self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
+        self._window = 0
+        self._earliest: tuple[int, float] | None = None  # of the current window
+        self._earliest_origin_s = math.inf
+        self._origin_s: float | None = None
+        self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
+
+    def note(self, count: int, arrived_s: float) -> float:
+        """Add a reply for frame `count`; return the fitted theatre time of that frame."""
+        if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
+            self._begin()
+        window = count // WINDOW_FRAMES
+        if window != self._window:
+            self._window = window
+            self._end_window()
+        origin_s = arrived_s - count * self.period_s
+        if origin_s < self._earliest_origin_s:
+            self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
+        if self._origin_s is None or origin_s < self._origin_s:
+            self._origin_s = origin_s
+        return self._origin_s + count * self.period_s
+
+    def _end_window(self) -> None:
+        if self._earliest is None:
+            return
+        self._kept.append(self._earliest)
+        self._earliest, self._earliest_origin_s = None, math.inf
+        if len(self._kept) >= LEAST_WINDOWS:
+            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
+            drift = slope_s / NOMINAL_PERIOD_S - 1.0
+            self.period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
+        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._kept)
+
+
+def unwrap_frame_number(number: int, last: int | None) -> int:
+    """Unwrap a frame number: the count nearest to `last` that is congruent to `number`.
+
+    A result below `last` is an older frame.
+    """
+    if last is None:
+        return number
+    half = FRAME_NUMBERS // 2
+    return last + (number - last + half) % FRAME_NUMBERS - half

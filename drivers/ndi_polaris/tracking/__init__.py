@@ -1,1 +1,0 @@
-"""Tracking: requests, replies, frame clock and readings."""

@@ -1,0 +1,221 @@
+"""State of the unit: identity, user parameters, alerts, illuminator rate, time limits."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.ndi_polaris.command_link import CommandLink
+from drivers.ndi_polaris.errors import (
+    HardwareFailure,
+    MalformedReply,
+    NotAPolaris,
+    SensorBumped,
+    TemperatureHold,
+    UnitError,
+    WrongUnit,
+)
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import DeviceError
+from ronna_hw.wire.polaris import (
+    COMMAND_TIMEOUT_S,
+    ILLUMINATOR_RATES_HZ,
+    LF,
+    PARAMETER_ALERTS,
+    PARAMETER_BUMP_CLEAR,
+    PARAMETER_BUMPED,
+    PARAMETER_FIRMWARE,
+    PARAMETER_ILLUMINATOR_RATE,
+    PARAMETER_NEW_ALERTS,
+    PARAMETER_TIMEOUT_PREFIX,
+    Alert,
+    SystemStatus,
+)
+
+PARAMETER_REPLY_BYTES = 256
+MOST_DIGITS = 10  # of 32 bits
+VENDOR = "NDI"
+FAMILY = "Polaris"
+VERSION_TEXT_BYTES = 512
+FAILURE_ALERTS = (
+    Alert.FATAL_PARAMETER
+    | Alert.SENSOR_PARAMETER
+    | Alert.MAIN_VOLTAGE
+    | Alert.SENSOR_VOLTAGE
+    | Alert.ILLUMINATOR_VOLTAGE
+    | Alert.ILLUMINATOR_CURRENT
+    | Alert.LEFT_SENSOR_TEMPERATURE
+    | Alert.RIGHT_SENSOR_TEMPERATURE
+    | Alert.MAIN_BOARD_TEMPERATURE
+    | Alert.FIRMWARE_INCOMPATIBLE
+)
+TEMPERATURE_ALERTS = Alert.TOO_HOT | Alert.TOO_COLD
+DOUBTFUL_STATUS = int(
+    SystemStatus.SYNC_ERROR
+    | SystemStatus.TOO_MUCH_INFRARED
+    | SystemStatus.CRC_ERROR
+    | SystemStatus.RECOVERABLE_EXCEPTION
+)
+# All other bits leave poses valid: wired tools plugged in or out.
+ALARMING_STATUS = int(
+    SystemStatus.HARDWARE_FAILURE | SystemStatus.DIAGNOSTICS_PENDING | SystemStatus.TEMPERATURE
+)
+TIME_LIMITS_BYTES = 2048  # about sixty lines of thirty characters
+LONGEST_BELIEVED_S = 60.0  # no command takes longer; a longer limit would only hide a dead link
+_MODEL_ENDS_AT = " Control Firmware"
+
+
+def read_identity(link: CommandLink, deadline_s: float) -> Identity:
+    """Read model, serial number and firmware by VER, GET and APIREV; raises NDI-003 for another device."""
+    text = _ask_or(link, "VER", "4", deadline_s) or _ask_or(link, "VER", "0", deadline_s)
+    lines = text.split(LF)
+    model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
+    if FAMILY.lower() not in model.lower():
+        raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
+    fields = _fields(lines[1:])
+    firmware = parameter_or(link, PARAMETER_FIRMWARE, "", deadline_s)
+    details = {
+        "freeze tag": fields.get("freeze tag", ""),
+        "characterization date": fields.get("characterization date", ""),
+        "api revision": _ask_or(link, "APIREV", "", deadline_s),
+        "combined firmware": _ask_or(link, "VER", "5", deadline_s),
+    }
+    return Identity(
+        vendor=VENDOR,
+        model=model,
+        serial=fields.get("ndi s/n", ""),
+        firmware=firmware or fields.get("freeze tag", ""),
+        details=tuple((name, value.strip()) for name, value in details.items() if value.strip()),
+    )
+
+
+def check_identity(identity: Identity, model: str | None, serial: str | None) -> None:
+    """Raise NDI-004 when model or serial number is not the expected one; None accepts any."""
+    if model is not None and model.lower() not in identity.model.lower():
+        raise WrongUnit("wrong model of unit", expected=model, got=identity.model)
+    if serial is not None and serial != identity.serial:
+        raise WrongUnit("wrong serial number", expected=serial, got=identity.serial or "none")
+
+
+def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> str:
+    """Return the reply, or an empty text when the unit lacks the command or parameter."""
+    try:
+        return link.ask(name, argument, deadline_s=deadline_s, reply_bytes=VERSION_TEXT_BYTES)
+    except UnitError:
+        return ""
+
+
+def _fields(lines: list[str]) -> dict[str, str]:
+    pairs = (line.partition(":") for line in lines if ":" in line)
+    return {name.strip().lower(): value.strip() for name, _, value in pairs}
+
+
+def refuse_pending_alerts(link: CommandLink, deadline_s: float) -> None:
+    """Raise NDI-020 or NDI-021 for an unread fault or bump from before this connection."""
+    value = parameter_or(link, PARAMETER_ALERTS, "0", deadline_s)
+    alerts = Alert(whole_number(value) or 0)
+    if alerts & FAILURE_ALERTS:
+        raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
+    if Alert.BUMP in alerts or parameter_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
+        raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
+
+
+def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None:
+    """Return the fault or hold indicated by the system status, or None.
+
+    While diagnostics are pending the alerts are read, which also makes the unit send poses again.
+    """
+    status = SystemStatus(bits)
+    alerts = read_new_alerts(link, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
+    if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
+        return HardwareFailure("the unit reports a hardware fault", got=_names(status, alerts))
+    if Alert.BUMP in alerts:
+        return SensorBumped("the unit was bumped", got=_names(status, alerts))
+    if SystemStatus.TEMPERATURE in status or alerts & TEMPERATURE_ALERTS:
+        return TemperatureHold(
+            "the unit withholds poses: temperature out of range", got=_names(status, alerts)
+        )
+    return None
+
+
+def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
+    """Read the alerts raised since the last reading; this clears the pending bit."""
+    value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
+    alerts = whole_number(value)
+    if alerts is None:
+        raise MalformedReply("unknown format of the alerts", got=value)
+    return Alert(alerts)
+
+
+def clear_bump(link: CommandLink, deadline_s: float) -> None:
+    """Acknowledge a bump; raises NDI-021 if the unit still reports one afterwards."""
+    link.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
+    read_new_alerts(link, deadline_s)
+    if read_parameter(link, PARAMETER_BUMPED, deadline_s) == "1":
+        raise SensorBumped("the unit still reports a bump after it was cleared")
+
+
+def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
+    """Set the rate by SET, or IRATE on older firmware; return the rate in use, Hz."""
+    code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
+    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
+        try:
+            link.ask(name, argument, deadline_s=deadline_s)
+        except UnitError:
+            continue
+        return rate_hz
+    kept = whole_number(parameter_or(link, PARAMETER_ILLUMINATOR_RATE, "", deadline_s))
+    return ILLUMINATOR_RATES_HZ.get(kept or 0, min(ILLUMINATOR_RATES_HZ.values()))
+
+
+def read_time_limits(link: CommandLink, deadline_s: float) -> dict[str, float]:
+    """Read the unit's time limits in seconds by command; empty when it reports none."""
+    try:
+        text = link.ask(
+            "GET", f"{PARAMETER_TIMEOUT_PREFIX}*", deadline_s=deadline_s, reply_bytes=TIME_LIMITS_BYTES
+        )
+    except UnitError:
+        return {}
+    limits_s = {}
+    for line in text.split(LF):
+        parameter, _, value = line.partition("=")
+        _, found, command = parameter.rpartition(PARAMETER_TIMEOUT_PREFIX)
+        limit_s = _seconds(value)
+        if found and command in COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
+            limits_s[command] = limit_s
+    return limits_s
+
+
+def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
+    """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 for another one."""
+    for _ in range(2):
+        text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
+        answered, _, value = text.partition("=")
+        if answered.endswith(name):  # some firmware prefixes the name with the device
+            return value.strip()
+        link.distrust()  # a late copy of another reply
+    raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())
+
+
+def whole_number(value: str) -> int | None:
+    """Parse a parameter as a whole number of 32 bits; None if it is none."""
+    return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
+
+
+def parameter_or(link: CommandLink, name: str, missing: str, deadline_s: float) -> str:
+    """Read one parameter; return `missing` if the unit lacks it."""
+    try:
+        return read_parameter(link, name, deadline_s)
+    except UnitError:
+        return missing
+
+
+def _names(status: SystemStatus, alerts: Alert) -> str:
+    text = f"system status {status.value:04X}"
+    return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text
+
+
+def _seconds(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -1,1 +1,0 @@
-"""The unit: identity, user parameters, volume, illuminators, system status."""

@@ -1,0 +1,139 @@
+"""Orders, commands, states, settings and histograms arrive unchanged between driver and real-time process."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.kuka_rsi.realtime.link_health import EDGES_US, bin_of, percentile_us
+from drivers.kuka_rsi.realtime.link_state import (
+    NO_STATE,
+    Command,
+    CommandKind,
+    Fault,
+    LinkSettings,
+    Orders,
+    Phase,
+    Record,
+    Result,
+    StopOrder,
+)
+from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.progress import PathLimits
+from ronna_hw.arm.pose import Pose
+
+SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+@pytest.fixture
+def memory() -> Iterator[int]:
+    fd = os.memfd_create("test")
+    yield fd
+    os.close(fd)
+
+
+@pytest.fixture
+def mailbox(memory: int) -> Iterator[Mailbox]:
+    Mailbox.initialise(memory)
+    box = Mailbox(memory)
+    yield box
+    box.close()
+
+
+def test_a_fresh_mailbox_holds_no_state_and_no_command(mailbox: Mailbox) -> None:
+    assert mailbox.read_state() == NO_STATE
+    assert mailbox.read_command() is None
+    assert mailbox.orders() == Orders(0, 0, 0)
+
+
+@pytest.mark.parametrize("target", [None, Pose.from_kuka(1, 2, 3, 40, 50, 60)])
+def test_a_command_arrives_unchanged(mailbox: Mailbox, target: Pose | None) -> None:
+    plan = MotionPlan(SIX, SIX[::-1], PathLimits(0.1, 0.2, 0.3), target, (7.0, 8.0, 9.0))
+    command = Command(5, CommandKind.MOVE, plan, 3)
+    mailbox.write_command(command)
+    assert mailbox.orders().command_number == 5
+    assert mailbox.read_command() == command
+
+
+@pytest.mark.hazard(51)
+@pytest.mark.parametrize("reduced", [False, True])
+def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, reduced: bool) -> None:
+    arm = kr6_r900("kr6_r900_sixx")
+    limits = working_limits(arm, 0.08).at_reduced_speed(arm) if reduced else working_limits(arm, 0.08)
+    mailbox.write_command(Command(5, CommandKind.OPEN, axes_rad=SIX, limits=limits))
+    command = mailbox.read_command()
+    assert command is not None
+    assert command.limits == limits
+
+
+def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
+    state = NO_STATE._replace(
+        cycles=7,
+        IPOC=2**40,
+        phase=Phase.RUNNING,
+        fault=Fault.MONITOR,
+        result=Result.STOPPED,
+        degraded=True,
+        settled=True,
+        stop_number=4,
+        foreign=3,
+        foreign_host="192.168.10.30",
+        measured_rad=SIX,
+        violation_kind="jerk",
+        violation_axis=6,
+        violation_value=-0.5,
+        errno=98,
+    )
+    mailbox.write_state(state)
+    assert mailbox.read_state() == state
+
+
+def test_stop_and_heartbeat_are_read_back_as_orders(mailbox: Mailbox) -> None:
+    mailbox.beat(9)
+    mailbox.order_stop(2, StopOrder.LINK)
+    assert mailbox.orders() == Orders(9, 2 * 8 + 3, 0)
+
+
+def test_a_torn_block_is_never_read_as_a_state(memory: int, mailbox: Mailbox) -> None:
+    mailbox.write_state(NO_STATE._replace(cycles=0xABCDEF))
+    content = os.pread(memory, os.fstat(memory).st_size, 0)
+    os.pwrite(memory, b"\0", content.find((0xABCDEF).to_bytes(8, "little")))
+    with pytest.raises(MailboxTorn):
+        mailbox.read_state()
+
+
+def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
+    for cycle in range(1, 301):
+        mailbox.record(Record(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
+    kept = mailbox.records()
+    assert [r.cycle for r in kept] == list(range(45, 301))
+    assert kept[-1] == Record(300, 1200, 300, 10.0, SIX, SIX, 0)
+
+
+def test_link_settings_survive_a_json_round_trip() -> None:
+    settings_given = LinkSettings(
+        "h", 1, 2, 3, 4, "v", 4, "S", ("a",), ("b", "c"), ("d",), "s", 0.1, 0.2, 0.3, 5
+    )
+    assert LinkSettings.from_json(settings_given.to_json()) == settings_given
+
+
+def test_each_turnaround_falls_between_the_edges_of_its_bin() -> None:
+    for value in (0.1, 1.99, 2.0, 2.6, 10.0, 55.5, 4000.0, 1e6):
+        k = bin_of(value)
+        assert EDGES_US[k] <= value * 1.000001
+        assert value < EDGES_US[k + 1] * 1.000001
+    assert bin_of(1e12) == len(EDGES_US) - 2
+
+
+def test_percentiles_lie_in_the_right_bin() -> None:
+    counts = [0] * (len(EDGES_US) - 1)
+    assert percentile_us(counts, 0.5) == 0.0
+    counts[bin_of(10.0)] = 99
+    counts[bin_of(1000.0)] = 1
+    assert 8.0 < percentile_us(counts, 0.5) < 13.0
+    assert 700.0 < percentile_us(counts, 0.999) < 1300.0

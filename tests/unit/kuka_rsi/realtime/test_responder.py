@@ -1,0 +1,296 @@
+"""Sessions in which the monitor, losses, silence or a missing heartbeat stop the arm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import radians
+
+import pytest
+from responder_stand import (
+    FAR,
+    LIMITS,
+    MODEL,
+    RAMP_DOWN_SHARE,
+    SETTINGS,
+    START,
+    ResponderStand,
+    begun,
+    fault_of,
+    moving,
+)
+
+from drivers.kuka_rsi.realtime.link_health import Losses
+from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Orders, Phase, Result
+from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.motion.progress import PathLimits
+from ronna_hw.arm.pose import Pose
+
+CYCLE_S = SETTINGS.cycle_ms / 1000.0
+LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises
+MOST_CYCLES = 1000
+
+
+@pytest.mark.parametrize(
+    ("limits", "kind"),
+    [
+        (PathLimits(5.0, 5.0, 20.0), "speed"),
+        (PathLimits(1.0, 10.0, 100.0), "acceleration"),
+        (PathLimits(0.5, 50.0, 5000.0), "jerk"),
+    ],
+)
+def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, kind: str) -> None:
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
+    for _ in range(400):
+        stand.cycle()
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == kind
+    assert not stand.responder.moving
+    assert stand.responder.phase is Phase.FAULT
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.hazard(51)
+def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
+    """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
+    wrist_turned = radians6(0, -90, 90, 40, 60, 60)
+    stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
+    for _ in range(3):
+        stand.cycle()
+    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
+    for _ in range(400):
+        stand.cycle()
+    violation = stand.responder.violation
+    assert violation is not None
+    assert violation.kind == "speed"
+    assert violation.limit == pytest.approx(0.1 * MODEL.full_speed_rad_s[violation.axis - 1])
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.hazard(51)
+@pytest.mark.parametrize("margin_deg", [0.5, 30.0])
+def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> None:
+    stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
+    for _ in range(3):
+        stand.cycle()
+    beyond = radians6(0, -90, 90, 0, 120.0 - margin_deg + 0.5, 0)
+    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    for _ in range(1500):
+        stand.cycle()
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "range"
+    assert stand.responder.violation.limit == pytest.approx(radians(120.0 - margin_deg))
+
+
+def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
+    beyond = radians6(0, -90, 90, 0, 125, 0)
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
+    for _ in range(1500):
+        stand.cycle()
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "range"
+    assert stand.responder.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
+    assert stand.smooth()
+
+
+def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
+    here = MODEL.forward(START)
+    away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, (*START[:5], 0.1), PathLimits(0.1, 0.1, 1.0), away))
+    for _ in range(3000):
+        stand.cycle()
+        if stand.responder.fault and not stand.responder.moving:
+            break
+    assert stand.responder.fault in (Fault.PATH, Fault.MONITOR)
+    assert not stand.responder.moving
+    assert stand.smooth(RAMP_DOWN_SHARE)
+
+
+@pytest.mark.hazard(38)
+@pytest.mark.parametrize("share_per_s", [0.5, 0.02])
+def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: float) -> None:
+    target = (START[0] + radians(40), *START[1:])
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0)))
+    for _ in range(100):
+        stand.cycle()
+    before = stand.responder.sent_rad[0]
+    stand.follows = False
+    cycles = _until_fault(stand)
+    assert stand.responder.fault is Fault.MONITOR
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "following error"
+    left = [radians(sent[0]) + START[0] - before for sent, _ in stand.sent[-cycles:]]
+    # The first set-point that the axis should have reached by now, but did not.
+    due = next(cycle for cycle, angle in enumerate(left) if angle > FOLLOWING_RAD)
+    assert cycles == pytest.approx(due + FOLLOWING_TIME_S / CYCLE_S, abs=3)
+    assert _rests_within(stand, LONGEST_STOP_S)
+    assert stand.smooth()
+
+
+@pytest.mark.hazard(38)
+def test_an_arm_clamped_near_its_target_is_stopped_instead_of_waited_for() -> None:
+    stand = moving(cycles=1, target=(START[0] + radians(2.0), *START[1:]))
+    stand.clamp_deg = 1.0
+    cycles = _until_fault(stand)
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "following error"
+    assert cycles * CYCLE_S < 2.0
+
+
+def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion() -> None:
+    stand = moving()
+    orders = Orders(stand.beat, 0, stand.commands)
+    stand.responder.idle(orders, stand.now_ns + 240_000_000)
+    assert fault_of(stand) is Fault.NONE
+    stand.responder.idle(orders, stand.now_ns + 260_000_000)
+    assert stand.responder.fault is Fault.SILENCE
+    assert not stand.responder.moving
+    before = stand.sent[-1][0]
+    stand.cycle(lost=70)
+    assert stand.sent[-1][0] == before
+
+
+@pytest.mark.hazard(30)
+def test_a_missing_heartbeat_stops_the_arm_and_ends_the_program() -> None:
+    stand = moving(cycles=1)
+    stand.beats = False
+    cycles = _until_fault(stand)
+    assert stand.responder.fault is Fault.HEARTBEAT
+    assert cycles == pytest.approx(SETTINGS.heartbeat_limit_s / CYCLE_S, abs=2)
+    assert _rests_within(stand, LONGEST_STOP_S)
+    stand.cycle()
+    assert stand.responder.phase is Phase.ENDING
+    assert stand.sent[-1][1] == 1
+    assert stand.smooth()
+
+
+def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
+    stand = begun()
+    for k in range(1000):
+        stand.beats = k % 200 == 0
+        stand.cycle()
+    assert stand.responder.fault is Fault.NONE
+
+
+@pytest.mark.hazard(30)
+def test_losing_the_parent_process_stops_the_arm_and_ends_the_program() -> None:
+    stand = moving()
+    stand.responder.parent_gone = True
+    assert _rests_within(stand, LONGEST_STOP_S)
+    stand.cycle()
+    assert stand.responder.phase is Phase.ENDING
+    assert stand.sent[-1][1] == 1
+    assert stand.smooth()
+
+
+def _until_fault(stand: ResponderStand) -> int:
+    """Run cycles until a fault is latched."""
+    for cycles in range(1, MOST_CYCLES):
+        stand.cycle()
+        if stand.responder.fault:
+            return cycles
+    raise AssertionError("no fault")
+
+
+def _rests_within(stand: ResponderStand, limit_s: float) -> bool:
+    """Test whether the set-points come to rest in that time."""
+    for _ in range(round(limit_s / CYCLE_S)):
+        stand.cycle()
+        if not stand.responder.moving:
+            return True
+    return False
+
+
+def test_more_than_three_lost_cycles_degrade_the_link_until_a_clean_second_has_passed() -> None:
+    losses = Losses(4)
+    ipoc = 0
+    for k in range(4):
+        assert not losses.degraded
+        ipoc += 8
+        assert losses.count(ipoc, k) == (1 if k else 0)
+    ipoc += 8
+    losses.count(ipoc, 4)
+    assert losses.degraded
+    assert losses.lost == 4
+    for _ in range(1000):
+        ipoc += 4
+        losses.count(ipoc, 4)
+    assert not losses.degraded
+
+
+def test_the_time_stamp_may_wrap_and_repeat_but_not_run_backwards() -> None:
+    losses = Losses(4)
+    assert losses.count(2**32 - 4, -1) == 0
+    assert losses.count(0, -1) == 0
+    assert losses.count(0, -1) == -1
+    assert losses.count(8, -1) == 1
+    assert losses.count(4, -1) == -1  # overtaken on the way
+    assert losses.count(12, -1) == 0
+    assert losses.count(60_000, -1) is None
+    assert losses.count(2**32 - 4000, -1) is None
+    for stale in (8, 4, 8):
+        assert losses.count(stale, -1) == -1
+    assert losses.count(8, -1) is None  # and again and again: that is no accident
+
+
+@pytest.mark.hazard(18)
+def test_overtaken_and_repeated_telegrams_get_no_reply_and_do_not_disturb_the_motion() -> None:
+    stand = moving()
+    for back in (4, 8, 12):
+        stand.ipoc -= back
+        assert not stand.cycle()
+        stand.ipoc += back - 4
+        assert stand.cycle()
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.responder.fault is Fault.NONE
+    assert stand.smooth()
+
+
+@pytest.mark.hazard(18)
+@pytest.mark.parametrize("stall_ms", [8, 20, 50, 100, 250, 400, 500])
+def test_a_motion_continues_smoothly_after_a_host_stall_and_arrives(stall_ms: int) -> None:
+    stand = moving()
+    assert stand.cycle(lost=stall_ms // 4)
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    assert stand.responder.fault is Fault.NONE
+    assert stand.smooth()
+    state = stand.responder.state(real_time=False, locked=False)
+    assert state.lost == stall_ms // 4
+
+
+@pytest.mark.hazard(34)
+def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
+    stand = moving()
+    stand.ipoc = 12
+    assert not stand.cycle()
+    assert stand.responder.fault is Fault.RESTARTED
+    assert not stand.cycle()
+
+
+@pytest.mark.hazard(34)
+def test_silence_while_only_another_sender_is_heard_latches_the_restarted_fault() -> None:
+    stand = moving()
+    orders = Orders(stand.beat, 0, stand.commands)
+    stand.responder.senders.count_foreign("10.0.0.3")
+    stand.responder.idle(orders, stand.now_ns + 240_000_000)
+    assert fault_of(stand) is Fault.NONE
+    stand.responder.idle(orders, stand.now_ns + 260_000_000)
+    assert fault_of(stand) is Fault.RESTARTED
+
+
+def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
+    stand = moving()
+    stand.responder.senders.count_foreign("10.0.0.3")
+    stand.run()
+    assert stand.responder.result is Result.DONE
+    state = stand.responder.state(real_time=False, locked=False)
+    assert (state.foreign, state.foreign_host) == (1, "10.0.0.3")

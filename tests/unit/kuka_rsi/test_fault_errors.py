@@ -1,0 +1,62 @@
+"""Every fault and every refusal of the real-time process becomes its error, in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.kuka_rsi.errors import (
+    ControllerRestarted,
+    DrivesOff,
+    HeartbeatLate,
+    LinkStopped,
+    MotionTripped,
+    PathFailed,
+    PoseDisagrees,
+    ProtectiveStop,
+)
+from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_refusal
+from drivers.kuka_rsi.options import KukaOptions
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Fault, LinkState, Result
+from ronna_hw.wire.kuka_eki import OperationMode
+
+
+@pytest.mark.parametrize(
+    ("fault", "error", "code"),
+    [
+        (Fault.HEARTBEAT, HeartbeatLate, "RSI-006"),
+        (Fault.PATH, PathFailed, "RSI-016"),
+        (Fault.BASE, PoseDisagrees, "RSI-015"),
+        (Fault.LINK_STOP, LinkStopped, "RSI-004"),
+        (Fault.DRIVES_OFF, DrivesOff, "EKI-009"),
+        (Fault.MONITOR, MotionTripped, "RSI-005"),
+        (Fault.PROTECTIVE, ProtectiveStop, "RSI-009"),
+        (Fault.RESTARTED, ControllerRestarted, "RSI-008"),
+    ],
+)
+def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[Exception], code: str) -> None:
+    made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
+    assert made is not None
+    with pytest.raises(error) as caught:
+        raise made
+    assert getattr(caught.value, "code", "") == code
+
+
+def _with(fault: Fault) -> LinkState:
+    return NO_STATE._replace(fault=fault, violation_kind="speed", violation_axis=1)
+
+
+def test_the_silence_error_names_the_message_that_the_controller_shows() -> None:
+    silent = NO_STATE._replace(fault=Fault.SILENCE)
+    assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT, 29002))
+    assert "message" not in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT)).split(";")[0]
+
+
+def test_every_fault_and_every_refusal_has_a_message() -> None:
+    for fault in Fault:
+        made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
+        assert (made is None) == (fault is Fault.NONE)
+    for result in Result:
+        if result.name.startswith("REFUSED"):
+            assert "arm" in str(error_of_refusal("arm", NO_STATE._replace(result=result)))
+    busy = error_of_refusal("arm", NO_STATE._replace(result=Result.REFUSED_BUSY))
+    assert (busy.code, "another motion is running" in str(busy)) == ("RSI-012", True)

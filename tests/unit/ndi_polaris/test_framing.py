@@ -1,0 +1,152 @@
+"""Frames and replies, checked against the examples in the protocol reference."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.ndi_polaris.command_link import (
+    ascii_line,
+    binary_reply_bytes,
+    encode_command,
+    open_ascii,
+    split_binary,
+    unit_error,
+    warning_meaning,
+)
+from drivers.ndi_polaris.errors import BadReplyCrc, MalformedReply
+from drivers.ndi_polaris.replies import HandleState, decode_bx, decode_tx
+from ronna_hw.wire.polaris import PortStatus, SystemStatus, crc16
+
+# one tool at (10.50, -20.25, -1500.00), no rotation, error 0.125, frame 300
+TX_VALID = "0101+10000+00000+00000+00000+001050-002025-150000+01250000000310000012C\n0000"
+TX_MISSING = "0101MISSING000000310000012D\n0000"
+BX_VALID = bytes.fromhex(
+    "C4A52D00304301"
+    "01010000803F0000000000000000000000000000284100"
+    "00A2C10080BBC40000003E310000002C01000000001D2D"
+)
+BX_MISSING = bytes.fromhex("C4A50D002983010102310000002D01000000009E7D")
+
+
+def body_of(reply: bytes) -> bytes:
+    split = split_binary(reply)
+    assert split is not None
+    assert split[1] == b""
+    return split[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "line"),
+    [
+        ("INIT", "", b"INIT:E3A5\r"),
+        ("COMM", "50000", b"COMM:500000048\r"),
+        ("PHRQ", "*********1****", b"PHRQ:*********1****A4C1\r"),
+        ("TSTART", "80", b"TSTART:801B0B\r"),
+        ("BX", "1801", b"BX:1801FCED\r"),
+    ],
+)
+def test_commands_carry_the_published_crc(name: str, argument: str, line: bytes) -> None:
+    assert encode_command(name, argument) == line
+
+
+def test_an_ascii_reply_gives_its_text() -> None:
+    assert open_ascii(b"OKAYA896") == "OKAY"
+    assert ascii_line(b"OKAYA896\rrest") == (b"OKAYA896", b"rest")
+    assert ascii_line(b"OKAYA8") is None
+
+
+@pytest.mark.parametrize("line", [b"OKAYA897", b"OKAYa896", b"A896", b"OK", b"", b"OKAZA896"])
+def test_an_ascii_reply_with_a_wrong_crc_is_refused(line: bytes) -> None:
+    with pytest.raises(BadReplyCrc):
+        open_ascii(line)
+
+
+def test_error_and_warning_replies_are_recognised() -> None:
+    error = unit_error("ERROR0C", "PHSR")
+    assert error is not None
+    assert error.vendor_code == 0x0C
+    assert unit_error("OKAY") is None
+    assert warning_meaning("OKAY") is None
+    assert "geometry" in (warning_meaning("WARNING02") or "")
+    assert warning_meaning("WARNING")
+    assert warning_meaning("WARNING77")
+
+
+def test_a_tx_reply_gives_pose_status_and_frame() -> None:
+    assert crc16(TX_VALID.encode()) == 0x361F
+    reply = decode_tx(TX_VALID, strays=False)
+    (report,) = reply.handles
+    assert report.state is HandleState.VALID
+    assert report.handle == 1
+    assert report.rotation == (1.0, 0.0, 0.0, 0.0)
+    assert report.position_mm == (10.5, -20.25, -1500.0)
+    assert report.fit_error_mm == 0.125
+    assert report.port_status == PortStatus.OCCUPIED | PortStatus.INITIALISED | PortStatus.ENABLED
+    assert report.frame == 300
+    assert reply.system_status == SystemStatus(0)
+
+
+def test_a_tx_reply_keeps_status_and_frame_of_a_missing_tool() -> None:
+    assert crc16(TX_MISSING.encode()) == 0xC380
+    (report,) = decode_tx(TX_MISSING, strays=False).handles
+    assert report.state is HandleState.MISSING
+    assert report.frame == 301
+    assert report.rotation is None
+
+
+@pytest.mark.parametrize("word", ["DISABLED", "UNOCCUPIED", "DISABLED0000000100000001"])
+def test_a_tx_reply_with_an_absent_handle_is_decoded_with_or_without_status(word: str) -> None:
+    (report,) = decode_tx(f"0102{word}\n0000", strays=False).handles
+    assert report.state.value == word.split("0")[0].lower()
+    assert report.frame is None
+
+
+def test_tx_strays_are_decoded_with_front_padded_outside_bits() -> None:
+    strays = "+001000+002000-150000" + "-001000-002000-250000" + "+000000+000000-100000"
+    reply = decode_tx(f"0101MISSING000000310000012D\n033{strays}0002")
+    assert reply.strays_mm == ((10, 20, -1500), (-10, -20, -2500), (0, 0, -1000))
+    assert reply.stray_outside == (False, True, True)
+    assert reply.system_status == SystemStatus.TOO_MUCH_INFRARED
+
+
+def test_tx_strays_are_decoded_without_outside_bits() -> None:
+    reply = decode_tx("0101MISSING000000310000012D\n024+001000+002000-1500000000".replace("024", "022"))
+    assert reply.strays_mm == ((10, 20, -1500),)
+    assert reply.stray_outside is None
+
+
+def test_a_bx_reply_decodes_to_the_same_as_the_tx_reply_of_the_same_frame() -> None:
+    body = body_of(BX_VALID)
+    assert binary_reply_bytes(BX_VALID) == len(BX_VALID) == 53
+    assert decode_bx(body, strays=False) == decode_tx(TX_VALID, strays=False)
+    assert decode_bx(body_of(BX_MISSING), strays=False) == decode_tx(TX_MISSING, strays=False)
+
+
+@pytest.mark.hazard(16)
+def test_every_single_bit_error_in_a_binary_reply_is_detected() -> None:
+    for position in range(len(BX_VALID)):
+        for bit in range(8):
+            broken = bytearray(BX_VALID)
+            broken[position] ^= 1 << bit
+            with pytest.raises((BadReplyCrc, MalformedReply)):
+                split_binary(bytes(broken))
+
+
+def test_a_binary_reply_is_split_off_only_once_it_is_complete() -> None:
+    for length in range(len(BX_VALID)):
+        assert split_binary(BX_VALID[:length]) is None
+    assert split_binary(BX_VALID + b"more") == (body_of(BX_VALID), b"more")
+
+
+def bit_by_bit(data: bytes, crc: int) -> int:
+    """The CRC straight from its definition, without a table."""
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
+    return crc
+
+
+@given(st.binary(max_size=70), st.integers(0, 0xFFFF))
+def test_the_crc_matches_its_bit_by_bit_definition(data: bytes, start: int) -> None:
+    assert crc16(data, start) == bit_by_bit(data, start)

@@ -1,0 +1,350 @@
+"""The tracker's probe tells what is on its line, why nothing answers, and what to do about it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import socket
+import subprocess
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+
+import pytest
+
+from drivers.ndi_polaris import discovery, line_check
+from drivers.ndi_polaris.line_check import (
+    LineState,
+    Opening,
+    Outcome,
+    diagnose,
+    line_diagnostic,
+    look_at_line,
+)
+from drivers.ndi_polaris.probe import find_trackers, probe
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.discovery import ONLY, Search
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.host.port_users import PortUser
+from ronna_hw.wire.polaris import crc16
+
+ANSWER = b"G.001.005%04X\r" % crc16(b"G.001.005")
+RATES = {termios.B9600: 9600, termios.B115200: 115200, termios.B230400: 230400}
+Hears = Callable[[int, bytes], bytes]  # rate of the host, what it said -> what it hears
+
+
+class OtherEnd:
+    """Other end of a pseudo-terminal, which sees at which rate the host speaks."""
+
+    def __init__(self, answer: Hears) -> None:
+        self.answer = answer
+        self.heard: list[tuple[int, bytes]] = []
+        self.master, self.slave = os.openpty()
+        tty.setraw(self.slave)
+        self.path = os.ttyname(self.slave)
+        self.endpoint = parse_endpoint(f"serial://{self.path}")
+        self.thread = threading.Thread(target=self.serve, daemon=True)
+        self.thread.start()
+
+    def serve(self) -> None:
+        while True:
+            try:
+                said = os.read(self.master, 4096)
+            except OSError:
+                return
+            if said == b"END":
+                return
+            rate = RATES.get(termios.tcgetattr(self.slave)[5], 0)
+            self.heard.append((rate, said))
+            os.write(self.master, self.answer(rate, said))
+
+    def close(self) -> None:
+        os.write(self.slave, b"END")
+        self.thread.join(10.0)
+        os.close(self.master)
+        os.close(self.slave)
+
+
+@pytest.fixture
+def other_end() -> Iterator[Callable[[Hears], OtherEnd]]:
+    ends: list[OtherEnd] = []
+
+    def make(answer: Hears) -> OtherEnd:
+        ends.append(OtherEnd(answer))
+        return ends[-1]
+
+    yield make
+    for end in ends:
+        end.close()
+
+
+@pytest.fixture(autouse=True)
+def _impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(discovery, "REPLY_LIMIT_S", 0.1)
+    monkeypatch.setattr(line_check, "BAUDS", (9600, 115200, 230400))
+
+
+def unit_at(baud: int, elsewhere: bytes = b"") -> Hears:
+    return lambda rate, _said: ANSWER if rate == baud else elsewhere
+
+
+def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Hears], OtherEnd]) -> None:
+    state = look_at_line(other_end(unit_at(9600)).endpoint)
+    diagnosis = diagnose(state)
+    assert (diagnosis.well, diagnosis.advice) == (True, "")
+    assert diagnosis.seen == f"answered at 9600: G.001.005 (last bytes {ANSWER.hex(' ')})"
+    assert len(state.attempts) == 1
+    assert state.last_bytes == ANSWER
+
+
+@pytest.mark.parametrize("elsewhere", [b"", b"\x80\xff\x00"])
+def test_a_unit_left_at_another_rate_is_found_there(
+    other_end: Callable[[Hears], OtherEnd], elsewhere: bytes
+) -> None:
+    state = look_at_line(other_end(unit_at(115200, elsewhere)).endpoint)
+    diagnosis = diagnose(state)
+    assert diagnosis.well
+    assert diagnosis.seen.startswith("answered at 115200: G.001.005")
+    assert "An earlier program left it at this rate" in diagnosis.advice
+    assert [attempt.baud for attempt in state.attempts] == [9600, 115200]
+
+
+def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Hears], OtherEnd]) -> None:
+    state = look_at_line(other_end(lambda rate, _: b"\x80\xf8\x00\xe6" if rate == 9600 else b"").endpoint)
+    diagnosis = diagnose(state)
+    assert not diagnosis.well
+    assert diagnosis.seen == "garbage at 9600: bytes 80 f8 00 e6"
+    assert "Probably another rate, or another device" in diagnosis.advice
+    assert "resets it to 9600 baud" in diagnosis.advice
+    assert [attempt.outcome for attempt in state.attempts] == [
+        Outcome.GARBAGE, Outcome.SILENCE, Outcome.SILENCE
+    ]  # fmt: skip
+
+
+def test_text_from_another_device_is_quoted(other_end: Callable[[Hears], OtherEnd]) -> None:
+    diagnosis = diagnose(look_at_line(other_end(lambda _rate, _said: b"\r\nlogin: ").endpoint))
+    assert "'login:'" in diagnosis.advice
+
+
+def test_a_loopback_is_recognised(other_end: Callable[[Hears], OtherEnd]) -> None:
+    diagnosis = diagnose(look_at_line(other_end(lambda _rate, said: said).endpoint))
+    assert not diagnosis.well
+    assert "echoes our commands" in diagnosis.seen
+
+
+def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Hears], OtherEnd]) -> None:
+    answers = iter([b"\xff\xfe", ANSWER])
+    state = look_at_line(other_end(lambda _rate, _said: next(answers)).endpoint)
+    assert state.answered is not None
+    assert state.answered.baud == 9600
+
+
+def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Hears], OtherEnd]) -> None:
+    end = other_end(lambda _rate, _said: b"")
+    diagnosis = diagnose(look_at_line(end.endpoint))
+    assert diagnosis.seen == "silent at 9600, 115200, 230400 baud"
+    assert "powered" in diagnosis.advice
+    assert [rate for rate, _ in end.heard] == [9600, 115200, 230400]
+    assert {said for _, said in end.heard} == {b"APIREV:443E\r"}
+
+
+@pytest.fixture
+def other_program(other_end: Callable[[Hears], OtherEnd]) -> Iterator[tuple[OtherEnd, int]]:
+    """Return line and pid of a program that has the line open."""
+    end = other_end(unit_at(9600))
+    program = (
+        f"import sys; port = open({end.path!r}, 'r+b', buffering=0); "
+        "print('open', flush=True); sys.stdin.read()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == "open\n"
+    yield end, child.pid
+    child.communicate("")
+
+
+def test_another_program_is_named_and_its_line_is_left_alone(other_program: tuple[OtherEnd, int]) -> None:
+    end, pid = other_program
+    state = look_at_line(end.endpoint)
+    diagnosis = diagnose(state)
+    assert not diagnosis.well
+    assert diagnosis.seen.startswith("held by another program: ")
+    assert f"(pid {pid})" in diagnosis.seen
+    assert end.heard == []
+
+
+@pytest.mark.hazard(34)
+def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(line_check, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
+    with socket.create_server(("127.0.0.1", 0)) as unit:
+        diagnosis = diagnose(look_at_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
+        unit.setblocking(False)
+        with pytest.raises(BlockingIOError):
+            unit.accept()
+    assert diagnosis.seen == "held by another program: ronna-procedure (pid 4711)"
+    assert "leave it alone" in diagnosis.advice
+
+
+def test_a_lock_with_an_invisible_holder_is_reported(
+    other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end = other_end(unit_at(9600))
+    monkeypatch.setattr(line_check, "users_of_serial_port", lambda _path: ())
+    locked = os.open(end.path, os.O_RDWR | os.O_NOCTTY)
+    try:
+        fcntl.flock(locked, fcntl.LOCK_EX)
+        diagnosis = diagnose(look_at_line(end.endpoint))
+    finally:
+        os.close(locked)
+    assert "held by another program, not visible to this user" in diagnosis.seen
+    assert f"sudo fuser -v {end.path}" in diagnosis.advice
+
+
+def test_a_missing_permission_is_reported_and_nothing_is_sent(
+    other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    end = other_end(unit_at(9600))
+    monkeypatch.setattr(line_check.os, "access", lambda _path, _mode: False)
+    state = look_at_line(end.endpoint)
+    assert state.opening is Opening.FORBIDDEN
+    diagnosis = diagnose(state)
+    assert diagnosis.seen == f"permission denied: {end.path}"
+    assert end.heard == []
+
+
+def test_a_port_that_does_not_exist_is_reported() -> None:
+    diagnosis = diagnose(look_at_line(Endpoint("serial", path="/dev/no-such-port")))
+    assert "does not exist" in diagnosis.seen
+
+
+# --- TCP ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
+    """Open a TCP port that answers everything with the same bytes, or hangs up when they are None."""
+    servers: list[socket.socket] = []
+
+    def make(answer: bytes | None) -> Endpoint:
+        server = socket.create_server(("127.0.0.1", 0))
+        servers.append(server)
+
+        def serve() -> None:
+            try:
+                peer, _ = server.accept()
+            except OSError:
+                return
+            with peer:
+                while peer.recv(4096) and answer is not None:
+                    peer.sendall(answer)
+
+        threading.Thread(target=serve, daemon=True).start()
+        return Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1])
+
+    yield make
+    for server in servers:
+        server.close()
+
+
+@pytest.mark.parametrize(
+    ("answer", "well", "words"),
+    [
+        (ANSWER, True, "answered: G.001.005"),
+        (b"\x00\x01\xfe\xff", False, "garbage over TCP: bytes 00 01 fe ff"),
+        (b'<State Mode="EXT"></State>', False, "a robot controller that sends its state over EKI"),
+        (b"", False, "sends nothing"),
+        (None, False, "closed as soon as it is used"),
+    ],
+)
+def test_each_kind_of_tcp_peer_is_diagnosed(
+    listener: Callable[[bytes | None], Endpoint],
+    monkeypatch: pytest.MonkeyPatch,
+    answer: bytes | None,
+    well: bool,
+    words: str,
+) -> None:
+    monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
+    diagnosis = diagnose(look_at_line(listener(answer)))
+    assert diagnosis.well is well
+    assert words in diagnosis.seen
+    assert bool(diagnosis.advice) is not well
+
+
+def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
+    listener: Callable[[bytes | None], Endpoint], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
+    (found,) = probe.look_at([listener(b'<State Mode="EXT"></State>')], lambda _share: None)
+    assert found.well
+    assert found.seen == "a robot controller that sends its state over EKI"
+    assert "eki_project of [robot.master]" in found.advice
+
+
+def test_a_controller_that_speaks_first_is_sent_nothing() -> None:
+    shown: list[bytes] = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def serve() -> None:
+            with server.accept()[0] as peer:
+                peer.sendall(b'<State Mode="EXT"></State>')
+                shown.append(peer.recv(4096))
+
+        controller = threading.Thread(target=serve)
+        controller.start()
+        seen = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1]))).seen
+        controller.join()
+    assert shown == [b""]
+    assert "a robot controller that sends its state over EKI" in seen
+
+
+def test_an_address_where_nothing_listens_is_reported() -> None:
+    diagnosis = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=1)))
+    assert not diagnosis.well
+    assert "Nothing listens" in diagnosis.advice
+
+
+# --- the diagnostics --------------------------------------------------------------------------------------
+
+
+def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Hears], OtherEnd]) -> None:
+    end = other_end(unit_at(115200, b"\xfe\xff"))
+    diagnostic = line_diagnostic(look_at_line(end.endpoint), of_tracker=True)
+    assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")
+    assert diagnostic.document is not None
+    assert diagnostic.document["answered_at_baud"] == 115200
+    assert [attempt["outcome"] for attempt in diagnostic.document["attempts"]] == ["garbage", "answered"]
+    assert diagnostic.document["attempts"][0]["bytes"] == "fe ff"
+    assert diagnostic.document["last_bytes"] == ANSWER.hex(" ")
+
+
+def test_a_line_that_was_not_opened_has_no_attempts() -> None:
+    diagnostic = line_diagnostic(
+        LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING), of_tracker=True
+    )
+    assert diagnostic.document is not None
+    assert diagnostic.document["attempts"] == []
+
+
+def test_the_cause_found_on_the_line_becomes_the_advice_for_the_device() -> None:
+    shares: list[float] = []
+    config = DeviceConfig(driver="ndi_polaris", endpoint="serial:///dev/no-such-port")
+    line_seen, device = probe("tracker", config, shares.append)
+    assert shares == [0.5]
+    assert line_seen.subject == "line serial:///dev/no-such-port"
+    assert device.subject == "device tracker"
+    assert "NDI-001" in device.seen
+    assert device.advice == line_seen.advice
+
+
+def test_a_line_that_does_not_exist_is_named_with_the_ports_that_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = SimpleNamespace(device="/dev/ttyUSB0")
+    monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [port])
+    lines = (parse_endpoint("serial:///dev/ttyUSB99"),)
+    (missing,) = find_trackers(Search(lines=lines), lambda share: None)
+    assert missing.absent == ("/dev/ttyUSB99 does not exist; the serial ports of this computer: /dev/ttyUSB0")
+    assert missing.endpoints == {ONLY: "serial:///dev/ttyUSB99"}
