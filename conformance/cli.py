@@ -57,8 +57,7 @@ def conformance(
     json: JsonOption = False,
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
-    from conformance.choice import Choice, resolve
-    from conformance.device_under_test import device_under_test
+    from conformance.device_under_test import Choice, device_under_test, resolve
     from conformance.report import run_suite
     from ronna_hw.records import write_whole
 
@@ -86,7 +85,7 @@ def conformance(
 
 def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
     """The name of the person who confirms that the device may move; raises CNF-005 without one."""
-    from conformance.errors import NotConfirmed
+    from conformance.case import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
     tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")

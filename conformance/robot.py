@@ -17,22 +17,23 @@ from functools import partial
 from math import degrees, radians
 from typing import Any
 
-from conformance.any_device import (
+from conformance.case import MOTION, Suite, check, refused
+from conformance.device_cases import (
+    DeviceCases,
+    Interruption,
     closes,
     fails_to_connect,
     identifies_device,
+    observe,
     offers,
     refuses_early,
     refuses_unknown_options,
 )
-from conformance.case import MOTION, Suite, check, refused
-from conformance.device_cases import DeviceCases, Interruption, observe
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.motion import JointMove, LineMove
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
-from ronna_hw.devices.robot import OperatingMode, RobotArm, StopKind
+from ronna_hw.devices.robot import JointMove, LineMove, OperatingMode, RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device

@@ -15,8 +15,16 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid
-from ronna_hw.arm.clearance.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.clearance.bodies import (
+    ArmRadii,
+    Capsule,
+    Corridor,
+    Obstacle,
+    Part,
+    SpeedZone,
+    Surroundings,
+    covering_ellipsoid,
+)
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.plausible import FARTHEST_MM, Length, farther_than

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 EXIT_DONE = 0
 EXIT_FAILED = 1

@@ -15,9 +15,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 
 FEWEST, MOST = 3, 4  # with more, their number identifies them
 LEAST_DISTANCE_MM = 15.0  # two 11.5 mm spheres, and a gap that a CT shows

@@ -25,7 +25,7 @@ from ronna_hw.errors import (
     RonnaError,
     StateError,
 )
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import without_controls
 
 REDACTED = "[redacted]"
 TEXT_LIMIT = 1000  # characters of one value: a line stays a line

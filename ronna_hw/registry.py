@@ -16,12 +16,12 @@ from typing import Any, Protocol
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Finder
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.probing import (
     Diagnostic,
     EndpointProbe,
+    Finder,
     Inspection,
     Probe,
     Progress,

@@ -7,6 +7,7 @@ with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracke
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,19 +16,45 @@ from typing import Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
-from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
-from ronna_hw.devices.errors import NotInTheatre, TheatreClosed
-from ronna_hw.devices.interfaces import require_interface
+from ronna_hw.devices.capabilities import ByteSink, RecordsBytes
+from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
-from ronna_hw.devices.stereo import StereoPair
-from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.devices.sensors import OpticalTracker, StereoPair
 from ronna_hw.errors import summary_of
-from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.process import interruption_deferred
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
 
 D = TypeVar("D")
+
+_OF_KIND: dict[str, Callable[..., Device]] = {
+    "tracker": OpticalTracker,
+    "robot": RobotArm,
+    "stereo": StereoPair,
+}
+
+
+def interface_of(table: str) -> Callable[..., Device]:
+    """That of a table such as `robot.master`; for `[device.NAME]` any device will do."""
+    return _OF_KIND.get(table.partition(".")[0], Device)
+
+
+def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
+    """The device of a table as `interface`, a runtime-checkable protocol or a class.
+
+    Raises DEV-008 naming what the driver lacks.
+    """
+    if not isinstance(device, cast("type", interface)):
+        lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
+        raise WrongKind(
+            f"{table}: driver {driver} does not provide {interface.__name__}",
+            got=f"it lacks {', '.join(lacking)}" if lacking else None,
+        )
+    return cast("D", device)
+
+
 DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
 STOP_LIMIT_S = 5.0  # host time, for all arms together
 
@@ -225,3 +252,76 @@ def _stop(arm: RobotArm, failures: list[str]) -> None:
     except Exception as error:  # `close` continues, and the link stops the arm when it ends
         logger(device=arm.name).error("may not be at rest: the stop failed", cause=error)
         failures.append(f"{arm.name} may not be at rest, the stop failed: {summary_of(error)}")
+
+
+NAME = "ronna-sim theatre"
+CONTROLLER_SAYS = "pendant at "  # prefix of a message on the simulated controller's pendant
+
+
+class TheatreProcess:
+    """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
+
+    def __init__(
+        self, *arguments: str, on_controller_message: Callable[[str], None] = lambda _line: None
+    ) -> None:
+        """`on_controller_message` is called with each message on the simulated controller's pendant."""
+
+        def on_message(line: str) -> None:
+            if line.startswith(CONTROLLER_SAYS):
+                on_controller_message(line)
+
+        self.child = ChildProcess(
+            NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, on_message=on_message
+        )
+
+    def await_ready(self) -> None:
+        """Return once every device is ready; raises PRC-001 with the command's own message."""
+        self.child.await_ready()
+
+    @property
+    def file(self) -> Path:
+        """The theatre file that was written."""
+        return Path(self.child.ready["file"])
+
+    @property
+    def control(self) -> str:
+        """Endpoint of the control port."""
+        return str(self.child.ready["endpoints"]["control"])
+
+    def end(self) -> None:
+        """Bounded in time, never raises; an interruption in the meantime takes effect afterwards."""
+        with interruption_deferred():
+            self.child.stop()
+
+
+class SimulatedTheatre(Theatre):
+    """A theatre whose devices are simulated."""
+
+    control: str = ""  # endpoint for `ronna-sim mount` and `ronna-sim fault`
+
+    @classmethod
+    def of(cls, process: TheatreProcess) -> Self:
+        """The theatre of a ready process."""
+        theatre = cls.from_file(process.file)
+        theatre.control = process.control
+        return theatre
+
+
+@contextmanager
+def simulated_theatre(
+    scene: str = "mini", *, seed: int = 0, timeout_s: float = 10.0
+) -> Iterator[SimulatedTheatre]:
+    """Start a simulated theatre, connect and configure its devices, and end all of it with the block.
+
+    `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
+    message when there is no such scene, and the errors of `open_theatre`.
+    """
+    with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
+        process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder)
+        try:
+            process.await_ready()
+            with SimulatedTheatre.of(process) as theatre:
+                theatre.connect(timeout_s)
+                yield theatre
+        finally:
+            process.end()

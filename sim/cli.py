@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import ronna_hw.command_line.early_interruption
-import ronna_hw.host.parent_process  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
+import ronna_hw.host.process  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
 
 # isort: split
 import typer
 
 from ronna_hw.command_line.terminal import run
-from ronna_hw.host.starting_up import begin_start
+from ronna_hw.host.process import begin_start
 
 app = typer.Typer(
     name="ronna-sim",

@@ -5,22 +5,180 @@ from __future__ import annotations
 import socket
 import struct
 import time
+from typing import Protocol, runtime_checkable
 
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.gige.link import GigeLink, cameras, controlled
+from conformance.gige.client import GigeFeatures, GigeLink, cameras, controlled
 from conformance.gige.stream import GigeStream, started
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.wire.gige_vision import (
     CCP_CONTROL,
     CCP_EXCLUSIVE,
     CCP_OPEN,
+    DISCOVERY_BYTES,
     GVCP_KEY,
     GVCP_PORT,
     HEARTBEAT_MINIMUM_MS,
+    READMEM_LIMIT,
+    REGISTER_BYTES,
+    TEXT_BYTES,
     Bootstrap,
     GevStatus,
     GvcpCommand,
 )
+
+UNKNOWN_COMMAND = 0x0F00
+ABSENT_ADDRESS = 0xFFFF_FF00
+PAIRS = 5
+
+CASES = CaseList()
+case = CASES.case
+
+
+@runtime_checkable
+class TellsBlockIds(StereoPair, Protocol):
+    """A pair that reports the block ids of its last images."""
+
+    @property
+    def block_ids(self) -> tuple[int | None, int | None]:
+        """Left and right; None for a missing image."""
+        ...
+
+
+@case("G02", "discovery returns the bootstrap memory, with the request id of the command")
+def discovery_is_bootstrap_memory(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        answer = camera.exchange(GvcpCommand.DISCOVERY)
+        camera.expect(answer, GevStatus.SUCCESS, "discovery")
+        check(answer.code == GvcpCommand.DISCOVERY_ACK, "a discovery answer", hex(answer.code))
+        check(len(answer.payload) == DISCOVERY_BYTES, f"{DISCOVERY_BYTES} bytes", len(answer.payload))
+        check(answer.payload == camera.memory(0, DISCOVERY_BYTES), "what READMEM returns from address 0")
+
+
+@case("G03", "discovery is answered while another application has control")
+def discovery_beside_a_controller(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with controlled(camera), GigeLink(camera.address) as other:
+            other.expect(other.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery")
+
+
+@case("G04", "datagrams that are not commands get no answer")
+def invalid_datagrams(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        for datagram in (b"", b"\x42\x01\x00", struct.pack(">BBHHH", GVCP_KEY + 1, 1, 2, 0, 9)):
+            check(camera.silent_after(datagram), "no answer to a datagram that is not a command")
+        camera.expect(camera.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery afterwards")
+
+
+@case("G05", "an unknown command returns NOT_IMPLEMENTED; without the acknowledge flag there is no answer")
+def unknown_commands(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        answer = camera.exchange(UNKNOWN_COMMAND)
+        camera.expect(answer, GevStatus.NOT_IMPLEMENTED, "an unknown command")
+        quiet = struct.pack(">BBHHHI", GVCP_KEY, 0, GvcpCommand.READREG, 4, 77, Bootstrap.VERSION)
+        check(camera.silent_after(quiet), "no answer without the acknowledge flag")
+
+
+@case("G06", "several registers can be read in one command, in order")
+def registers_in_order(dut: DeviceUnderTest) -> None:
+    wanted = (Bootstrap.TICK_FREQUENCY_LOW, Bootstrap.CCP, Bootstrap.VERSION)
+    for camera in cameras(dut):
+        single = [camera.registers(address)[0] for address in wanted]
+        check(camera.registers(*wanted) == single, f"the values {single}", camera.registers(*wanted))
+
+
+@case("G07", "memory can be read in blocks of up to 536 bytes, at multiples of 4")
+def memory_pieces(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        camera.memory(Bootstrap.FIRST_URL, READMEM_LIMIT - READMEM_LIMIT % 4)
+        answer = camera.exchange(GvcpCommand.READMEM, struct.pack(">IHH", Bootstrap.FIRST_URL + 2, 0, 8))
+        camera.expect(answer, GevStatus.BAD_ALIGNMENT, "a misaligned address")
+
+
+@case("G08", "nonexistent addresses are invalid, for reading and writing")
+def absent_addresses(dut: DeviceUnderTest) -> None:
+    absent = struct.pack(">I", ABSENT_ADDRESS)
+    for camera in cameras(dut):
+        with controlled(camera):
+            for command, payload in (
+                (GvcpCommand.READREG, absent),
+                (GvcpCommand.READMEM, absent + struct.pack(">HH", 0, 4)),
+                (GvcpCommand.WRITEREG, absent + bytes(4)),
+                (GvcpCommand.WRITEMEM, absent + bytes(4)),
+            ):
+                answer = camera.exchange(command, payload)
+                camera.expect(answer, GevStatus.INVALID_ADDRESS, f"{command.name} of a nonexistent address")
+
+
+@case("G09", "read-only registers are write-protected")
+def read_only_registers(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with controlled(camera):
+            status = camera.write(Bootstrap.VERSION, 0)
+            check(status == GevStatus.WRITE_PROTECT, "write protect", hex(status))
+
+
+@case("G10", "nothing can be written without control")
+def no_write_without_control(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        for status in (
+            camera.write(Bootstrap.SCPD, 1),
+            camera.write_memory(Bootstrap.USER_DEFINED_NAME, b"seized\0\0"),
+        ):
+            check(status == GevStatus.ACCESS_DENIED, "access denied", hex(status))
+
+
+@case("G12", "a second application is refused control, but may read")
+def second_applicant(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with controlled(camera), GigeLink(camera.address) as other:
+            status = other.write(Bootstrap.CCP, CCP_CONTROL)
+            check(status == GevStatus.ACCESS_DENIED, "access denied", hex(status))
+            check(other.registers(Bootstrap.CCP) == [CCP_CONTROL], "control of the first application")
+
+
+@case("G16", "a heartbeat time-out below the minimum is raised to the minimum")
+def shortest_heartbeat(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        with controlled(camera):
+            (before,) = camera.registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
+            camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS // 5)
+            (found,) = camera.registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
+            camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, before)
+            check(found == HEARTBEAT_MINIMUM_MS, f"{HEARTBEAT_MINIMUM_MS} ms", found)
+
+
+@case("G17", "the description is XML of the length that its URL says")
+def description_is_xml(dut: DeviceUnderTest) -> None:
+    for camera in cameras(dut):
+        root = GigeFeatures(camera).description
+        check(root.tag.endswith("RegisterDescription"), "a RegisterDescription", root.tag)
+
+
+@case("G27", "block ids start at 1 and increase by 1")
+def block_ids_step_by_one(dut: DeviceUnderTest) -> None:
+    pair = dut.at(Lifecycle.CONFIGURED)
+    if not isinstance(pair, TellsBlockIds):
+        raise NotShown("the driver does not expose block ids")
+    pair.activate()
+    for number in range(1, PAIRS + 1):
+        pair.grab_pair()
+        check(pair.block_ids == (number, number), f"block {number} from both", pair.block_ids)
+
+
+@case("G36", "the cameras differ in MAC address, serial number and IP address")
+def cameras_differ(dut: DeviceUnderTest) -> None:
+    memories = [camera.memory(0, DISCOVERY_BYTES) for camera in cameras(dut)]
+    for begin, count, what in (
+        (Bootstrap.MAC_HIGH, 8, "MAC address"),
+        (Bootstrap.SERIAL_NUMBER, TEXT_BYTES[Bootstrap.SERIAL_NUMBER], "serial number"),
+        (Bootstrap.CURRENT_ADDRESS, REGISTER_BYTES, "IP address"),
+    ):
+        values = {memory[begin : begin + count] for memory in memories}
+        check(len(values) == len(memories), f"a different {what} for each", len(values))
+
 
 BROADCAST = "255.255.255.255"
 FOUND_LIMIT_S = 2.0
@@ -28,9 +186,6 @@ BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
 HEARTBEAT_SLACK = 0.1  # of the set time, plus a margin for a busy computer
 BUSY_S = 0.4
 POLL_S = 0.02
-
-CASES = CaseList()
-case = CASES.case
 
 
 @case("G01", "every camera answers a broadcast discovery from its own address")

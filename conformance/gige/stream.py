@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from conformance.case import check, read_as
-from conformance.gige.features import GigeFeatures
-from conformance.gige.link import GigeLink, controlled
+from conformance.gige.client import GigeFeatures, GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
 FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly

@@ -16,14 +16,14 @@ from typing import Any
 from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
-from conformance.kuka.rsi_client import AXES
+from conformance.kuka.client import AXES
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, set_moving, turned
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.registry import make_device
 from ronna_hw.wire.kuka_context import load_context
 

@@ -12,29 +12,51 @@ from typing import Any
 
 from conformance.case import LINE_FAULTS, CaseList, NotShown, check, refused
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import (
+from conformance.polaris.client import (
     OPTION_OUT_OF_VOLUME,
     OPTION_STRAYS,
     Vector3,
+    idle_unit,
     placed,
+    plain_unit,
     read_body,
 )
-from conformance.polaris.definitions import markers_of
-from conformance.polaris.link import idle_unit, plain_unit
-from conformance.polaris.suite import (
+from conformance.polaris.fixtures import (
     NEEDS,
     SERIAL,
+    SPECTRA_SHAPE,
     TOOL_DEFINITION,
     WITH_TOOL,
     TellsBaud,
     definition,
+    markers_of,
+    volume_in_use,
 )
-from conformance.polaris.tap import PolarisTap, body_of, polaris_tap, text_reply, with_body
-from conformance.polaris.volumes import SPECTRA_SHAPE, volume_in_use
+from conformance.polaris.tap import (
+    PolarisTap,
+    body_of,
+    polaris_tap,
+    text_reply,
+    with_body,
+    with_system_status,
+)
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
-from ronna_hw.errors import ConfigurationError, LinkTimeout, ProtocolError, RonnaError
-from ronna_hw.wire.polaris import DEFAULT_BAUD, PARAMETER_ILLUMINATOR_RATE
+from ronna_hw.errors import (
+    ConfigurationError,
+    DeviceError,
+    LinkTimeout,
+    ProtocolError,
+    RonnaError,
+    StateError,
+)
+from ronna_hw.wire.polaris import (
+    DEFAULT_BAUD,
+    PARAMETER_ILLUMINATOR_RATE,
+    PARAMETER_NEW_ALERTS,
+    Alert,
+    SystemStatus,
+)
 
 TAPPED = (*NEEDS, LINE_FAULTS)
 TAPPED_TOOL = (*TAPPED, TOOL_DEFINITION)
@@ -276,3 +298,40 @@ def _first_stray_at(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[
         return with_body(bytes(body))
 
     return change
+
+
+@case("D42", "on system status 0100 the driver reads the alerts; a bump latches a fault", needs=TAPPED)
+def bump_is_a_fault(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        name = reading_command(tap)
+        tap.change(name, lambda reply: with_system_status(reply, SystemStatus.DIAGNOSTICS_PENDING))
+        tap.answer("GET", f"{PARAMETER_NEW_ALERTS}={int(Alert.BUMP)}")
+        error = refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a bumped unit")
+        check(bool(error.code), "an error with a code", repr(error))
+        check(tap.count(f"GET:{PARAMETER_NEW_ALERTS}") > 0, "a read of the alerts", tap.commands[-3:])
+        check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
+        refused(lambda: tracker.read_frame(PATIENT_S), StateError, "read_frame in fault")
+
+
+@case("D43", "on system status 0200 poses are withheld until it clears", needs=TAPPED)
+def temperature_is_a_hold(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        tap.change(reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.TEMPERATURE))
+        refused(
+            lambda: tracker.read_frame(PATIENT_S),
+            DeviceError,
+            "a reading from a unit that is too cold or too hot",
+        )
+        check(tracker.state is Lifecycle.HOLD, "state hold", tracker.state)
+        tracker.read_frame(PATIENT_S)
+        check(tracker.state is Lifecycle.ACTIVE, "state active when it has cleared", tracker.state)
+
+
+@case("D43b", "on system status 0010 no more poses are used", needs=TAPPED)
+def hardware_failure_is_a_fault(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        tap.change(
+            reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.HARDWARE_FAILURE)
+        )
+        refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a faulty unit")
+        check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)

@@ -11,10 +11,8 @@ from contextlib import contextmanager
 
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import TOOL_INFORMATION_BYTES
-from conformance.polaris.definitions import looking_away
-from conformance.polaris.link import PolarisLink, idle_unit
-from conformance.polaris.suite import NEEDS, WITH_TOOL, definition, seen
+from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
+from conformance.polaris.fixtures import NEEDS, WITH_TOOL, definition, looking_away, seen
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from conformance.case import CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import Vector3, placed
-from conformance.polaris.definitions import markers_of, shifted
-from conformance.polaris.link import PolarisLink, idle_unit
-from conformance.polaris.suite import NEEDS, WITH_TOOL, definition, seen
-from conformance.polaris.volumes import (
+from conformance.polaris.client import PolarisLink, Vector3, idle_unit, placed
+from conformance.polaris.fixtures import (
+    NEEDS,
     SPECTRA_SHAPE,
     SPECTRA_VOLUMES,
     VICRA_SHAPE,
+    WITH_TOOL,
     MeasuringVolume,
+    definition,
+    markers_of,
     measuring_volumes,
+    seen,
+    shifted,
     volume_in_use,
 )
 from ronna_hw.wire import polaris_rom as layout

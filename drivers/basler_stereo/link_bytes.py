@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
-from ronna_hw.devices.byte_sink import ByteSink, Direction
+from ronna_hw.devices.capabilities import ByteSink, Direction
 
 
 class LinkBytes:

@@ -13,11 +13,10 @@ from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotFound, NoAnswer
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.kr6_r900 import ArmVariant
-from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
-from ronna_hw.devices.probing import CONNECT_LIMIT_S, Progress
+from ronna_hw.devices.probing import CONNECT_LIMIT_S, Option, Progress, Proposal, Search, documented_options
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 

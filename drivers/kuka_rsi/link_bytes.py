@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle
-from ronna_hw.devices.byte_sink import ByteSink, Direction, Passed
+from ronna_hw.devices.capabilities import ByteSink, Direction, Passed
 
 BytesPassed = Callable[[Direction, bytes], None]
 

@@ -7,17 +7,14 @@ from math import radians
 
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.motion_plan import plan_motion
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.preview import PathPreview, preview_motion
-from ronna_hw.devices.motion import Motion
+from ronna_hw.arm.preview import PathPreview, plan_motion, preview_motion, with_speed_steps
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.devices.robot import Motion, OperatingMode
 
 
 class MotionPlanner:

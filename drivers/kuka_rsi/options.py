@@ -14,8 +14,8 @@ from drivers.kuka_rsi.errors import BadOptions
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25

@@ -13,11 +13,12 @@ from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.controller_discovery import example_arm, find_controllers
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Proposal, Search
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
     Progress,
+    Proposal,
+    Search,
     connect_and_leave,
     endpoints_of,
     leave_alone,

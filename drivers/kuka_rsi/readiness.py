@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from drivers.kuka_rsi.eki.controller_state import ControllerState
-from ronna_hw.devices.readiness import MESSAGES, Fact
+from ronna_hw.devices.capabilities import MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm

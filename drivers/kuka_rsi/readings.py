@@ -9,7 +9,7 @@ from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.controller_state import ControllerState
 from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError

@@ -21,8 +21,8 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Phase
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES, LinkSettings
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError

@@ -10,10 +10,9 @@ from collections import deque
 from dataclasses import dataclass
 from math import radians
 
-from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation, ViolationKind
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.violation import Violation, ViolationKind
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from math import degrees, radians
 from typing import TYPE_CHECKING, NamedTuple, Self
 
-from ronna_hw.devices.readings import Quaternion, Vector3
+from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Transform
@@ -160,3 +161,14 @@ class Pose(NamedTuple):
         return Transform.of(
             Frame.ROBOT, Frame.FLANGE, translation_mm=self.position_mm, quaternion_wxyz=self.quaternion()
         )
+
+
+def radians6(a: float, b: float, c: float, d: float, e: float, f: float) -> JointVector:
+    """Six angles from degrees."""
+    return (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
+
+def degrees6(joints_rad: JointVector) -> JointVector:
+    """Six angles in degrees."""
+    a, b, c, d, e, f = joints_rad
+    return (degrees(a), degrees(b), degrees(c), degrees(d), degrees(e), degrees(f))

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import sys
-from collections.abc import Callable, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TextIO
 
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.printable import printable, printable_lines
+from ronna_hw.text import printable, printable_lines
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as Bar
 
 
 def on_terminal(stream: TextIO) -> bool:
@@ -70,3 +74,131 @@ def message_console() -> Console:
     from rich.console import Console
 
     return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr))
+
+
+FRAME_WIDTH = 3  # of a table's frame, per column
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table on standard output: framed if it fits on a terminal, tab-separated lines otherwise.
+
+    Cells and headings wrap only between words. If the frame would split a word or a number, lines
+    are printed instead.
+    """
+    table_rows = [list(columns), *([printable_lines(str(cell)) for cell in row] for row in rows)]
+    widths = _column_widths(table_rows, _terminal_width()) if on_terminal(sys.stdout) else None
+    if widths is None:
+        for row in table_rows:
+            sys.stdout.write("\t".join(row) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table()
+    for column, width in zip(columns, widths, strict=True):
+        table.add_column(Text(column), width=width, overflow="fold")
+    for row in table_rows[1:]:
+        table.add_row(*(Text(cell) for cell in row))
+    sys.stdout.write(f"{printable(title)}\n")  # a table's own title would wrap at the table's width
+    sys.stdout.flush()
+    Console().print(table)
+
+
+def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
+    """Widths that fill the terminal without splitting a word; None if there are none."""
+    by_column = list(zip(*rows, strict=True))
+    widths = [_least_width(cells) for cells in by_column]
+    wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
+    spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
+    if spare < 0:
+        return None
+    for _ in range(spare):  # to the column that needs it most
+        lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
+        if max(lacking, default=0) <= 0:
+            break
+        widths[lacking.index(max(lacking))] += 1
+    return widths
+
+
+def _least_width(cells: Sequence[str]) -> int:
+    """Smallest width of a column without splitting a word."""
+    return max((len(word) for cell in cells for word in cell.split()), default=0)
+
+
+def _terminal_width() -> int:
+    return shutil.get_terminal_size().columns
+
+
+PROGRESS_DELAY_S = 2.0  # no bar for shorter work
+
+Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
+
+
+class ProgressBar:
+    """Called with the fraction done. Bar and timer are paused while `hidden`."""
+
+    def __init__(self, description: str, *, shown: bool) -> None:
+        """Never shown if not `shown`, when nobody is watching."""
+        self._began_s, self._hidden_s = time.monotonic(), 0.0
+        self._writing = threading.RLock()  # one thread asks a question, another reports progress
+        self._resting = False
+        self._bar = self._made() if shown else None
+        self._task = None if self._bar is None else self._bar.add_task(description, total=1.0)
+        self._started = False
+
+    def __call__(self, share: float) -> None:
+        """The fraction done, 0 to 1."""
+        if self._bar is None or self._task is None:
+            return
+        with self._writing:
+            self._bar.update(self._task, completed=share)
+            if not self._started and not self._resting and self._now_s() > self._began_s + PROGRESS_DELAY_S:
+                self._started = True
+                self._bar.start()
+
+    @contextlib.contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Hidden during the block, in which the user is prompted."""
+        with self._writing:
+            since_s = time.monotonic()
+            self.close()
+            self._resting = True
+            try:
+                yield
+            finally:
+                self._resting = False
+                self._hidden_s += time.monotonic() - since_s
+                if self._bar is not None and self._started:
+                    self._bar.start()
+
+    def close(self) -> None:
+        """Remove it."""
+        if self._bar is not None and self._started:
+            self._bar.stop()
+
+    def _now_s(self) -> float:
+        return time.monotonic() - self._hidden_s
+
+    def _made(self) -> Bar:
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        return Bar(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=message_console(),
+            transient=True,
+            get_time=self._now_s,
+        )
+
+
+@contextlib.contextmanager
+def progress_bar(description: str) -> Iterator[ProgressBar]:
+    """A progress bar on standard error after two seconds of work; none off a terminal."""
+    bar = ProgressBar(description, shown=on_terminal(sys.stderr))
+    try:
+        yield bar
+    finally:
+        bar.close()

@@ -20,23 +20,27 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from ronna_hw.command_line.common_options import with_common_options
-from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
-from ronna_hw.command_line.logging_options import (
+from ronna_hw.command_line.errors import UsageMistake, as_ronna_error, asked_for, usage_mistake
+from ronna_hw.command_line.messages import (
+    Progress,
+    fail_with,
+    message_console,
+    on_terminal,
+    print_table,
+    progress_bar,
+    say,
+    tell,
+)
+from ronna_hw.command_line.options import (
     VERBOSE_FLAG,
     command_logger,
     log_failure,
     set_log_levels_from_environment,
+    with_common_options,
 )
-from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
-from ronna_hw.command_line.progress import Progress, progress_bar
-from ronna_hw.command_line.tables import print_table
-from ronna_hw.command_line.usage import asked_for, usage_mistake
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
-from ronna_hw.host.file_access import own_files
-from ronna_hw.host.interruption import ENDING_SIGNALS
-from ronna_hw.host.linear_algebra import single_threaded
-from ronna_hw.host.own_packages import require_own_packages
+from ronna_hw.host.files import own_files
+from ronna_hw.host.process import ENDING_SIGNALS, require_own_packages, single_threaded
 
 __all__ = [
     "JsonOption",

@@ -8,19 +8,32 @@ CONNECTED, motion only in ACTIVE.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Generic, Protocol, Self, TypeVar, runtime_checkable
 
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
-from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.process import interruption_deferred
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
-    from ronna_hw.devices.readiness import Fact
+    from ronna_hw.devices.capabilities import Fact
+
+R_co = TypeVar("R_co", covariant=True)
+
+
+@dataclass(frozen=True)
+class LastKnown(Generic[R_co]):
+    """State, latched fault and latest reading as last seen; the reading's stamp gives its age."""
+
+    state: Lifecycle
+    fault: RonnaError | None
+    reading: R_co | None
+    says: tuple[Fact, ...] = ()  # what the device reported unsolicited
+
 
 R = TypeVar("R")
 
@@ -117,7 +130,7 @@ class Device(Protocol):
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
 
-        `ronna_hw.devices.activation.activated` implements this for every driver.
+        `activated` implements this for every driver.
         """
         ...
 
@@ -227,3 +240,48 @@ class LifecycleGuard:
                 return
             self._now = (Lifecycle.FAULT, cause)
         self.log.error(Lifecycle.FAULT, before=before, cause=cause)
+
+
+D = TypeVar("D", bound=Device)
+
+
+@contextmanager
+def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
+    """Connect and configure as needed, activate, and deactivate on leaving the block.
+
+    `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is
+    used as it is, and left active. Errors from the block are never masked: a failure to deactivate is
+    added to them as a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a
+    device in FAULT or CLOSED.
+    """
+    if device.state is Lifecycle.ACTIVE:  # activated by someone else, who also deactivates it
+        yield device
+        return
+    _activate(device, timeout_s)
+    try:
+        yield device
+    except BaseException as problem:  # including interruptions: the device stops whatever ended the block
+        with interruption_deferred():
+            try:
+                _deactivate(device, timeout_s)
+            except Exception as error:
+                problem.add_note(f"{device.name} could not be deactivated: {error}")
+        raise
+    with interruption_deferred():
+        _deactivate(device, timeout_s)
+
+
+def _activate(device: Device, timeout_s: float) -> None:
+    if device.state is Lifecycle.HOLD:
+        device.deactivate(timeout_s)
+    if device.state is Lifecycle.DISCONNECTED:
+        device.connect(timeout_s)
+    if device.state is Lifecycle.CONNECTED:
+        device.configure(timeout_s)
+    device.activate(timeout_s)
+
+
+def _deactivate(device: Device, timeout_s: float) -> None:
+    """Deactivate, unless the device is in FAULT: it has stopped, and only `recover` clears that."""
+    if device.state in RUNNING:
+        device.deactivate(timeout_s)

@@ -11,15 +11,21 @@ A driver without one gets the default: connect, read the identity, close.
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+from pydantic import BaseModel
+
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
+from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError, RonnaError
+from ronna_hw.host.network import Interface
 
 CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
@@ -50,6 +56,12 @@ class Diagnostic:
 def refusal(subject: str, error: RonnaError) -> Diagnostic:
     """A device's refusal as a diagnostic."""
     return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
+
+
+def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
+    """Each fact as a line of the doctor, with its advice if a case cannot begin."""
+    for fact in device.readiness():
+        yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
 
 Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
@@ -135,3 +147,110 @@ def why_unreachable(endpoint: Endpoint) -> str:
     except OSError as error:
         return f"{endpoint} is unreachable ({error.strerror or error}): check cable and subnet."
     return ""
+
+
+ONLY = ""  # role of the endpoint of a device with only one
+
+
+@dataclass(frozen=True)
+class Search:
+    """Where to search. Nothing is sent to any other line, network or address."""
+
+    interfaces: tuple[Interface, ...] = ()
+    lines: tuple[Endpoint, ...] = ()  # of trackers, serial or TCP
+    controllers: tuple[Endpoint, ...] = ()  # of robots; without any, the networks of `interfaces`
+    stream: Endpoint | None = None  # where a robot's telegrams should arrive, if already decided
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a driver: its value if it differs from the default, and its purpose."""
+
+    key: str
+    value: Any  # as in TOML; None if it has no default
+    chosen: bool
+    meaning: str
+    model: type[BaseModel] | None = None  # of all options of that driver, for validating a value
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A device as a theatre file entry."""
+
+    driver: str
+    what: str  # what was found, in words; empty for an example
+    endpoints: Mapping[str, str]
+    options: tuple[Option, ...] = ()
+    remarks: tuple[str, ...] = ()  # what a person should check or complete
+    absent: str = ""  # why there is no such device at the given address, if there is none
+
+
+@runtime_checkable
+class Finder(Protocol):
+    """A probe that can also search. `table` is the theatre file's: `tracker`, `robot` or `stereo`."""
+
+    table: str
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        """Everything that answers as such a device, and the reason for each given address that does not.
+
+        Nothing moves and no setting is changed.
+        """
+        ...
+
+    def example(self, search: Search) -> Proposal:
+        """An example of the table, for a device that was not found; its addresses are invented."""
+        ...
+
+
+def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
+    """Every option of a driver with its description, including the values of the chosen ones."""
+    return tuple(
+        Option(
+            name,
+            chosen.get(name, None if field.is_required() else field.get_default(call_default_factory=True)),
+            name in chosen,
+            field.description or "",
+            model,
+        )
+        for name, field in model.model_fields.items()
+    )
+
+
+LOOKS_OF_A_CASE = 200  # of five spheres for three trajectories, with some searching
+MOST_FAILED_LOOKS = 0.02  # in a case, expected: each ends it
+
+
+def picture_diagnostics(
+    subject: str,
+    stereo: StereoPair,
+    pairs: int,
+    tries: int,
+    judged: Callable[[StereoReading], Iterator[Diagnostic]],
+) -> Iterator[Diagnostic]:
+    """Take this many pairs with configured cameras: do enough arrive complete? The last is `judged`.
+
+    A case makes up for a lost pair: it takes one up to `tries` times.
+    """
+    whole = 0
+    last: StereoReading | None = None
+    found: tuple[Diagnostic, ...] = ()
+    try:
+        with stereo.active():
+            for _ in range(pairs):
+                last = stereo.grab_pair()
+                whole += int(last.validity is Validity.OK)
+            if isinstance(stereo, TellsReadiness):
+                found = tuple(fact_diagnostics(subject, stereo))  # about these images
+    except RonnaError as error:
+        yield refusal(f"{subject}pictures", error)
+    failed_looks = LOOKS_OF_A_CASE * (1.0 - whole / pairs) ** tries
+    yield Diagnostic(
+        f"{subject}pictures",
+        failed_looks <= MOST_FAILED_LOOKS,
+        f"{whole} of {pairs} pairs arrived complete",
+        "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+    )
+    yield from found
+    if last is not None:
+        yield from judged(last)

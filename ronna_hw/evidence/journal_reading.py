@@ -13,7 +13,22 @@ from enum import StrEnum
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.errors import RefusedError, RonnaError
+
+
+class JournalCorrupt(RonnaError):
+    """A journal's chain is broken: a line was changed, lost or torn in the middle."""
+
+    code = "PRO-011"
+    action = "Do not rely on this run; keep the folder as it is for analysis."
+
+
+class RunChanged(RefusedError):
+    """The files of a run were changed after the run."""
+
+    code = "PRO-033"
+    action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
+
 
 JOURNAL_FILE = "journal.jsonl"
 MOST_TORN_LINES = 1000  # in the block of zeros that a power loss leaves there are none or few

@@ -16,19 +16,20 @@ from ronna_hw.evidence.inspection import (
     not_vouched_for,
 )
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.named_files import (
+from ronna_hw.evidence.manifest import (
     RECORDS_FOLDER,
     REQUEST_FILE,
     closed_files,
+    files_of,
     hashes_in,
+    is_later,
+    is_sealed,
+    journalled_truth,
     lasting_files,
     made_from,
 )
-from ronna_hw.evidence.seal import files_of, is_later, is_sealed
-from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL
-from ronna_hw.text.counting import counted
-from ronna_hw.text.printable import printable
+from ronna_hw.text import counted, printable
 
 UNSEALED = "unsealed"  # in a `restarted` line: name -> bytes
 REPORT = "report"  # made anew at every end

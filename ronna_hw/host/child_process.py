@@ -15,13 +15,69 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.host.descendants import descendants_of, kill_all
-from ronna_hw.host.interruption import describe_exit
-from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
+from ronna_hw.host.process import children_uninterrupted, describe_exit
 from ronna_hw.logs import logger
+
+if TYPE_CHECKING:
+    import psutil
+
+LOOK_S = 1.0  # between two readings, each of which lists the computer's processes
+
+
+class ProcessorUse:
+    """Processor time of one process and its descendants, observed from now on."""
+
+    def __init__(self, number: int) -> None:
+        """`number` of the process."""
+        self._number = number
+        self._used_s = 0.0
+        self._changed_s = self._next_s = time.monotonic()
+
+    def idle_s(self) -> float:
+        """Host time since the process, or a descendant, was last seen to have used processor time."""
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s = now_s + LOOK_S
+            used_s = _used_s(self._number)
+            if used_s != self._used_s:
+                self._used_s, self._changed_s = used_s, now_s
+        return now_s - self._changed_s
+
+
+def _used_s(number: int) -> float:
+    import psutil  # imported late: device processes import little
+
+    used_s = 0.0
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(number)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                used_s += sum(one.cpu_times())
+    return used_s
+
+
+def descendants_of(number: int) -> list[psutil.Process]:
+    """Descendants of the process with this number; ask before it ends, afterwards they are orphaned."""
+    import psutil  # imported late: device processes import little
+
+    try:
+        below: list[psutil.Process] = psutil.Process(number).children(recursive=True)
+    except psutil.Error:
+        return []
+    return below
+
+
+def kill_all(processes: list[psutil.Process]) -> None:
+    """Kill them; never raises, not even for one that has already ended."""
+    import psutil
+
+    for process in processes:
+        with contextlib.suppress(psutil.Error):
+            process.kill()
+
 
 TOO_SLOW = "Close other programs if this computer is busy; else run the command alone to see why it hangs."
 HANGS = "Run the command alone to see why it hangs."
@@ -177,3 +233,49 @@ class ChildProcess:
 def command(module: str, *arguments: str) -> list[str]:
     """The command line of one of our own commands, run by this same Python, independent of the path."""
     return [sys.executable, "-P", "-m", module, *arguments]
+
+
+LOOK_AGAIN_S = 0.1  # host time
+
+
+def finished_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, whatever its exit code, as `await_end`."""
+    with children_uninterrupted():
+        process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    with process:
+        output, messages = await_end(name, process, limit_s)
+    return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
+
+
+def await_end(
+    name: str, process: subprocess.Popen[str], limit_s: float, meanwhile: Callable[[], None] = lambda: None
+) -> tuple[str, str]:
+    """Output and messages of a command that ends by itself; `meanwhile` is called several times a second.
+
+    Raises PRC-001 if it takes longer than `limit_s` or stops using the processor, and ends it then.
+    """
+    deadline_s, use = time.monotonic() + limit_s, ProcessorUse(process.pid)
+    try:
+        while True:
+            try:
+                return process.communicate(timeout=LOOK_AGAIN_S)
+            except subprocess.TimeoutExpired:
+                meanwhile()
+            late, idle = time.monotonic() >= deadline_s, use.idle_s() >= IDLE_TIMEOUT_S
+            if late or idle:
+                raise ChildNotReady(
+                    f"{name} did not finish",
+                    limit=f"{limit_s:g} s" if late else f"{IDLE_TIMEOUT_S:g} s without using the processor",
+                    action=TOO_SLOW if late else HANGS,
+                )
+    except BaseException:  # also an interruption: nothing is left running
+        process.kill()
+        process.wait()
+        raise

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import TypeVar
 
-from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, ChildNotReady
-from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
+from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, LOOK_S, ChildNotReady, ProcessorUse
 
 Result = TypeVar("Result")
 

@@ -12,7 +12,7 @@ from typing import Any
 from uuid import uuid4
 
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.kuka.controller.message_display import LINE_BEGINS
 from sim.polaris.tools.definition import write_definition

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BadTruth
 from sim.world.rigid import Matrix
 from sim.world.room_shift import STILL, ShiftedRoom, rigid_move

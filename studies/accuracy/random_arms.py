@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.deviations import FLANK_SHARE
+from ronna_hw.arm.kinematics import Chain
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.links import Chain
 from sim.world.scene.arm_truth import draw_arm
 from sim.world.scene.model import ArmTruth
 from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM, draw_mount

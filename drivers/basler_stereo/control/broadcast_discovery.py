@@ -11,7 +11,7 @@ from ipaddress import IPv4Address
 from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.control.identity import CameraIdentity, decode_identity
 from drivers.basler_stereo.errors import MalformedReply
-from ronna_hw.host.network_interfaces import Interface, interface_of
+from ronna_hw.host.network import Interface, interface_of
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 

@@ -11,7 +11,7 @@ from contextlib import ExitStack
 
 from drivers.basler_stereo.control import gvcp
 from drivers.basler_stereo.errors import CommandRefused, NoReply
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GvcpCommand
 

@@ -10,10 +10,17 @@ from drivers.basler_stereo.probe.camera_discovery import example_pair, find_pair
 from drivers.basler_stereo.probe.camera_state import look_at_camera
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Proposal, Search
-from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_and_leave, leave_alone
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    Inspection,
+    Progress,
+    Proposal,
+    Search,
+    connect_and_leave,
+    leave_alone,
+)
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.host.network_interfaces import Interface, interface_of
+from ronna_hw.host.network import Interface, interface_of
 
 CAMERAS_SHARE = 0.5  # of the whole probe; the rest is for connecting
 

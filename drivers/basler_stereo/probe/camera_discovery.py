@@ -9,8 +9,7 @@ from typing import Any
 from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
-from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
-from ronna_hw.devices.probing import Progress
+from ronna_hw.devices.probing import Option, Progress, Proposal, Search, documented_options
 from ronna_hw.wire import gige_vision as gev
 
 DRIVER = "basler_stereo"

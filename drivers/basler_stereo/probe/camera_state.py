@@ -18,7 +18,7 @@ from drivers.basler_stereo.errors import CommandRefused, MalformedReply, NoCamer
 from drivers.basler_stereo.stream.packet_size import choose_packet_bytes
 from drivers.basler_stereo.stream.stream_socket import open_stream_socket
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.network_interfaces import Interface, interface_of, interfaces
+from ronna_hw.host.network import Interface, interface_of, interfaces
 from ronna_hw.host.port_users import PortUser, user_of_udp_port
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability

@@ -10,7 +10,7 @@ from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 
 JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
 LISTED_CAMERAS = 4

@@ -14,8 +14,7 @@ from typing import Annotated, NamedTuple
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters
 from drivers.basler_stereo.stream.gvsp import Leader
-from ronna_hw.host.memory_map import MemoryMap
-from ronna_hw.host.shared_layout import FieldCode, RowCodec
+from ronna_hw.host.shared_memory import FieldCode, MemoryMap, RowCodec
 
 SLOTS = 32  # more than can be in reception at a time; the others stay complete for a third of a second
 _MAP = MemoryMap(b"frames")

@@ -24,7 +24,7 @@ from drivers.basler_stereo.stream.receiver_orders import (
     Order,
     send_order,
 )
-from ronna_hw.host.interruption import children_uninterrupted, describe_exit
+from ronna_hw.host.process import children_uninterrupted, describe_exit
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0

@@ -33,7 +33,7 @@ from drivers.kuka_rsi.realtime.telegram import (
     telegram_of,
 )
 from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
-from ronna_hw.host.processor_affinity import ProcessorAffinity
+from ronna_hw.host.real_time import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.
 QUIET_AFTER_STOP_NS = 100_000_000  # the program was asked to end

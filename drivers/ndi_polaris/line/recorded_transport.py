@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drivers.ndi_polaris.line.transport import Transport
-from ronna_hw.devices.byte_sink import ByteSink, Direction
+from ronna_hw.devices.capabilities import ByteSink, Direction
 
 
 class RecordedTransport:

@@ -9,11 +9,12 @@ from drivers.ndi_polaris.probe.diagnosis import line_diagnostic
 from drivers.ndi_polaris.probe.line import look_at_line
 from drivers.ndi_polaris.probe.tracker_discovery import example_tracker, find_trackers
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Proposal, Search
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
     Progress,
+    Proposal,
+    Search,
     connect_and_leave,
     endpoints_of,
     leave_alone,

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from drivers.ndi_polaris.probe.line import Attempt, LineState, Opening, Outcome
 from ronna_hw.devices.probing import Diagnostic
-from ronna_hw.host.serial_ports import permission_advice
+from ronna_hw.host.port_users import permission_advice
 from ronna_hw.wire.kuka_eki import STATE
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 

@@ -10,8 +10,15 @@ from drivers.ndi_polaris.options import PolarisOptions
 from drivers.ndi_polaris.probe.line import Opening, look_at_line
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search, documented_options
-from ronna_hw.devices.probing import CONNECT_LIMIT_S, Progress
+from ronna_hw.devices.probing import (
+    CONNECT_LIMIT_S,
+    ONLY,
+    Option,
+    Progress,
+    Proposal,
+    Search,
+    documented_options,
+)
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 

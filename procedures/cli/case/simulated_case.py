@@ -12,12 +12,11 @@ from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
-from ronna_hw.evidence.named_files import WITH_PORTS
-from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.evidence.manifest import WITH_PORTS
+from ronna_hw.host.child_process import ChildNotReady, await_end, command
 from ronna_hw.host.control_port import ControlPortSilent
-from ronna_hw.host.finite_command import await_end
 from ronna_hw.records import write_whole
-from ronna_hw.simulation import NAME, TheatreProcess
+from ronna_hw.theatre import NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 

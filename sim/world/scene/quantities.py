@@ -8,8 +8,7 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from ronna_hw.calibration import Numbers3
-from ronna_hw.plausible import FARTHEST_ON_TOOL_MM, SHORTEST_MM, farther_than
-from ronna_hw.trajectory_bounds import LONGEST_NAME, NAME_PATTERN
+from ronna_hw.plausible import FARTHEST_ON_TOOL_MM, LONGEST_NAME, NAME_PATTERN, SHORTEST_MM, farther_than
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES, ROM_MARKERS, ROM_MINIMUM_MARKERS
 

@@ -8,7 +8,7 @@ from typing import Self
 from pydantic import Field, model_validator
 
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.trajectory_bounds import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
+from ronna_hw.plausible import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
 
 
 class Target(Strict):

@@ -22,9 +22,9 @@ from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.results.result import FramedPose
 from procedures.workcell.tracker_look import FRAMES
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import read_scene

@@ -5,10 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ronna_hw.arm.calibrated import CalibratedArm
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Surroundings
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
+from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm, flange_poses
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 
 LIMIT_S = 0.5
 A_DATAGRAM_S = 0.1  # what each takes by this test's clock

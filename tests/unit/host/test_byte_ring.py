@@ -2,8 +2,7 @@
 
 import pytest
 
-from ronna_hw.host.byte_ring import ByteRing
-from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_memory import ByteRing, MemoryMap
 
 CAPACITY, LONGEST = 64, 16
 

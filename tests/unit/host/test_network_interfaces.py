@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.host.network_interfaces import interface_of, interfaces
+from ronna_hw.host.network import interface_of, interfaces
 
 
 def test_the_loopback_interface_is_found_and_flagged_as_loopback() -> None:

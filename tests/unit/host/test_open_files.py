@@ -4,7 +4,7 @@ import resource
 
 import pytest
 
-from ronna_hw.host.open_files import TooFewOpenFiles, require_open_files
+from ronna_hw.host.files import TooFewOpenFiles, require_open_files
 
 
 @pytest.fixture

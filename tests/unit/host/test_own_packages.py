@@ -7,10 +7,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from ronna_hw.host.own_packages import OWN_PACKAGES, foreign_packages, require_own_packages
+from ronna_hw.host.process import OWN_PACKAGES, foreign_packages, require_own_packages
 
 PROGRAM = """
-from ronna_hw.host.own_packages import ForeignPackage, require_own_packages
+from ronna_hw.host.process import ForeignPackage, require_own_packages
 try:
     require_own_packages()
 except ForeignPackage as error:

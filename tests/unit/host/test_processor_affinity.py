@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from ronna_hw.host.processor_affinity import ProcessorAffinity
+from ronna_hw.host.real_time import ProcessorAffinity
 
 EVERYWHERE = {0, 1, 2}
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import stat
 from pathlib import Path
 
-from ronna_hw.host.serial_ports import permission_advice, permissions
+from ronna_hw.host.port_users import permission_advice, permissions
 
 
 def test_permission_advice_depends_on_the_group_access_to_the_port(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ronna_hw.host.memory_map import MemoryMap
-from ronna_hw.host.shared_layout import IPV4_HOST, RowCodec, one_of, text
+from ronna_hw.host.shared_memory import IPV4_HOST, MemoryMap, RowCodec, one_of, text
 
 ROOT = Path(__file__).resolve().parents[3]
 SIDES = ("left", "right")
@@ -88,7 +87,7 @@ def test_the_places_of_a_memory_map_do_not_overlap() -> None:
 
 COUNTING = """
 import mmap, sys
-from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_memory import MemoryMap
 places = MemoryMap(b"TESTMARK")
 word = places.word()
 memory = mmap.mmap(int(sys.argv[1]), places.size_bytes)
@@ -146,6 +145,6 @@ def test_memory_of_another_program_is_recognised_by_its_mark() -> None:
 
 def test_modules_with_shared_memory_leave_packing_to_its_tables() -> None:
     texts = {path: path.read_text(encoding="utf-8") for path in (ROOT / "drivers").rglob("*.py")}
-    sharing = {path for path, text in texts.items() if "memory_map import MemoryMap" in text}
+    sharing = {path for path, text in texts.items() if "MemoryMap(" in text}
     assert sharing
     assert not [path for path in sharing if "import struct" in texts[path]]

@@ -21,7 +21,7 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     PoseDisagrees,
 )
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle
 
 

@@ -18,7 +18,7 @@ from drivers.kuka_rsi.errors import (
     ProtectiveStop,
 )
 from drivers.kuka_rsi.realtime.link_state import Fault, StopOrder
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import RonnaError

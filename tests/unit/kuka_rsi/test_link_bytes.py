@@ -7,7 +7,7 @@ from fake_controller import FakeController
 from recorded_bytes import RecordedBytes
 
 from drivers.kuka_rsi.errors import NoTelegram
-from ronna_hw.devices.byte_sink import Direction, RecordsBytes
+from ronna_hw.devices.capabilities import Direction, RecordsBytes
 
 
 def test_telegrams_replies_and_the_eki_session_are_recorded(make_arm, controller: FakeController) -> None:

@@ -2,7 +2,7 @@
 
 from recorded_bytes import RecordedBytes
 
-from ronna_hw.devices.byte_sink import RecordsBytes
+from ronna_hw.devices.capabilities import RecordsBytes
 
 
 def test_all_bytes_on_the_line_and_changes_of_rate_are_recorded(make_tracker) -> None:

@@ -11,8 +11,8 @@ import pytest
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import LinkLost, NoReply
 from ronna_hw.devices import LastKnown, Lifecycle, OpticalTracker
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import WrongState
-from ronna_hw.devices.readiness import Fact
 
 Make = Callable[..., PolarisTracker]
 

@@ -21,7 +21,7 @@ from drivers.ndi_polaris.probe.diagnosis import diagnose, line_diagnostic
 from drivers.ndi_polaris.probe.line import LineState, Opening, Outcome, look_at_line
 from drivers.ndi_polaris.probe.tracker_discovery import find_trackers
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import ONLY, Search
+from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.polaris import crc16

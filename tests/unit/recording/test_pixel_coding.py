@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ronna_hw.recording.pixel_coding import pack_pixels, unpack_pixels
+from ronna_hw.recording.reading_coding import pack_pixels, unpack_pixels
 
 
 @pytest.mark.parametrize(("kind", "largest"), [(np.uint8, 255), (np.uint16, 4095), (np.uint16, 65535)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.bodies import Capsule
 from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.arm_capsules import ArmBody

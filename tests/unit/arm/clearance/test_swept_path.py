@@ -8,13 +8,9 @@ from math import inf
 
 import pytest
 
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
-from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Part, SpeedZone, Surroundings
-from ronna_hw.arm.clearance.sweep import sweep
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.sweep import sweep, sweep_path
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
@@ -22,9 +18,8 @@ from ronna_hw.arm.motion.limits import REDUCED_SPEED_MM_S, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS
 from ronna_hw.arm.motion.set_points import PathMotion
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.preview import preview
+from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.preview import preview, with_speed_steps
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from kr6_golden_poses import GOLDEN
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, Kr6R900, kr6_r900
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 

@@ -7,16 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfiler, State
-from ronna_hw.arm.motion.path import LinePath
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.planning import LinePath, MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.progress import Bounds, MotionProfiler, State
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.devices.readings import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)

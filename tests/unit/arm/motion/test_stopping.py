@@ -5,13 +5,12 @@ from itertools import pairwise
 
 import pytest
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.motion.motion_profile import State
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.motion.stopping import halt
+from ronna_hw.arm.motion.progress import State
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, halt, state_from_history
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.readings import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)

@@ -12,9 +12,9 @@ import pytest
 from drivers.basler_stereo.control.channel import ControlChannel, register_write, send_together
 from drivers.basler_stereo.errors import BadDescription, CommandRefused, MalformedReply, NoReply
 from drivers.basler_stereo.features.description import fetch_description
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 
 
 class Answering:

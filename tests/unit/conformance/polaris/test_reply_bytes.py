@@ -8,11 +8,16 @@ from typing import IO
 import pytest
 
 from conformance.case import Nonconformity
-from conformance.polaris.bx_reply import placed, read_body
-from conformance.polaris.definitions import looking_away, markers_of, published, shifted
-from conformance.polaris.link import PolarisLink
+from conformance.polaris.client import PolarisLink, placed, read_body
+from conformance.polaris.fixtures import (
+    SPECTRA_VOLUMES,
+    MeasuringVolume,
+    looking_away,
+    markers_of,
+    published,
+    shifted,
+)
 from conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
-from conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
 from ronna_hw.wire.polaris import HandleStatus
 from sim.polaris.tools.definition import parse_definition
 

@@ -15,7 +15,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
 from drivers.kuka_rsi.stream import link_settings
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
 THROUGH_THE_SESSION = 3_000
