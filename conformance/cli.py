@@ -85,7 +85,7 @@ def conformance(
 
 def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
     """The name of the person who confirms that the device may move; raises CNF-005 without one."""
-    from conformance.case import NotConfirmed
+    from conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
     tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")

@@ -9,17 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from conformance.case import (
-    DESTRUCTIVE,
-    HOST_TIME,
-    LINE_FAULTS,
-    MOTION,
-    DeviceNotInFile,
-    NoDeviceChosen,
-    NoSimulator,
-    Suite,
-)
+from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
 from conformance.disturbed_line import DisturbedLine
+from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
 from conformance.protocol import ProtocolCases, composed, protocol_of
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file

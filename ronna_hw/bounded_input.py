@@ -1,4 +1,17 @@
-"""The common refusal of everything out of bounds."""
+"""External input, checked against bounds before use: size, depth, count, expansion.
+
+A file, a reply or a datagram may be damaged or malicious; a few bytes must not cost gigabytes or minutes.
+Everything here raises INP-001, which is also a ValueError, so that the reader of a specific format can refuse
+with its own code.
+
+- Files are read only up to their bound: the size reported by the file system may be wrong or missing.
+- JSON has a limited number of values, limited depth, and finite numbers. The limits are checked on the text:
+  a parsed document is up to thirty times as large.
+- TOML has keys of a limited number of parts and whole numbers of 64 bits. The standard library stores every
+  prefix of a key: its memory grows with the square of the parts.
+- Deflated data and ZIP files are unpacked only up to a limit.
+- XML has no document type, which could declare entities, and a limited number of elements and names.
+"""
 
 from __future__ import annotations
 
@@ -32,10 +45,10 @@ GIVE_A_FILE = "Give a file: pipes, sockets and devices are not read."
 
 
 def read_bounded(path: Path, limit_bytes: int, *, linked: bool = True) -> bytes:
-    """A complete file. Raises INP-001 for more than `limit_bytes`, OSError.
+    """Read a complete file. Raises INP-001 for more than `limit_bytes`, OSError.
 
-    Never blocks: a pipe, socket or device in its place is refused, and without `linked`
-    also a link (OSError).
+    Never blocks: a pipe, socket or device in its place is refused, and without `linked` also a link
+    (OSError).
     """
     try:
         with open_regular(path, linked=linked) as file:
@@ -63,7 +76,7 @@ _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 
 
 def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
-    """The value of a JSON text. Raises INP-001, and ValueError for invalid JSON."""
+    """Parse a JSON text. Raises INP-001, and ValueError for invalid JSON."""
     content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
     if b"\0" in content:  # as in every other encoding, whose depth is not seen
         raise ValueError("JSON that is not UTF-8")
@@ -80,21 +93,25 @@ def read_json_bytes(
     *,
     linked: bool = True,
 ) -> bytes:
-    """A JSON file as bytes for a model to validate; `linked` as in `read_bounded`. Raises
-    INP-001, OSError.
+    """Read a JSON file as bytes for a model to validate; `linked` as in `read_bounded`.
+
+    Raises INP-001, OSError.
     """
     return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes, most_values)
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
-    """A file of JSON lines, the last of which may be torn; `linked` likewise. Raises INP-001, OSError."""
+    """Read JSON lines, the last of which may be torn; `linked` as in `read_bounded`.
+
+    Raises INP-001, OSError.
+    """
     return _check_count(read_bounded(path, limit_bytes, linked=linked), MOST_VALUES_OF_LINES)
 
 
 def check_json(
     content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
 ) -> bytes:
-    """The same bytes if they are within limits; raises INP-001. Numbers in them may be anything."""
+    """Return the bytes if they are within limits, else raise INP-001. Numbers in them may be anything."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
     _check_count(content, most_values)
@@ -110,7 +127,7 @@ def _check_count(content: bytes, most_values: int) -> bytes:
 
 
 def values_in(content: bytes) -> int:
-    """At most so many values are in a JSON text."""
+    """Upper bound for the number of values in a JSON text."""
     return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
 
 
@@ -131,7 +148,7 @@ def _whole(digits: str) -> int:
 
 
 def _finite(number: str) -> float:
-    """Parse a fraction; rejects NaN and Infinity, which are not JSON."""
+    """Parse a fraction; refuse NaN and Infinity, which are not JSON."""
     value = float(number)
     if not math.isfinite(value):
         raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])
@@ -154,7 +171,7 @@ _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
 
 
 def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """The content of a file; raises `refusal` with the reason if it is not TOML within limits, OSError."""
+    """Read a TOML file; raises `refusal` with the reason if it is not TOML within limits, OSError."""
     try:
         content = read_bounded(path, LARGEST_TOML_BYTES)
     except InputRefused as error:
@@ -163,7 +180,7 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
 
 
 def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """The content of the bytes of a file with this name; raises `refusal` like `read_toml`."""
+    """Parse the bytes of a file with this name; raises `refusal` like `read_toml`."""
     try:
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:
@@ -187,7 +204,7 @@ def _line_of(error: ValueError, content: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The content of a TOML text. Raises INP-001, and ValueError for invalid TOML."""
+    """Parse a TOML text. Raises INP-001, and ValueError for invalid TOML."""
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
     if sum(map(text.count, "[{,=")) > MOST_TOML_VALUES:  # a model may find several mistakes in each
@@ -232,7 +249,7 @@ def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
 
 
 def unzip(packed: bytes, limit_bytes: int) -> bytes:
-    """The first member of a ZIP file, stored or deflated. Raises INP-001, also for a damaged file."""
+    """Unpack the first member of a ZIP file, stored or deflated. Raises INP-001, also for a damaged file."""
     if len(packed) > LARGEST_ZIP_BYTES:
         raise InputRefused("a ZIP file is too large", limit=f"{LARGEST_ZIP_BYTES} bytes")
     try:
@@ -262,7 +279,7 @@ NAMES_BYTES = 20_000_000  # in total: a namespace name is repeated in that of ev
 
 
 def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
-    """The root element. Raises INP-001, also for invalid XML."""
+    """Parse XML and return the root element. Raises INP-001, also for invalid XML."""
     if len(data) > limit_bytes:
         raise InputRefused("the XML is too large", limit=f"{limit_bytes} bytes", got=str(len(data)))
     parser = ElementTree.XMLParser(target=_Builder())

@@ -21,22 +21,6 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError
 from ronna_hw.host.shared_memory import MemoryMap
 
-LAYOUT_VERSION = 3
-
-CLOCK = MemoryMap(b"RONNACLK")
-VERSION = CLOCK.word("I")
-PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
-TIME_NS = CLOCK.word("q")  # meaningful when not paced
-EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful when paced
-STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 if none
-WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
-UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
-
-# A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
-# seconds for a missing reply (see the robot simulator), so the limit is above that.
-STREAM_SILENCE_NS = 2_500_000_000
-
-
 WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
 
 
@@ -84,11 +68,27 @@ class HostClock:
         time.sleep(max(0.0, duration_s))
 
 
-class SharedClock:
-    """One clock for several processes. A process that needs time to pass requests it under the lock.
+# Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
+LAYOUT_VERSION = 3
+CLOCK = MemoryMap(b"RONNACLK")
+VERSION = CLOCK.word("I")
+PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
+TIME_NS = CLOCK.word("q")  # meaningful when not paced
+EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful when paced
+STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 if none
+WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
+UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
+# A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
+# seconds for a missing reply (see the robot simulator), so the limit is above that.
+STREAM_SILENCE_NS = 2_500_000_000
 
-    While a cyclic device streams (the robot's correction stream), only its cycles advance the time and
-    everything else waits; otherwise a wait advances the time itself.
+
+class SharedClock:
+    """A clock shared by several processes, at the beginning of a `shm://` block.
+
+    While a cyclic device streams (the correction stream of the robot), only its cycles advance the time and
+    everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
+    the lock.
     """
 
     def __init__(self, path: str) -> None:
@@ -163,7 +163,7 @@ class SharedClock:
         return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
-        """For the cyclic device: add one cycle and return the new time. No effect when paced."""
+        """Add one cycle of the cyclic device and return the new time. No effect when paced."""
         if self._paced:
             return self.now_ns()
         with self.locked():
@@ -173,18 +173,18 @@ class SharedClock:
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """For a device that is read measurement by measurement: when the next is due; 0 ends it."""
+        """Note when the next measurement of a device is due that is read one by one; 0 ends it."""
         UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
-        """For the cyclic device: whether its next cycle would pass a measurement no reader awaits yet."""
+        """Whether the next cycle would pass a measurement that no reader awaits yet."""
         due_ns = UNREAD_NS.read(self._memory)
         if due_ns == 0 or self._paced or self.has_waiters():
             return False
         return TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
-        """For the cyclic device: release the pace of time."""
+        """Release the pace of time at the end of a cyclic stream."""
         with self.locked():
             STREAM_HOST_NS.write(self._memory, 0)
 

@@ -44,7 +44,7 @@ HEAD, FIDUCIAL = "head", "fiducial"
 
 
 class BodyFrame(StrEnum):
-    """The frame in which a body of the surroundings is described."""
+    """Frame in which a body of the surroundings is described."""
 
     HEAD = "head"
     ROBOT = "robot"
@@ -60,7 +60,7 @@ class BodyConfig(Strict):
 
     @property
     def capsule(self) -> Capsule:
-        """As plain numbers."""
+        """The body as plain numbers."""
         return Capsule(self.start_mm, self.end_mm, self.radius_mm)
 
 
@@ -187,7 +187,10 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Everything in the frames that the arm needs; fiducials in $ROBROOT, as localized so far."""
+        """Surroundings in the frames that the arm needs.
+
+        `fiducials_mm` are in $ROBROOT, as localized so far.
+        """
         head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
         obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
         for body in self.bodies:
@@ -209,7 +212,7 @@ class CollisionConfig(Strict):
 
 
 def _post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """A sphere and its post, which points to the centre of the head."""
+    """A sphere on its post, which points to the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

@@ -43,7 +43,10 @@ from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
 
 def require_expiry(theatre: TheatreFile) -> None:
-    """Records of a real theatre expire within a year; in a simulated one nothing is knocked or worn."""
+    """Raise ValueError unless records of a real theatre expire within a year.
+
+    In a simulated one nothing is knocked or worn.
+    """
     calibrations = {} if theatre.calibration is None else theatre.calibration.records
     records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
     records |= {f"tools.{name}": one for name, one in theatre.tools.items()}
@@ -55,7 +58,7 @@ def require_expiry(theatre: TheatreFile) -> None:
 
 
 def require_outside_hand(theatre: TheatreFile) -> None:
-    """Tools, and the axis of the guide, are outside the arm's hand; in centimetres they would be inside."""
+    """Raise ValueError if a tool or the axis of the guide is inside the arm's hand: it is in centimetres."""
     if theatre.calibration is None:
         return
     hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
@@ -73,7 +76,7 @@ def require_outside_hand(theatre: TheatreFile) -> None:
 
 
 def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
-    """Distance of the flange's centre from a tip, or from a guide's axis between tip and upper end."""
+    """Distance of the flange's centre from a tip, or from the axis of a guide between tip and upper end."""
     w, x, y, z = flange_from_tool.quaternion_wxyz
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     tip_mm = flange_from_tool.translation_mm
@@ -113,7 +116,7 @@ class ClockConfig(Strict):
 
 
 class DeviceConfig(Strict):
-    """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
+    """A device: its driver by name, its endpoint or endpoints, and the driver's own options."""
 
     driver: str = Field(description="Name of the driver, as registered by its package.")
     endpoint: str | None = Field(default=None, description="Address of a device with one endpoint.")
@@ -133,7 +136,7 @@ class DeviceConfig(Strict):
         return self._folder
 
     def read_from(self, folder: Path) -> Self:
-        """The same device, with paths in its options relative to `folder`."""
+        """Copy with paths in its options relative to `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -154,7 +157,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """The parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
+        """Parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -180,7 +183,7 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """The existing records, by name."""
+        """Existing records by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 
@@ -260,7 +263,7 @@ class ProcedureSettings(Strict):
 
 
 class TheatreFile(Strict):
-    """A complete theatre. Any number of robots, each with a name."""
+    """A theatre with any number of named robots."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of the file format."
@@ -316,7 +319,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """The bodies around the arm, including those in the tools' records."""
+        """Bodies around the arm, including those in the records of the tools."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()

@@ -36,7 +36,7 @@ class BadTemplate(ConfigurationError):
 
 
 class TemplateMarker(Strict):
-    """One sphere: its centre, and the direction of its post."""
+    """A sphere: its centre, and the direction of its post."""
 
     centre_mm: Point = Field(
         description="Centre of the sphere, LPS of the CT on which the template was made."
@@ -67,7 +67,7 @@ class MarkerTemplate(Strict):
 
     @property
     def distances_mm(self) -> tuple[float, ...]:
-        """Between all pairs of markers, ascending."""
+        """Distances between all pairs of markers, ascending."""
         return tuple(sorted(math.dist(one, other) for one, other in combinations(self.centres_mm, 2)))
 
     @property

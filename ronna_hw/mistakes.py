@@ -19,7 +19,7 @@ UNQUOTED = ("float_type", "int_type", "bool_type")
 
 
 def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """One line per mistake: its place, what was expected, what was found; then how many more there are.
+    """Describe each mistake in one line: place, expectation, finding; then how many more there are.
 
     With the validated model, an unknown key is reported with the known ones at its place.
     """
@@ -41,7 +41,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
-    """Every mistake, without the lists that are only too short because of the mistakes in their items."""
+    """Every mistake, except lists that are only too short because of the mistakes in their items."""
     return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
 
 
@@ -55,7 +55,7 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
 
 
 def _place(parts: tuple[int | str, ...]) -> str:
-    """`trajectories 1.entry_mm`: list items are counted from 1, as in every message."""
+    """Place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1, as in every message."""
     text = ""
     for part in parts:
         text += f" {part + 1}" if isinstance(part, int) else f".{part}"
@@ -63,7 +63,7 @@ def _place(parts: tuple[int | str, ...]) -> str:
 
 
 def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """The keys of a model, or of the one nested at that place; none if it is not a model."""
+    """Keys of a model, or of the model nested at that place; none if there is no model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
@@ -77,21 +77,21 @@ def _fields(model: Any) -> dict[str, FieldInfo]:
 
 
 def _model_in(annotation: Any) -> Any:
-    """The model in a field: itself, optional, or as the values of a table or a list."""
+    """The model in the annotation of a field: itself, optional, or as values of a table or a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
 
 
 def _meant(key: str, known: Sequence[str]) -> str:
-    """The most similar known key, as a question, or all of them."""
+    """The most similar known key as a question, or else all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""
 
 
 def in_words(item: ErrorDetails) -> str:
-    """The message of one mistake, without its place and without what was found there."""
+    """Word one mistake, without its place and its finding."""
     context = item.get("ctx", {})
     match item["type"]:
         case "missing":
@@ -121,7 +121,7 @@ def _only_quoted(value: object) -> bool:
 
 
 def _count_wrong(limits: Mapping[str, Any]) -> str:
-    """The number of values, and the expected number."""
+    """Number of values found and expected."""
     if "max_length" in limits:
         return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
     return f"{limits['actual_length']} values, expected {limits['min_length']} or more"

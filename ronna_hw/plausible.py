@@ -1,6 +1,8 @@
-"""Bounds of the numbers in a theatre file: beyond them one is in another unit, or mistyped.
+"""Bounds of the numbers in theatre files, plans and scenes: beyond them one is in another unit, or mistyped.
 
-Each is far from anything that is built or measured, so that whatever is refused was not meant.
+Each bound of a theatre file is far from anything that is built or measured, so that nothing is refused that
+was meant. A plan and a scene share one set of bounds: the plan of a simulated patient is made from its scene,
+so no scene is accepted whose plan would be refused.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibrat
 
 
 def not_in_metres(shortest_mm: float) -> AfterValidator:
-    """For a length that is 0 or at least this long; in metres it would be shorter."""
+    """Validator of a length that is 0 or at least this long; in metres it would be shorter."""
 
     def in_millimetres(length_mm: float) -> float:
         if 0.0 < length_mm < shortest_mm:
@@ -46,7 +48,7 @@ def not_in_metres(shortest_mm: float) -> AfterValidator:
 
 
 def not_in_micrometres(largest_mm: float) -> AfterValidator:
-    """For an error that is smaller than this; in micrometres it would be larger."""
+    """Validator of an error that is smaller than this; in micrometres it would be larger."""
 
     def in_millimetres(error_mm: float) -> float:
         if error_mm >= largest_mm:
@@ -57,7 +59,7 @@ def not_in_micrometres(largest_mm: float) -> AfterValidator:
 
 
 def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
-    """For a position that is this far from its origin, unless at it: in metres it would be closer."""
+    """Validator of a position at its origin or this far from it; in metres it would be closer."""
 
     def in_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:

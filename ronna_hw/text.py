@@ -1,4 +1,7 @@
-"""Keeps names from outside (files, series, patients, devices) from steering or flooding a terminal."""
+"""Text for people: names made safe to display, counts, figures next to their limits, typed numbers.
+
+Names of files, series, patients and devices must neither steer nor flood a terminal.
+"""
 
 from __future__ import annotations
 
@@ -9,12 +12,11 @@ from collections.abc import Sequence
 LONGEST_WORD = 160  # characters: a path or a number fits on a line of a wide terminal
 LONGEST_LINE = 4000  # an error that lists the mistakes in a file is a paragraph, not a page
 GAP = "…"
-
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def printable(text: str) -> str:
-    """The text as one line, without control characters, with words and numbers of limited length.
+    """Return text as one line without control characters, its words and numbers limited in length.
 
     Anything too long is shortened in the middle: a path is recognised by its beginning and end.
     """
@@ -25,12 +27,12 @@ def printable(text: str) -> str:
 
 
 def printable_lines(text: str) -> str:
-    """The same for text that may have several lines."""
+    """Make each line of a text printable."""
     return "\n".join(map(printable, text.split("\n")))
 
 
 def without_controls(text: str) -> str:
-    """White space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
+    """Show white space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
     if text.isprintable():
         return text
     return "".join(map(_shown, text))
@@ -52,12 +54,12 @@ def _shortened(text: str, most: int) -> str:
 
 
 def counted(number: int, one: str, several: str | None = None) -> str:
-    """`1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
+    """Say a number of things: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
     return f"{number} {one if number == 1 else several or one + 's'}"
 
 
 def some_of(names: Sequence[str], shown: int = 5) -> str:
-    """The first names, and how many more there are: `a, b and 4 more`."""
+    """List the first names, and how many more there are: `a, b and 4 more`."""
     listed = ", ".join(names[:shown])
     return listed if len(names) <= shown else f"{listed} and {len(names) - shown} more"
 
@@ -66,7 +68,7 @@ MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals
 
 
 def beyond(value: float, limit: float, decimals: int) -> str:
-    """The value with this many decimals, or as many more as needed to show its side of a limit shown in full.
+    """Format a value next to a limit shown in full: with as many decimals as show on which side it is.
 
     `beyond(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """
@@ -78,7 +80,7 @@ def beyond(value: float, limit: float, decimals: int) -> str:
 
 
 def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
-    """The value and a computed limit, each with this many decimals, or as many more as distinguish them."""
+    """Format a value and a computed limit with as many decimals as distinguish them."""
     for more in range(MOST_MORE):
         shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))
         if shown != refused_from:
@@ -89,19 +91,19 @@ def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
-def without_unit(typed: str, unit: str) -> str:
-    """What was typed, without the space around it and the unit that may follow it."""
-    words = typed.strip()
-    return words[: -len(unit)].rstrip() if unit and words.casefold().endswith(unit.casefold()) else words
-
-
 def typed_number(typed: str, unit: str = "") -> float:
-    """A finite number, with a decimal point or comma; raises ValueError with the text typed.
+    """Parse a finite number with a decimal point or comma; raises ValueError with the text typed.
 
-    The `unit` may follow it, with or without a space; another one may not.
+    The `unit` may follow it, with or without a space; another unit may not.
     """
     words = without_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
     number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
     if not math.isfinite(number):
         raise ValueError(repr(typed.strip()))
     return number
+
+
+def without_unit(typed: str, unit: str) -> str:
+    """Strip surrounding space and a trailing unit from what was typed."""
+    words = typed.strip()
+    return words[: -len(unit)].rstrip() if unit and words.casefold().endswith(unit.casefold()) else words

@@ -9,9 +9,8 @@ from procedures.engine.context import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import held_to, not_vouched_for
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
-from ronna_hw.evidence.manifest import hashes_at_closing, hashes_outside
+from ronna_hw.evidence.manifest import hashes_at_closing, hashes_outside, held_to, not_vouched_for
 from ronna_hw.logs import logger
 
 _log = logger(part="engine")

@@ -1,4 +1,7 @@
-"""The neutral interface to an arm's kinematics, which assumes neither an axis order nor a spherical wrist."""
+"""The neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
+
+It assumes neither an axis order nor a spherical wrist.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ Segment = tuple[Vector3, Vector3]
 
 
 class ArmPart(StrEnum):
-    """The parts of an arm whose thickness a theatre file states (`[cell.arm]`)."""
+    """Parts of an arm whose thickness a theatre file states (`[cell.arm]`)."""
 
     COLUMN = "column"
     UPPER_ARM = "upper_arm"
@@ -29,7 +32,7 @@ class ArmPart(StrEnum):
 
 
 class Joint(NamedTuple):
-    """One joint of a chain. With all joints at zero every frame is parallel to the base.
+    """A joint of a chain. With all joints at zero every frame is parallel to the base.
 
     `axis` is a unit vector, about which angles are positive; `to_next_mm` leads to the next joint, or from
     the last joint to the flange, in the frame that turns with this one.
@@ -86,9 +89,10 @@ class ArmBodies(Protocol):
         ...
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
-        """Axes of all links in the robot base, and the flange's pose: the live monitor's own closed form.
+        """Axes of all links in the robot base, and the pose of the flange.
 
-        Called in the real-time loop; shares no formula with the sweeps that multiply out `chain`.
+        The live monitor's own closed form, called in the real-time loop; shares no formula with the sweeps
+        that multiply out `chain`.
         """
         ...
 
@@ -123,12 +127,12 @@ class SingularMeasure(NamedTuple):
 
     @property
     def least(self) -> float:
-        """The smallest of the three."""
+        """Smallest of the three."""
         return min(self)
 
 
 class JointRanges(Protocol):
-    """The capabilities of an arm's joints. Vectors have one value per joint, from the base outwards."""
+    """Capabilities of the joints of an arm, one value per joint from the base outwards."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -153,12 +157,12 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
 
     @property
     def name(self) -> str:
-        """Identifies the arm, including in calibration records."""
+        """Name of the arm, also in calibration records."""
         ...
 
     @property
     def home_rad(self) -> JointVector:
-        """A posture from which to start work: clear of singularities, tool down and in front of the wrist."""
+        """Posture from which to start work: clear of singularities, tool down and in front of the wrist."""
         ...
 
     @property
@@ -171,7 +175,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """The same as a checked transform, ROBOT <- FLANGE."""
+        """Pose of the flange as a checked transform, ROBOT <- FLANGE."""
         ...
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
@@ -191,7 +195,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-        """The solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
+        """Solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
 
         Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """

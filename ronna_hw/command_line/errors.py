@@ -1,4 +1,8 @@
-"""Errors around a command: usage, disk, paths, ports, and program faults."""
+"""Errors around a command: usage, disk, paths, ports, memory, and program faults.
+
+Typer says half of what is wrong with a command line. The other half, such as the closest valid word, is in
+the option and in its validation error.
+"""
 
 from __future__ import annotations
 
@@ -90,7 +94,7 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
 
 
 def as_ronna_error(problem: BaseException) -> RonnaError:
-    """Any exception as a RonnaError: itself, or an operating-system or internal error with a code."""
+    """Return any exception as a RonnaError: itself, or an error of the system or the program with a code."""
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
@@ -105,7 +109,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
 
 
 def _first_with_number(problem: BaseException) -> BaseException:
-    """The operating-system error wrapped by a library."""
+    """The operating-system error that a library has wrapped."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:
@@ -119,7 +123,7 @@ _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
 def asked_for(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
-    """The name of the command selected by the arguments, and its parameters."""
+    """Name and parameters of the command that the arguments select."""
     names = [str(command.name)]
     for word in arguments:
         inner = getattr(command, "commands", {}).get(word)
@@ -131,7 +135,7 @@ def asked_for(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any
 
 
 def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
-    """Typer's refusal of the arguments of `command` as an error of ours."""
+    """Turn typer's refusal of a command line into an error of ours: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
     see = f"See {help_of}."
@@ -178,7 +182,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 
 def _validation(cause: BaseException | None) -> tuple[str, str] | None:
-    """What was expected and what was given instead, if the value was validated."""
+    """What a validator expected and what was given instead; None if the value was not validated."""
     errors = getattr(cause, "errors", None)
     if errors is None:
         return None
@@ -200,12 +204,12 @@ def _validation(cause: BaseException | None) -> tuple[str, str] | None:
 
 
 def _hint(parameter: Any, context: Any) -> str:
-    """The option or argument as typed."""
+    """Option or argument as typed."""
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
 def _meaning(parameter: Any, context: Any) -> str:
-    """The help of an option or argument, with its limits."""
+    """Help of an option or argument, with its limits."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
     return text if not text or text.endswith((".", "]")) else f"{text}."

@@ -1,4 +1,7 @@
-"""Options that every command has: `--verbose`, `--log-level`, `--version`; a group has only the last."""
+"""Options that commands share: log output and its levels, the version, records of options, files to write.
+
+Every command has `--verbose`, `--log-level` and `--version`; a group has only the last.
+"""
 
 from __future__ import annotations
 
@@ -24,67 +27,8 @@ LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
 
 
-def set_log_levels(levels: Sequence[str]) -> None:
-    """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
-    for entry in levels:
-        name, _, level = entry.strip().rpartition("=")
-        if name and not is_known(name):
-            raise UsageMistake(
-                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(known_loggers())
-            )
-        try:
-            set_level(level.lower(), name)
-        except ValueError as wrong:
-            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
-
-
-def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
-    """Apply them, also in every process that this command starts or becomes; raises CLI-001."""
-    if not levels:
-        return
-    set_log_levels(levels)
-    before = os.environ.get(LEVELS_VARIABLE)
-    os.environ[LEVELS_VARIABLE] = ",".join((*([before] if before else []), *levels))
-
-
-def set_log_levels_from_environment() -> None:
-    """Apply the levels in RONNA_LOG, separated by commas; options are applied later and take precedence."""
-    given = os.environ.get(LEVELS_VARIABLE)
-    if given:
-        set_log_levels(given.split(","))
-
-
-def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`; otherwise silence warnings from libraries.
-
-    Python would print those warnings among the command's messages.
-    """
-    if not verbose:
-        logging.getLogger().addHandler(logging.NullHandler())
-        warnings.simplefilter("ignore")
-        return
-    from ronna_hw.log_output import about_this_computer, show_log
-
-    show_log(sys.stderr)
-    command_logger().info("started", **about_this_computer())
-
-
-def command_logger() -> Logger:
-    """The logger of this process' command."""
-    return logger(command=Path(sys.argv[0]).name)
-
-
-def log_failure(problem: Exception, error: RonnaError) -> None:
-    """Log how a command failed: the error, and where it was raised, without any values."""
-    import traceback
-
-    frames = traceback.extract_tb(problem.__traceback__)
-    raised_at = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames]
-    command_logger().error("failed", error=error, raised_by=type(problem).__name__, trace=raised_at)
-
-
 def with_common_options(command: Any) -> Any:
-    """Add them to typer's command and to all commands of a group; returns it."""
+    """Add the common options to typer's command and to all commands of a group; returns it."""
     declared = _declared()
     for one in _all(command):
         is_group = bool(getattr(one, "commands", {}))
@@ -93,23 +37,14 @@ def with_common_options(command: Any) -> Any:
 
 
 def _all(command: Any) -> Iterator[Any]:
-    """A command and all below it."""
+    """A command and all commands below it."""
     yield command
     for one in getattr(command, "commands", {}).values():
         yield from _all(one)
 
 
-def _tell_version(wanted: bool) -> None:
-    if not wanted:
-        return
-    from ronna_hw.software import this_software
-
-    say(str(this_software()))
-    raise typer.Exit
-
-
 def _declared() -> list[Any]:
-    """The options as created by typer: their callbacks do the work, and commands receive no value."""
+    """The options as typer creates them: their callbacks do the work, and commands receive no value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
     @app.command()
@@ -146,16 +81,84 @@ def _declared() -> list[Any]:
             ),
         ] = False,
     ) -> None:
-        """Never called: it declares the options."""
+        """Declare the options; never called."""
 
     return list(typer.main.get_command(app).params)
+
+
+def _tell_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from ronna_hw.software import this_software
+
+    say(str(this_software()))
+    raise typer.Exit
+
+
+def set_up_logging(verbose: bool) -> None:
+    """Show the log on standard error with `--verbose`; otherwise silence warnings of libraries.
+
+    Python would print those among the messages of the command.
+    """
+    if not verbose:
+        logging.getLogger().addHandler(logging.NullHandler())
+        warnings.simplefilter("ignore")
+        return
+    from ronna_hw.log_output import about_this_computer, show_log
+
+    show_log(sys.stderr)
+    command_logger().info("started", **about_this_computer())
+
+
+def set_log_levels(levels: Sequence[str]) -> None:
+    """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
+    for entry in levels:
+        name, _, level = entry.strip().rpartition("=")
+        if name and not is_known(name):
+            raise UsageMistake(
+                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(known_loggers())
+            )
+        try:
+            set_level(level.lower(), name)
+        except ValueError as wrong:
+            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
+
+
+def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
+    """Apply levels here and in every process that this command starts or becomes; raises CLI-001."""
+    if not levels:
+        return
+    set_log_levels(levels)
+    before = os.environ.get(LEVELS_VARIABLE)
+    os.environ[LEVELS_VARIABLE] = ",".join((*([before] if before else []), *levels))
+
+
+def set_log_levels_from_environment() -> None:
+    """Apply the comma-separated levels in RONNA_LOG; options come later and take precedence."""
+    given = os.environ.get(LEVELS_VARIABLE)
+    if given:
+        set_log_levels(given.split(","))
+
+
+def command_logger() -> Logger:
+    """Logger of the command of this process."""
+    return logger(command=Path(sys.argv[0]).name)
+
+
+def log_failure(problem: Exception, error: RonnaError) -> None:
+    """Log how a command failed: the error, and where it was raised, without any values."""
+    import traceback
+
+    frames = traceback.extract_tb(problem.__traceback__)
+    raised_at = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames]
+    command_logger().error("failed", error=error, raised_by=type(problem).__name__, trace=raised_at)
 
 
 Returned = TypeVar("Returned")
 
 
 def with_option_records(command: Callable[..., Returned]) -> Callable[..., Returned]:
-    """The command as typer reads it: each parameter of a dataclass type is replaced by its fields.
+    """Decorate a command for typer: each parameter of a dataclass type is replaced by its fields.
 
     A field is declared like a parameter, `name: Annotated[type, typer.Option(...)] = default`. The command
     itself receives the record.
@@ -192,8 +195,14 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
     return called
 
 
+def require_folder(out: Path) -> None:
+    """Raise CLI-005 if `--out` names a file instead of a folder."""
+    if out.exists() and not out.is_dir():
+        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
+
+
 def require_folder_of(*files: Path) -> None:
-    """Raise CLI-005 for a file whose folder does not exist."""
+    """Raise CLI-005 for a file whose folder does not exist; called before the work that writes it."""
     for file in files:
         if not file.parent.is_dir():
             raise PathProblem(
@@ -201,12 +210,6 @@ def require_folder_of(*files: Path) -> None:
                 expected=f"an existing folder for {file.name}",
                 action="Create the folder, or name another.",
             )
-
-
-def require_folder(out: Path) -> None:
-    """Raise CLI-005 where `--out` names a file in place of a folder."""
-    if out.exists() and not out.is_dir():
-        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
 def require_new(*files: Path) -> None:

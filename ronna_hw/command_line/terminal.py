@@ -133,7 +133,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 
 def _command_of(app: typer.Typer, asked: str) -> Any:
-    """The command; of a group only the one that is asked for: typer takes two milliseconds for each."""
+    """The command; of a group only the selected one: typer takes two milliseconds for each."""
     named = next((one for one in app.registered_commands if _name_of(one) == asked), None)
     alone = len(app.registered_commands) + len(app.registered_groups) == 1
     return _made(app, None if alone else named)
@@ -182,7 +182,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop output refused by a full disk or a closed pipe, so that the interpreter exits quietly."""
+    """Drop output that a full disk or a closed pipe refuses, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,6 +1,6 @@
-"""Where drivers pass on their link traffic, byte for byte.
+"""Capabilities that a driver may offer beyond the interface of its device.
 
-A driver that supports it offers `record_bytes`; others need none of this.
+It may pass on its link traffic, byte for byte, and tell what must hold before a case can begin.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 
 class Direction(StrEnum):
-    """As seen from this computer."""
+    """Direction of traffic, as seen from this computer."""
 
     SENT = "sent"
     RECEIVED = "received"
 
 
 class Passed(NamedTuple):
-    """Bytes that passed at a time of the host's monotonic clock."""
+    """Bytes that passed at a time of the monotonic clock of the host."""
 
     host_ns: int
     direction: Direction
@@ -27,18 +27,21 @@ class Passed(NamedTuple):
 
 
 class ByteSink(Protocol):
-    """Called by drivers from any thread. Never blocks, never raises. `link` is such as `robot.master.eki`."""
+    """Receiver of link traffic, called by drivers from any thread.
+
+    Never blocks, never raises. `link` is such as `robot.master.eki`.
+    """
 
     def passed(self, link: str, direction: Direction, data: bytes) -> None:
-        """These bytes have just passed."""
+        """Take bytes that have just passed."""
         ...
 
     def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
-        """Traffic seen by another process since it was last queried, in order."""
+        """Take traffic, in order, that another process saw since it was last queried."""
         ...
 
     def note(self, link: str, **facts: str | float) -> None:
-        """Information about the link other than bytes: another rate, bytes lost, one image of a stream."""
+        """Take facts about the link other than bytes: a new rate, bytes lost, one image of a stream."""
         ...
 
 
@@ -56,7 +59,10 @@ MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowled
 
 @dataclass(frozen=True)
 class Fact:
-    """One condition: name, such as `operating mode`, finding, whether a case can begin, else what to do."""
+    """A condition that a device reports: name, such as `operating mode`, and finding.
+
+    If it keeps a case from beginning, `ready` is False and `advice` says what to do.
+    """
 
     name: str
     found: str
@@ -65,16 +71,16 @@ class Fact:
 
 
 def counted_fact(name: str, count: int) -> tuple[Fact, ...]:
-    """What a driver counted, as it tells it unsolicited; nothing while there was none."""
+    """Fact for a driver's count, which it tells unsolicited; none while the count is 0."""
     return (Fact(name, str(count)),) if count else ()
 
 
 @runtime_checkable
 class TellsReadiness(Protocol):
-    """A device that can report more about its readiness than that it answers."""
+    """A device that reports more about its readiness than that it answers."""
 
     def readiness(self, timeout_s: float = 1.0) -> Sequence[Fact]:
-        """Everything that decides whether it can be activated, read now. Allowed from CONNECTED.
+        """Read everything that decides whether the device can be activated. Allowed from CONNECTED.
 
         Moves nothing and changes nothing. Raises the errors of reading from the device.
         """

@@ -1,4 +1,4 @@
-"""Device lifecycle: the states of every device, and the calls allowed in each.
+"""The interface of every device, its lifecycle, and its activation for a block.
 
 DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD; FAULT is latched
 and cleared only by an explicit `recover`, which re-reads the device; CLOSED is final. Reading is allowed from
@@ -22,20 +22,9 @@ from ronna_hw.logs import logger
 if TYPE_CHECKING:
     from ronna_hw.devices.capabilities import Fact
 
-R_co = TypeVar("R_co", covariant=True)
-
-
-@dataclass(frozen=True)
-class LastKnown(Generic[R_co]):
-    """State, latched fault and latest reading as last seen; the reading's stamp gives its age."""
-
-    state: Lifecycle
-    fault: RonnaError | None
-    reading: R_co | None
-    says: tuple[Fact, ...] = ()  # what the device reported unsolicited
-
 
 R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
 
 
 class Lifecycle(StrEnum):
@@ -50,14 +39,13 @@ class Lifecycle(StrEnum):
     CLOSED = "closed"
 
 
+RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
+READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
 _NEXT = {  # the call that leads on; from the others there is a choice, or none
     Lifecycle.DISCONNECTED: "connect",
     Lifecycle.CONNECTED: "configure",
     Lifecycle.CONFIGURED: "activate",
 }
-RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
-READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
-
 _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
     Lifecycle.DISCONNECTED: frozenset({Lifecycle.CONNECTED, Lifecycle.CLOSED}),
     Lifecycle.CONNECTED: frozenset({Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}),
@@ -78,13 +66,23 @@ _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
 
 @dataclass(frozen=True)
 class Identity:
-    """The device's own identity: read at connect, never taken from the configuration."""
+    """Identity of the device itself: read at connect, never taken from the configuration."""
 
     vendor: str
     model: str
     serial: str
     firmware: str
     details: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class LastKnown(Generic[R_co]):
+    """State, latched fault and latest reading as last seen; the stamp of the reading gives its age."""
+
+    state: Lifecycle
+    fault: RonnaError | None
+    reading: R_co | None
+    says: tuple[Fact, ...] = ()  # what the device reported unsolicited
 
 
 @runtime_checkable
@@ -165,83 +163,6 @@ class Device(Protocol):
         ...
 
 
-def require_person(name: str) -> str:
-    """Return the name of the person who acknowledges or confirms; raises DEV-006 if it has no letters."""
-    if not any(map(str.isalpha, name)):
-        raise PersonNotNamed(
-            "an acknowledgement or confirmation needs the name of a person",
-            expected="letters",
-            got=repr(name) if name.strip() else "nothing",
-        )
-    return name
-
-
-class LifecycleGuard:
-    """State machine of one driver object: refuses calls that the state forbids, latches faults, logs."""
-
-    def __init__(self, device: str) -> None:
-        self.log = logger(device=device)
-        self._device = device
-        # One value, replaced atomically: another thread never sees half of a change.
-        self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
-        self._changing = threading.RLock()  # a signal handler may interrupt a change of its own thread
-
-    @property
-    def state(self) -> Lifecycle:
-        return self._now[0]
-
-    @property
-    def fault(self) -> RonnaError | None:
-        """The error that latched FAULT, if any."""
-        return self._now[1]
-
-    def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
-        """The result of `Device.observe`, with the driver's latest reading."""
-        return LastKnown(*self._now, reading, says)
-
-    def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the current state is one of `allowed`; a latched fault names its cause."""
-        states = tuple(allowed)
-        state, fault = self._now
-        if state in states:
-            return
-        cause, following = f" ({fault})" if fault else "", _NEXT.get(state)
-        raise WrongState(
-            f"{self._device}: {call} is not allowed now",
-            expected=" or ".join(sorted(states)),
-            got=f"{state}{cause}",
-            action=f"Once {state}, `{following}` comes next." if following else None,
-        )
-
-    def enter(self, state: Lifecycle, **facts: object) -> None:
-        """Move to `state` and log it with `facts`; raise DEV-001 if there is no such transition."""
-        with self._changing:
-            before = self.state
-            if state is before:
-                return
-            if state not in _ALLOWED[before]:
-                raise WrongState(f"{self._device}: cannot go from {before} to {state}")
-            self._now = (state, None)
-        self.log.info(state, before=before, **facts)
-
-    def exchange(self, before: Lifecycle, after: Lifecycle) -> bool:
-        """Enter `after` if the state is still `before`; returns whether it was."""
-        with self._changing:
-            if self.state is not before:
-                return False
-            self.enter(after)
-            return True
-
-    def latch(self, cause: RonnaError) -> None:
-        """Enter FAULT from any state but CLOSED, and keep the first cause."""
-        with self._changing:
-            before = self.state
-            if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
-                return
-            self._now = (Lifecycle.FAULT, cause)
-        self.log.error(Lifecycle.FAULT, before=before, cause=cause)
-
-
 D = TypeVar("D", bound=Device)
 
 
@@ -249,10 +170,10 @@ D = TypeVar("D", bound=Device)
 def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     """Connect and configure as needed, activate, and deactivate on leaving the block.
 
-    `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is
-    used as it is, and left active. Errors from the block are never masked: a failure to deactivate is
-    added to them as a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a
-    device in FAULT or CLOSED.
+    `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is used
+    as it is and left active. An error in the block is never masked: a failure to deactivate is added to it as
+    a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a device in FAULT or
+    CLOSED.
     """
     if device.state is Lifecycle.ACTIVE:  # activated by someone else, who also deactivates it
         yield device
@@ -282,6 +203,83 @@ def _activate(device: Device, timeout_s: float) -> None:
 
 
 def _deactivate(device: Device, timeout_s: float) -> None:
-    """Deactivate, unless the device is in FAULT: it has stopped, and only `recover` clears that."""
+    """Deactivate, except in FAULT: the device has stopped, and only `recover` clears that."""
     if device.state in RUNNING:
         device.deactivate(timeout_s)
+
+
+def require_person(name: str) -> str:
+    """Return the name of the person who acknowledges or confirms; raises DEV-006 if it has no letters."""
+    if not any(map(str.isalpha, name)):
+        raise PersonNotNamed(
+            "an acknowledgement or confirmation needs the name of a person",
+            expected="letters",
+            got=repr(name) if name.strip() else "nothing",
+        )
+    return name
+
+
+class LifecycleGuard:
+    """State machine of a driver: refuses calls that the state forbids, latches faults, logs."""
+
+    def __init__(self, device: str) -> None:
+        self.log = logger(device=device)
+        self._device = device
+        # One value, replaced atomically: another thread never sees half of a change.
+        self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
+        self._changing = threading.RLock()  # a signal handler may interrupt a change of its own thread
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._now[0]
+
+    @property
+    def fault(self) -> RonnaError | None:
+        """The error that latched FAULT, if any."""
+        return self._now[1]
+
+    def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
+        """The result of `Device.observe`, with the driver's latest reading."""
+        return LastKnown(*self._now, reading, says)
+
+    def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
+        """Raise DEV-001 unless the state is one of `allowed`; a latched fault names its cause."""
+        states = tuple(allowed)
+        state, fault = self._now
+        if state in states:
+            return
+        cause, following = f" ({fault})" if fault else "", _NEXT.get(state)
+        raise WrongState(
+            f"{self._device}: {call} is not allowed now",
+            expected=" or ".join(sorted(states)),
+            got=f"{state}{cause}",
+            action=f"Once {state}, `{following}` comes next." if following else None,
+        )
+
+    def enter(self, state: Lifecycle, **facts: object) -> None:
+        """Move to `state` and log it with `facts`; raises DEV-001 if there is no such transition."""
+        with self._changing:
+            before = self.state
+            if state is before:
+                return
+            if state not in _ALLOWED[before]:
+                raise WrongState(f"{self._device}: cannot go from {before} to {state}")
+            self._now = (state, None)
+        self.log.info(state, before=before, **facts)
+
+    def exchange(self, before: Lifecycle, after: Lifecycle) -> bool:
+        """Enter `after` if the state is still `before`; returns whether it was."""
+        with self._changing:
+            if self.state is not before:
+                return False
+            self.enter(after)
+            return True
+
+    def latch(self, cause: RonnaError) -> None:
+        """Enter FAULT from any state but CLOSED, and keep the first cause."""
+        with self._changing:
+            before = self.state
+            if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
+                return
+            self._now = (Lifecycle.FAULT, cause)
+        self.log.error(Lifecycle.FAULT, before=before, cause=cause)

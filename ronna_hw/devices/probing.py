@@ -1,11 +1,13 @@
-"""Probes find out why a device does not answer; `ronna-procedure doctor` shows the findings.
+"""Probes: why a device does not answer, and which devices there are.
 
-A driver's package declares its probe under the name of the driver::
+`ronna-procedure doctor` and `new-theatre` show the findings. A driver's package declares its probe under the
+name of the driver::
 
     [project.entry-points."ronna_hw.probes"]
     my_tracker = "my_package.probe:probe"
 
-A driver without one gets the default: connect, read the identity, close.
+A driver without one gets the default: connect, read the identity, close. A probe may also be a `Finder`,
+which searches lines and networks and proposes entries of a theatre file.
 """
 
 from __future__ import annotations
@@ -37,11 +39,11 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One line: what was checked, whether it is OK, what was observed, what to do.
+    """A line of the doctor: what was checked, whether it is OK, what was observed, what to do.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
-    JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied,
-    by endpoint; None where nothing did.
+    JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
+    endpoint; None where nothing did.
     """
 
     subject: str
@@ -54,12 +56,12 @@ class Diagnostic:
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:
-    """A device's refusal as a diagnostic."""
+    """Report a device's refusal as a diagnostic."""
     return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
 
 
 def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
-    """Each fact as a line of the doctor, with its advice if a case cannot begin."""
+    """Report each fact as a line of the doctor, with its advice if a case cannot begin."""
     for fact in device.readiness():
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
@@ -68,17 +70,17 @@ Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further check
 
 
 def leave_alone(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
-    """No further checks."""
+    """Make no further checks."""
     return ()
 
 
 class Probe(Protocol):
-    """Checks one device of a theatre file."""
+    """Checks a device of a theatre file."""
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        """The findings, in reading order; never raises, whatever the device does.
+        """Return the findings in reading order; never raises, whatever the device does.
 
         Talks only to the endpoints of `config`, in bounded time; nothing moves and no setting stays changed.
         The findings of `inspect` on the connected device are appended: a device accepts one client at a time.
@@ -96,7 +98,7 @@ class EndpointProbe(Probe, Protocol):
         ...
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        """Like a call, but without the driver itself: what is at each endpoint?"""
+        """Find out what is at each endpoint, without the driver itself."""
         ...
 
 
@@ -137,7 +139,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 
 def why_unreachable(endpoint: Endpoint) -> str:
-    """Why a TCP endpoint accepts no connection, as advice; empty if it does, and for other endpoints."""
+    """Say why a TCP endpoint accepts no connection; empty if it does, and for other endpoints."""
     if endpoint.scheme != "tcp":
         return ""
     try:
@@ -154,7 +156,7 @@ ONLY = ""  # role of the endpoint of a device with only one
 
 @dataclass(frozen=True)
 class Search:
-    """Where to search. Nothing is sent to any other line, network or address."""
+    """Places to search. Nothing is sent to any other line, network or address."""
 
     interfaces: tuple[Interface, ...] = ()
     lines: tuple[Endpoint, ...] = ()  # of trackers, serial or TCP
@@ -164,7 +166,7 @@ class Search:
 
 @dataclass(frozen=True)
 class Option:
-    """One option of a driver: its value if it differs from the default, and its purpose."""
+    """An option of a driver: its value if it differs from the default, and its purpose."""
 
     key: str
     value: Any  # as in TOML; None if it has no default
@@ -175,7 +177,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A device as a theatre file entry."""
+    """A device as an entry of a theatre file."""
 
     driver: str
     what: str  # what was found, in words; empty for an example
@@ -192,19 +194,19 @@ class Finder(Protocol):
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Everything that answers as such a device, and the reason for each given address that does not.
+        """Find everything that answers as such a device, and say why each other given address does not.
 
         Nothing moves and no setting is changed.
         """
         ...
 
     def example(self, search: Search) -> Proposal:
-        """An example of the table, for a device that was not found; its addresses are invented."""
+        """Example of the table for a device that was not found; its addresses are invented."""
         ...
 
 
 def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
-    """Every option of a driver with its description, including the values of the chosen ones."""
+    """Options of a driver with their descriptions, including the values of the chosen ones."""
     return tuple(
         Option(
             name,
@@ -228,9 +230,10 @@ def picture_diagnostics(
     tries: int,
     judged: Callable[[StereoReading], Iterator[Diagnostic]],
 ) -> Iterator[Diagnostic]:
-    """Take this many pairs with configured cameras: do enough arrive complete? The last is `judged`.
+    """Take so many pairs with configured cameras and tell whether enough arrive complete for a case.
 
-    A case makes up for a lost pair: it takes one up to `tries` times.
+    A case makes up for a lost pair: it takes one up to `tries` times. The last pair is `judged`. Nothing
+    moves.
     """
     whole = 0
     last: StereoReading | None = None

@@ -1,4 +1,4 @@
-"""An optical tracker: loaded tools with poses, and stray markers."""
+"""The measuring devices: an optical tracker with tools and strays, and two cameras triggered together."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFram
 
 @runtime_checkable
 class OpticalTracker(Device, Protocol):
-    """`configure` loads and enables the tools of the theatre file; `activate` starts tracking."""
+    """A tracker.
+
+    `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
+    """
 
     @property
     def tools(self) -> tuple[str, ...]:
@@ -27,11 +30,11 @@ class OpticalTracker(Device, Protocol):
         ...
 
     def observe(self) -> LastKnown[TrackerFrame]:
-        """Like `Device.observe`; the reading is the last frame."""
+        """Observe like `Device.observe`; the reading is the last frame."""
         ...
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """The next measurement: one request to the device. Allowed in ACTIVE.
+        """Request the next measurement. Allowed in ACTIVE.
 
         The frame counter of the device is in `stamp.device_clock`; a repeated number means that no new
         measurement was made. Raises LinkTimeout, ProtocolError or DeviceError.
@@ -54,11 +57,11 @@ class BoundedTracker(Protocol):
 
 @runtime_checkable
 class TimedTracker(Protocol):
-    """A tracker that reports how long its replies take: how old a frame is at least when it arrives."""
+    """A tracker that reports how long its replies take: the least age of a frame on arrival."""
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """From request to reply, without the transfer of both, of the last frames, the newest last.
+        """Times from request to reply of the last frames, without the transfer of both, the newest last.
 
         Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
         runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
@@ -68,7 +71,10 @@ class TimedTracker(Protocol):
 
 @runtime_checkable
 class StereoPair(Device, Protocol):
-    """`configure` takes control, binds serial numbers to sides and sets the cameras; `activate` arms them."""
+    """A pair of cameras.
+
+    `configure` takes control, binds serial numbers to sides and sets the cameras; `activate` arms them.
+    """
 
     @property
     def serials(self) -> tuple[str, str]:
@@ -76,7 +82,7 @@ class StereoPair(Device, Protocol):
         ...
 
     def observe(self) -> LastKnown[StereoReading]:
-        """Like `Device.observe`; the reading is the last pair."""
+        """Observe like `Device.observe`; the reading is the last pair."""
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
@@ -104,8 +110,8 @@ def new_frames(
 ) -> Iterator[TrackerFrame]:
     """Yield `count` measurements, or endless ones; each is new, none is STALE.
 
-    `timeout_s`: host time for each. Raises DEV-009 when the tracker delivers no new measurement in time, and
-    the errors of `read_frame`.
+    `timeout_s` is host time for each. Raises DEV-009 when the tracker delivers no new measurement in time,
+    and the errors of `read_frame`.
     """
     for _ in itertools.count() if count is None else range(count):
         yield _new_frame(tracker, timeout_s)

@@ -23,7 +23,7 @@ LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be it
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """One sphere over the frames, in tracker coordinates.
+    """A sphere over the frames, in tracker coordinates.
 
     `mean_mm` (3,) excludes `outliers`; `spread_mm` is the rms distance of all readings from it, which reveals
     a moving sphere; `covariance_mm2` (3, 3) is that of one reading; `count` is the number of all readings.
@@ -112,7 +112,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
 
 
 def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[int]:
-    """Assign each reading to the nearest group without one in this frame; returns the readings left."""
+    """Assign each reading to the nearest group without one in this frame; returns the unassigned readings."""
     free = list(range(len(readings)))
     if not groups or not free:
         return free

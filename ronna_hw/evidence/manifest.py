@@ -1,8 +1,13 @@
-"""What the lines of a journal say about files and records: their names, and the hashes that they had."""
+"""The manifest of a run: the names of its files with their SHA-256, written and read only here.
+
+It has two parts. The lines of the journal state what existed when they were written: the inputs that the run
+began with and that its results were made from, pictures, the truth of a simulated theatre so far, and in the
+last line every file of the closed run. The seal covers what is written later (the end of the log, the final
+state of the theatre, the report), and the journal as a whole, so that removing its last line is detected.
+"""
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import hashlib
 import os
@@ -21,131 +26,7 @@ from ronna_hw.records import PARTIAL, canonical_json, write_whole
 
 REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
-LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
-WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
-NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
-BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # the first line of each program that has the run
-
-
-def hashes_in(line: Line, field: str) -> dict[str, str]:
-    """File names and their hashes in a field of a line; empty if it has none."""
-    found = line.get(field)
-    return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
-
-
-def names_in(lines: Iterable[Line]) -> int:
-    """How many files the lines of a journal name."""
-    fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
-    return sum(len(hashes_in(line, field)) for line in lines for field in fields)
-
-
-def closed_files(lines: Sequence[Line]) -> dict[str, str]:
-    """Files and hashes of the journal's last `closed` line."""
-    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
-    return hashes_in(closed, "files")
-
-
-def lasting_files(lines: Sequence[Line]) -> dict[str, str]:
-    """Files of a run that goes on which must still be as the journal says, with their hashes.
-
-    Without what results were made from: who goes on compares what it says.
-    """
-    lasting = {name: sha256 for name, sha256 in closed_files(lines).items() if name.startswith(LASTING)}
-    apart = {WITH_PORTS, *made_from(lines)}
-    return {name: sha256 for name, sha256 in (lasting | begun_with(lines)).items() if name not in apart}
-
-
-def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
-    """Identifiers of the records that lines of a journal supersede."""
-    gone = (line.get("supersedes") for line in lines)
-    return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
-
-
-def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Inputs of a closed run that were others at its end than when its standing results were made."""
-    at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
-    for name, sha256 in (begun_with(lines) | made_from(lines)).items():
-        if at_end.get(name, sha256) != sha256:
-            yield name, "exchanged while the run was open: its results were made from another file"
-
-
-def begun_with(lines: Sequence[Line]) -> dict[str, str]:
-    """The files that the last program to open the run began with, with their hashes then."""
-    begun = [line for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number]
-    return hashes_in(begun[-1], "inputs") if begun else {}
-
-
-def made_from(lines: Sequence[Line]) -> dict[str, str]:
-    """The files that the standing results were made from, with their hashes then.
-
-    A finding holds that of a file that was written again since and says the same.
-    """
-    gone, found = superseded_in(lines), dict[str, str]()
-    for line in lines:
-        if line["entry"] in (Entry.RESULT, Entry.FINDING) and str(line.get("record")) not in gone:
-            found |= hashes_in(line, "inputs")
-    return found
-
-
-TRUTH_FILES = ("theatre/scene.json", "theatre/truth.jsonl")  # small
-GROWING = TRUTH_FILES[1:]
-LARGEST_BYTES = 10_000_000  # ten times what the verifier reads
-FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
-
-
-def truth_so_far(folder: Path) -> dict[str, JournalValue]:
-    """The field of a line; empty for a run without a simulated theatre."""
-    known: dict[str, JournalValue] = {}
-    for name in TRUTH_FILES:
-        with contextlib.suppress(OSError), open_regular(folder / name) as file:
-            content = file.read(LARGEST_BYTES)
-            known[name] = [len(content), hashlib.sha256(content).hexdigest()]
-    return {FIELD: known} if known else {}
-
-
-def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Files of a run that do not match its lines, and how."""
-    for name in journalled_truth(lines):
-        try:
-            with open_regular(folder / name) as file:
-                content = file.read(LARGEST_BYTES + 1)
-        except FileNotFoundError:
-            yield name, "missing"
-        except OSError as error:
-            yield name, f"replaced, or cannot be read: {error.strerror}"
-        else:
-            if what := unlike_content(name, content, lines):
-                yield name, what
-
-
-def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
-    """How the content of such a file does not match the lines; empty if it does, or they do not name it."""
-    if name not in (known := journalled_truth(lines)):
-        return ""
-    size, sha256, number = known[name]
-    if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
-        return "changed"
-    if len(content) > size and not (name in GROWING and _begun(lines[number + 1 :])):
-        return "continues beyond the journal, and no step was running"
-    return ""
-
-
-def journalled_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
-    """Length and hash of each file according to the last line that states them, and that line's number."""
-    known: dict[str, tuple[int, str, int]] = {}
-    for number, line in enumerate(lines):
-        field = line.get(FIELD)
-        for name, value in field.items() if isinstance(field, Mapping) else ():
-            match value:
-                case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
-                    known[name] = (int(length), sha256, number)
-    return known
-
-
-def _begun(lines: Sequence[Line]) -> bool:
-    return any(line["entry"] in (Entry.INTENT, Entry.RESTARTED) for line in lines)
-
-
+PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 SEAL_FILE = "seal.json"
 ROOM_FILE = f".room{PARTIAL}"  # held while a run is open; a kill leaves it as an unfinished file
 REPORT_FILE = "report.html"
@@ -159,6 +40,7 @@ RAW_FOLDER = "raw"  # images and frames as files, if wanted
 LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 THEATRE_FILES = ("theatre/*.toml", "theatre/*.rom")
+WITH_PORTS = "theatre/theatre.toml"  # written anew by each program that simulates the theatre
 APART = (
     "export",
     BESIDE,
@@ -166,37 +48,108 @@ APART = (
 )  # folders derived from the run at any time, and not part of it
 FIRST_FOLDERS = ("records", "pictures", "readings", "bytes", "theatre", "case", "case/ct")
 OWN_FOLDERS = frozenset((*FIRST_FOLDERS, *LATER_FOLDERS, "raw/pictures"))  # made empty at first
+LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
+TRUTH_FILES = ("theatre/scene.json", "theatre/truth.jsonl")  # constant, and growing while a step runs
+GROWING = TRUTH_FILES[1:]
+NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
+TRUTH_FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
+BEGINNINGS = (Entry.OPENED, Entry.RESTARTED)  # the first line of each program that has the run
 CHUNK_BYTES = 1 << 20
 LARGEST_FILE_BYTES = 4_000_000_000  # twice the tape of readings at its largest
+LARGEST_TRUTH_BYTES = 10_000_000  # ten times what the verifier reads
 
 
-class Seal(BaseModel):
-    """The content of `seal.json`. `own_sha256` is the hash of everything else in it."""
+def hashes_in(line: Line, field: str) -> dict[str, str]:
+    """File names and hashes in a field of a line; empty without the field."""
+    found = line.get(field)
+    return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
-    schema_version: int = Field(default=2, alias="schema")
-    journal_bytes: int = Field(description="Length of the journal that was sealed.")
-    journal_sha256: str
-    files: dict[str, str] = Field(description="Files not named in the journal, with their SHA-256.")
-    own_sha256: str = ""
+def names_in(lines: Iterable[Line]) -> int:
+    """Count the files that the lines of a journal name."""
+    fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
+    return sum(len(hashes_in(line, field)) for line in lines for field in fields)
 
-    @property
-    def whole(self) -> bool:
-        """Whether it is unchanged."""
-        return self.own_sha256 == self._own()
 
-    def with_own_hash(self) -> Seal:
-        """The same with its own hash."""
-        return self.model_copy(update={"own_sha256": self._own()})
+def is_closed(lines: Sequence[Line]) -> bool:
+    """Whether a journal ends like that of a closed run."""
+    return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
 
-    def _own(self) -> str:
-        content = [self.schema_version, self.journal_bytes, self.journal_sha256, self.files]
-        return hashlib.sha256(canonical_json(content)).hexdigest()
+
+def closed_files(lines: Sequence[Line]) -> dict[str, str]:
+    """Files and hashes of the last `closed` line."""
+    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
+    return hashes_in(closed, "files")
+
+
+def begun_with(lines: Sequence[Line]) -> dict[str, str]:
+    """Input files that the last program to open the run began with, with their hashes then."""
+    begun = [line for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number]
+    return hashes_in(begun[-1], "inputs") if begun else {}
+
+
+def made_from(lines: Sequence[Line]) -> dict[str, str]:
+    """Input files of the standing results, with their hashes then.
+
+    A finding updates the hash of a file that was rewritten since with the same meaning.
+    """
+    gone, found = superseded_in(lines), dict[str, str]()
+    for line in lines:
+        if line["entry"] in (Entry.RESULT, Entry.FINDING) and str(line.get("record")) not in gone:
+            found |= hashes_in(line, "inputs")
+    return found
+
+
+def lasting_files(lines: Sequence[Line]) -> dict[str, str]:
+    """Files of an open run that must not have changed since the journal named them, with their hashes.
+
+    Inputs of results are left out: resuming the run compares their content.
+    """
+    lasting = {name: sha256 for name, sha256 in closed_files(lines).items() if name.startswith(LASTING)}
+    apart = {WITH_PORTS, *made_from(lines)}
+    return {name: sha256 for name, sha256 in (lasting | begun_with(lines)).items() if name not in apart}
+
+
+def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
+    """Inputs of a closed run that differ between its standing results and its end, and how."""
+    at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
+    for name, sha256 in (begun_with(lines) | made_from(lines)).items():
+        if at_end.get(name, sha256) != sha256:
+            yield name, "exchanged while the run was open: its results were made from another file"
+
+
+def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
+    """Files that were not as left when the run was resumed after an end, as in `Inspection.not_as_left`.
+
+    This covers every program since that end, up to the one that has just closed the run: a killed one vouches
+    for nothing. The first of them states how a file was left.
+    """
+    expected: dict[str, str | None] = {}
+    for line in reversed(lines[:-1] if is_closed(lines) else lines):
+        if line["entry"] == Entry.CLOSED:
+            break
+        if line["entry"] == Entry.RESTARTED:
+            expected |= cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
+    return expected
+
+
+def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
+    """Hashes for the end of a run; files that were not as left keep their earlier hash.
+
+    A file that never had one is omitted: it counts as added until somebody removes it.
+    """
+    held = {name: sha256 for name, sha256 in hashes.items() if name not in expected}
+    return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
+
+
+def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
+    """Identifiers of the records that the lines of a journal supersede."""
+    gone = (line.get("supersedes") for line in lines)
+    return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
 
 
 def sha256_of(path: Path) -> str:
-    """Hash of a file's content. Raises OSError, also if it is not a regular file, or too large for a run."""
+    """Hash a file. Raises OSError, also for anything but a regular file and for one too large for a run."""
     found = hashlib.sha256()
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
@@ -211,9 +164,9 @@ def sha256_of(path: Path) -> str:
 
 
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file of a run by its name there, without journal, seal and exports.
+    """Every file of a run with its name, except journal, seal and exports.
 
-    Also folders that are deeper than any run goes or may not be read, below which nothing is listed, and
+    Lists also unexpected folders: deeper than any run goes or unreadable (below which nothing is listed), and
     empty ones that no run makes.
     """
     found = sorted(walk(folder, without=APART))
@@ -226,17 +179,32 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def unchecked_folders(folder: Path) -> list[str]:
-    """Names of folders in a run's folder that are not part of it, and that no check looks into."""
+    """Folders in a run's folder that are not part of it, into which no check looks."""
     return [name for name in APART if (folder / name).is_dir()]
 
 
+def is_later(name: str) -> bool:
+    """Whether a file with this name is also written after the run is closed."""
+    return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
+
+
+def is_made_anew(name: str) -> bool:
+    """Whether a file belongs to the report and follows from the rest of the run."""
+    return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
+
+
+def theatre_files(folder: Path) -> list[Path]:
+    """Files that describe the theatre in a run's folder; constant while the run is open."""
+    return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
+
+
 def hashes_at_closing(folder: Path) -> dict[str, str]:
-    """Hashes of the files that are complete when a run is closed. Raises OSError."""
+    """Hash the files that are complete when a run is closed. Raises OSError."""
     return {name: sha256_of(path) for name, path in _own_files(folder) if not is_later(name)}
 
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hashes of files and whole folders outside a run that it worked with, by path."""
+    """Hash files and whole folders outside a run that it worked with, by path."""
     hashes = {}
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
@@ -247,9 +215,9 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def input_hashes(folder: Path, files: Iterable[Path]) -> dict[str, str]:
-    """Hashes of files that a run works with, as far as they can be read.
+    """Hash the input files of a run as far as they are readable.
 
-    By name in the run's folder, and by whole path elsewhere.
+    Files in the run's folder are named relative to it, others by their whole path.
     """
     own, hashes = folder.resolve(), {}
     for path in (file.resolve() for file in files):
@@ -259,13 +227,86 @@ def input_hashes(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     return hashes
 
 
-def theatre_files(folder: Path) -> list[Path]:
-    """Files that describe the theatre in a run's folder: nothing changes them while the run is open."""
-    return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
+def truth_so_far(folder: Path) -> dict[str, JournalValue]:
+    """Journal field with length and hash of the truth files so far; empty without a simulated theatre."""
+    known: dict[str, JournalValue] = {}
+    for name in TRUTH_FILES:
+        with suppress(OSError), open_regular(folder / name) as file:
+            content = file.read(LARGEST_TRUTH_BYTES)
+            known[name] = [len(content), hashlib.sha256(content).hexdigest()]
+    return {TRUTH_FIELD: known} if known else {}
+
+
+def journalled_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
+    """Last stated length and hash of each truth file, with the number of the line that states them."""
+    known: dict[str, tuple[int, str, int]] = {}
+    for number, line in enumerate(lines):
+        field = line.get(TRUTH_FIELD)
+        for name, value in field.items() if isinstance(field, Mapping) else ():
+            match value:
+                case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
+                    known[name] = (int(length), sha256, number)
+    return known
+
+
+def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
+    """Truth files of a run that do not match its journal, and how."""
+    for name in journalled_truth(lines):
+        try:
+            with open_regular(folder / name) as file:
+                content = file.read(LARGEST_TRUTH_BYTES + 1)
+        except FileNotFoundError:
+            yield name, "missing"
+        except OSError as error:
+            yield name, f"replaced, or cannot be read: {error.strerror}"
+        else:
+            if what := unlike_content(name, content, lines):
+                yield name, what
+
+
+def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
+    """How the content of a truth file differs from the journal; empty if it matches or is not named."""
+    if name not in (known := journalled_truth(lines)):
+        return ""
+    size, sha256, number = known[name]
+    if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
+        return "changed"
+    if len(content) > size and not (name in GROWING and _step_begun(lines[number + 1 :])):
+        return "continues beyond the journal, and no step was running"
+    return ""
+
+
+def _step_begun(lines: Sequence[Line]) -> bool:
+    return any(line["entry"] in (Entry.INTENT, Entry.RESTARTED) for line in lines)
+
+
+class Seal(BaseModel):
+    """Content of `seal.json`. `own_sha256` is the hash of all other fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: int = Field(default=2, alias="schema")
+    journal_bytes: int = Field(description="Length of the journal that was sealed.")
+    journal_sha256: str
+    files: dict[str, str] = Field(description="Files not named in the journal, with their SHA-256.")
+    own_sha256: str = ""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the seal itself is unchanged."""
+        return self.own_sha256 == self._own()
+
+    def with_own_hash(self) -> Seal:
+        """A copy that contains its own hash."""
+        return self.model_copy(update={"own_sha256": self._own()})
+
+    def _own(self) -> str:
+        content = [self.schema_version, self.journal_bytes, self.journal_sha256, self.files]
+        return hashlib.sha256(canonical_json(content)).hexdigest()
 
 
 def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
-    """Write the seal over the files named neither by the journal's last line (`closed`) nor by `apart`.
+    """Seal every file that is neither in `closed`, the last line of the journal, nor in `apart`.
 
     Raises OSError.
     """
@@ -280,7 +321,7 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
 
 
 def read_seal(folder: Path) -> Seal | None:
-    """The seal of a run; None if there is none, or it is unreadable or was changed."""
+    """Read the seal of a run; None if it is missing, unreadable or changed."""
     try:
         content = read_json_bytes(folder / SEAL_FILE, linked=False)
         found = Seal.model_validate_json(content)
@@ -295,22 +336,8 @@ def is_sealed(folder: Path) -> bool:
     return found is not None and found.journal_bytes == (folder / JOURNAL_FILE).stat().st_size
 
 
-def is_later(name: str) -> bool:
-    """Whether a file with that name is also written after the run is closed."""
-    return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
-
-
-def is_made_anew(name: str) -> bool:
-    """Whether it is a file of the report that follows from the rest of the run."""
-    return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
-
-
-def _as_written(made: Seal) -> bytes:
-    return made.model_dump_json(by_alias=True, indent=1).encode()
-
-
 def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
-    """The files that a run can have written itself; any other is an added one, whenever it came."""
+    """Files that the run itself can have written; anything else was added."""
     for name, path in files_of(folder):
         status = path.lstat()
         regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES
@@ -319,9 +346,13 @@ def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def _is_text(name: str) -> bool:
-    """Whether a name is UTF-8: another one has no form in the JSON of the seal."""
+    """Whether a name is UTF-8; others have no form in the JSON of the seal."""
     try:
         name.encode()
     except UnicodeEncodeError:
         return False
     return True
+
+
+def _as_written(made: Seal) -> bytes:
+    return made.model_dump_json(by_alias=True, indent=1).encode()

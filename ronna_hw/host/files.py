@@ -1,4 +1,7 @@
-"""Opens a file safely if another user may have replaced it."""
+"""Files and folders that another user may have tampered with, and what this process may do with files.
+
+A run folder contains a patient's CT, plan, journal and report, so others may not read what a command writes.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +21,9 @@ NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
 
 def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
-    """Open a file for reading. Raises OSError, also for a pipe or a device, and never blocks on one.
+    """Open a file for reading; never blocks. Raises OSError, also for a pipe or a device.
 
-    Without `linked` also for a link.
+    A link raises OSError too, unless `linked`.
     """
     follow = 0 if linked else os.O_NOFOLLOW
     try:
@@ -39,7 +42,7 @@ DEEPEST_LEVEL = 16  # of folders; a run has three
 
 
 class Found(NamedTuple):
-    """A path below the folder that is walked."""
+    """A path below the walked folder."""
 
     path: Path
     is_folder: bool  # not a link to one
@@ -47,10 +50,9 @@ class Found(NamedTuple):
 
 
 def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
-    """Everything below a folder, except the folders directly in it that are named in `without`.
+    """Iterate without recursion over everything below a folder, except top-level folders named in `without`.
 
-    Links are not followed; folders at `DEEPEST_LEVEL`, and those that may not be read, are listed and not
-    entered.
+    Links are not followed. Folders at `DEEPEST_LEVEL` and unreadable ones are listed but not entered.
     """
     waiting = [(folder, 0)]
     while waiting:
@@ -70,7 +72,7 @@ def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
 
 
 def remove_folder(folder: Path) -> bool:
-    """Remove a folder and everything in it; returns whether that succeeded."""
+    """Remove a folder with its content; returns whether that succeeded."""
     with suppress(OSError, RecursionError):  # the second for a chain of folders without end
         shutil.rmtree(folder)
     return not folder.exists()
@@ -82,10 +84,10 @@ _UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 07
 
 @contextmanager
 def own_files() -> Iterator[None]:
-    """In the block, this process and its children create files for their user only, whatever the umask.
+    """Create files in the block, also in child processes, for this user only, whatever the umask.
 
-    `RONNA_ACCESS=group` also admits the folder's group: for a folder that a lab shares. Raises
-    ValueError for any other word.
+    `RONNA_ACCESS=group` also admits the folder's group, for a folder that a lab shares. Raises ValueError for
+    any other word.
     """
     access = os.environ.get(ACCESS_VARIABLE, "owner")
     if access not in _UMASKS:
@@ -105,7 +107,7 @@ class TooFewOpenFiles(RonnaError):
 
 
 def require_open_files(needed: int) -> None:
-    """Raise PRC-002 if that many may not be open; a soft limit is raised as far as necessary."""
+    """Raise PRC-002 if so many files may not be open; raises a soft limit as far as necessary."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return

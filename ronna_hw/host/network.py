@@ -1,4 +1,4 @@
-"""The network interfaces of this computer: name, IPv4 address, MTU."""
+"""The networks of this computer: interfaces, loopback addresses of one process, the other end of a link."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import psutil
 
 @dataclass(frozen=True)
 class Interface:
-    """One IPv4 address of a network interface."""
+    """An IPv4 address of a network interface."""
 
     name: str
     address: str
@@ -29,7 +29,7 @@ class Interface:
         return IPv4Address(self.address).is_loopback
 
     def reaches(self, address: str) -> bool:
-        """Whether an address is in its own subnet; False for a host name."""
+        """Whether an address is in its subnet; False for a host name."""
         try:
             return IPv4Address(address) in IPv4Network(f"{self.address}/{self.prefix}", strict=False)
         except ValueError:
@@ -48,7 +48,7 @@ def interfaces() -> tuple[Interface, ...]:
 
 
 def interface_of(local_address: str) -> Interface | None:
-    """The interface with that address, or else the one whose subnet contains it; None if there is none."""
+    """Interface with that address, or else the one whose subnet contains it; None if there is none."""
     every = interfaces()
     exact = (each for each in every if each.address == local_address)
     return next(exact, next((each for each in every if each.reaches(local_address)), None))
@@ -64,17 +64,15 @@ FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which sta
 def own_udp_endpoint(number: int = 0) -> str:
     """A `udp://` endpoint that no other running process gets, nor this one under another `number`.
 
-    For a device that must be configured with its client's address. The process id, at most 22 bits,
-    determines the address: Linux answers on all of 127.0.0.0/8.
+    For a device that must be configured with its client's address: no race for free ports. The process id, at
+    most 22 bits, determines the address: Linux answers on all of 127.0.0.0/8.
     """
     process = os.getpid()
     return f"udp://127.{64 + (process >> 16)}.{process >> 8 & 255}.{process & 255}:{FIRST_PORT + number}"
 
 
 Place = tuple[str, int]  # IPv4 address and port
-
 ANSWERS_WITHIN_S = 0.1
-
 _NETLINK_SOCK_DIAG = 4
 _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST = 20, 1
 _ALL_STATES = 0xFFFFFFFF
@@ -85,15 +83,17 @@ _SOCKET = struct.Struct("=2s2s16s16sI8s")  # inet_diag_sockid: ports, addresses,
 _ANSWER = struct.Struct("=4x48s12xII")  # inet_diag_msg: its socket, account, inode
 _ANSWER_BYTES = 4096
 _NOWHERE = ("0.0.0.0", 0)
-
 _ACCOUNT, _INODE = 7, 9  # columns of /proc/net/tcp
 _MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6, on a little-endian computer
 
 
 def account_at(peer: Place, here: Place) -> int | None:
-    """The user id of the program at `peer` of a TCP connection to the listening socket `here`.
+    """User id of the program at `peer` of a TCP connection to the listening socket `here`.
 
-    None if that end is closed, or elsewhere.
+    None if that end is closed, or on another computer. The kernel is asked for this one connection
+    (sock_diag(7)), at a cost that does not depend on how many there are: anybody can fill /proc/net/tcp with
+    thousands, which is read only where the kernel has no sock_diag. psutil reports no account, and only
+    processes of its own one.
     """
     with contextlib.suppress(OSError):
         found = _diagnosed(peer, here)

@@ -1,4 +1,7 @@
-"""Which processes use a serial port, UDP port or lock of this computer, as far as this user may see."""
+"""Users of a serial port, network port or lock of this computer, as far as this user may see them.
+
+Who may use a serial port is stated in the words of its mode, owner and group.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +26,7 @@ _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to eac
 
 @dataclass(frozen=True)
 class PortUser:
-    """A process that has it open."""
+    """A process that has a port or lock open."""
 
     pid: int
     name: str  # its command line
@@ -34,7 +37,7 @@ class PortUser:
 
 
 def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
-    """Other processes that have this port open, except the one on the master side of a pseudo-terminal."""
+    """Other processes with this port open, except the one on the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
     except OSError:
@@ -49,7 +52,7 @@ def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
 
 
 def user_of_udp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer bound to a UDP port; None if there is none, or it is hidden."""
+    """Process of this computer bound to a UDP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="udp4"):
         if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(each.pid, _name(each.pid))
@@ -57,7 +60,7 @@ def user_of_udp_port(address: str, port: int) -> PortUser | None:
 
 
 def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer listening on a TCP port; None if there is none, or it is hidden."""
+    """Process of this computer listening on a TCP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="tcp4"):
         listens = each.status == psutil.CONN_LISTEN and each.laddr.port == port
         if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
@@ -79,7 +82,7 @@ def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
 
 
 def holder_of_lock(file: int) -> PortUser | None:
-    """The process that holds the `flock` of an open file, with its terminal; None if it is hidden.
+    """Process that holds the `flock` of an open file, with its terminal; None if it is hidden.
 
     psutil does not know locks.
     """
@@ -148,7 +151,7 @@ def permissions(path: str) -> str:
 
 
 def permission_advice(path: str) -> str:
-    """Who may use a port, and how to become one of them."""
+    """Say who may use a port, and how to become one of them."""
     try:
         status = os.stat(path)
     except OSError:

@@ -1,4 +1,13 @@
-"""While a process starts, nearly all it allocates stays: garbage collection costs a fifth of the start."""
+"""This process: its start, its parent, its packages and threads, and the signals that end it.
+
+Import it before anything heavy: an import may outlast the parent, whose number is noted here.
+
+Ctrl-C on a terminal reaches the whole foreground group. The program decides what it means, so the processes
+that it starts never see it.
+
+Linear algebra runs on one thread. Its rounding depends on how many threads share a product, and a fit turns a
+difference in the last digit into a micrometre: with one thread, a seed gives the same result on any computer.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +26,15 @@ from ronna_hw.errors import ConfigurationError
 
 
 def begin_start() -> None:
-    """Suspend garbage collection until `end_start`."""
+    """Suspend garbage collection until `end_start`.
+
+    Nearly all that a starting process allocates stays, and collecting would take a fifth of the start.
+    """
     gc.disable()
 
 
 def end_start() -> None:
-    """Whatever exists now stays to the end: exclude it from all collections, in a cycle or at exit."""
+    """Exclude all present objects from later collections, and collect again."""
     gc.freeze()
     gc.enable()
 
@@ -39,15 +51,15 @@ class ParentProcess:
 
     @property
     def gone(self) -> bool:
-        """Whether the parent has died, even before it could be noted."""
+        """Whether the parent has died, possibly before it was noted; an orphan is adopted by init."""
         return self.gone_at_start or os.getppid() != self.pid
 
 
 def note_parent() -> ParentProcess:
     """Note the current parent.
 
-    A service started by init leads its own process group or belongs to init's. A child of init in any other
-    group is an orphan whose parent died before this call.
+    A service started by init leads its own process group or belongs to that of init. A child of init in any
+    other group is an orphan whose parent died before this call.
     """
     pid = os.getppid()
     orphan = pid == INIT and os.getpgrp() not in (os.getpid(), os.getpgid(INIT))
@@ -55,8 +67,6 @@ def note_parent() -> ParentProcess:
 
 
 PARENT = note_parent()
-
-
 OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
 
 
@@ -67,8 +77,18 @@ class ForeignPackage(ConfigurationError):
     action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
 
 
+def require_own_packages() -> None:
+    """Raise CFG-003 if another project on the path shadows one of our packages.
+
+    `sim`, `drivers` and `procedures` are common names: half of the program would be foreign code.
+    """
+    foreign = foreign_packages()
+    if foreign:
+        raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
+
+
 def foreign_packages() -> tuple[str, ...]:
-    """Those of our package names that Python would not load from the folder of `ronna_hw`."""
+    """Our package names that Python would not load from the folder of `ronna_hw`."""
     home = Path(__file__).resolve().parents[2]
     foreign = []
     for name in OWN_PACKAGES:
@@ -81,25 +101,18 @@ def foreign_packages() -> tuple[str, ...]:
     return tuple(foreign)
 
 
-def require_own_packages() -> None:
-    """Raise CFG-003 when one of our names would load a foreign package."""
-    foreign = foreign_packages()
-    if foreign:
-        raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
-
-
 # read by OpenBLAS, OpenMP and MKL when they are loaded
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def single_threaded() -> None:
-    """Keep this process and those that it starts to one thread. Call before NumPy is imported."""
+    """Keep this process and its children to one thread. Call before NumPy is imported."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 
 @contextmanager
 def processes_single_threaded() -> Iterator[None]:
-    """Keep the processes started in the block to one thread."""
+    """Keep processes started in the block to one thread."""
     before = {name: os.environ.get(name) for name in _THREADS}
     single_threaded()
     try:
@@ -117,9 +130,9 @@ ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, an or
 
 @contextmanager
 def interruption_deferred() -> Iterator[None]:
-    """Hold back the signals that end a program until the block is left; for work bounded in time.
+    """Defer the signals that end a program to the end of the block; for work bounded in time.
 
-    Python delivers signals to the main thread only; in any other thread there is nothing to hold back.
+    Python delivers signals to the main thread only; in any other thread nothing is deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -137,7 +150,7 @@ def interruption_deferred() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let these signals end the block by KeyboardInterrupt, even if they are ignored around it."""
+    """Let the ending signals raise KeyboardInterrupt in the block, even if they are ignored around it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -150,10 +163,21 @@ def interruptible() -> Iterator[None]:
 
 
 @contextmanager
-def children_uninterrupted() -> Iterator[None]:
-    """Start processes that never receive SIGINT, from their first moment on: they inherit it blocked.
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Direct the ending signals to `handler` in the block; main thread only."""
+    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
 
-    A session of their own, which hides the terminal's other signals, begins only after the fork.
+
+@contextmanager
+def children_uninterrupted() -> Iterator[None]:
+    """Start processes in the block that never receive SIGINT: they inherit it blocked.
+
+    Their own session, which hides the other signals of the terminal, begins only after the fork.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
@@ -163,21 +187,10 @@ def children_uninterrupted() -> Iterator[None]:
 
 
 def describe_exit(code: int) -> str:
-    """How a process ended: the name of the signal that killed it, or its exit code."""
+    """Say how a process ended: the signal that killed it, or its exit code."""
     if code >= 0:
         return f"exit code {code}"
     try:
         return f"killed by {signal.Signals(-code).name}"
     except ValueError:  # a real-time signal
         return f"killed by signal {-code}"
-
-
-@contextmanager
-def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """In the block, those signals go to `handler`; for the main thread."""
-    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
-    try:
-        yield
-    finally:
-        for number, former in before.items():
-            signal.signal(number, former)

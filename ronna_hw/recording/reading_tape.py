@@ -1,7 +1,7 @@
 """The tape: every device's answers to a procedure, in order, for replay.
 
-RUN/readings/readings.jsonl one line per answer, in sections RUN/readings/pixels.bin the pixels that these
-lines refer to, each packed separately
+    RUN/readings/readings.jsonl   one line per answer, in sections
+    RUN/readings/pixels.bin       the pixels that these lines refer to, each packed separately
 
 A section is what happens between two lines of the journal, and has the number of the first. Answers to other
 callers, a guard or another thread, are not on the tape. A separate thread packs and writes.
@@ -34,7 +34,7 @@ NO_SECTION = -1
 
 
 class RecordedCall(NamedTuple):
-    """Answer to a device call: a value, or the error raised; and the resulting state."""
+    """Answer to a device call: a value or the error raised, and the resulting state."""
 
     section: int
     device: str
@@ -47,7 +47,10 @@ class RecordedCall(NamedTuple):
 
 
 class ReadingTape:
-    """For one run. `opening` is the first line: what a replay needs in addition to the answers."""
+    """The tape of one run.
+
+    `opening` is the first line: what a replay needs in addition to the answers.
+    """
 
     def __init__(
         self,
@@ -57,7 +60,7 @@ class ReadingTape:
         *,
         most_bytes: int = MOST_BYTES,
     ) -> None:
-        """Continues what an earlier process of the run has left. Raises OSError."""
+        """Continue the tape that an earlier process of the run has left. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = (folder / READINGS_FILE).open("ab")
         self._pixels = (folder / PIXELS_FILE).open("ab")
@@ -79,7 +82,7 @@ class ReadingTape:
         self._writer.start()
 
     def begin(self, section: int) -> None:
-        """From here on this thread's answers belong to the section with that number."""
+        """Assign this thread's answers from now on to the section with that number."""
         self._section, self._thread = section, threading.get_ident()
 
     def end(self) -> None:
@@ -88,7 +91,7 @@ class ReadingTape:
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """Readings within the block are not part of the section."""
+        """Keep readings within the block out of the section."""
         self._beside += 1
         try:
             yield
@@ -117,7 +120,7 @@ class ReadingTape:
             self._queue.append(answer)
 
     def _count_waiting(self, more_bytes: int) -> int:
-        """Pixels that wait, after some have come or gone: engine and writer both count."""
+        """Bytes of waiting pixels after a change; engine and writer both count."""
         with self._counting:
             self._waiting_bytes += more_bytes
             return self._waiting_bytes
@@ -208,7 +211,7 @@ def _pixel_bytes(value: object) -> int:
 
 
 def taped(device: Device, tape: ReadingTape) -> Device:
-    """The same device for its callers: it has exactly the public names of the device."""
+    """Wrap a device so that its answers are taped; the wrapper has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     calls = answers_of(device)
     members = {name: _member(name, calls) for name in names}
@@ -216,7 +219,7 @@ def taped(device: Device, tape: ReadingTape) -> Device:
 
 
 class _Taped:
-    """Members are those of the wrapped device."""
+    """Wrapper with the members of the wrapped device."""
 
     def __init__(self, device: Device, tape: ReadingTape) -> None:
         self._device = device

@@ -16,7 +16,7 @@ from ronna_hw.evidence.manifest import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, await_end, command
 from ronna_hw.host.control_port import ControlPortSilent
 from ronna_hw.records import write_whole
-from ronna_hw.theatre import NAME, TheatreProcess
+from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
@@ -82,7 +82,7 @@ class SimulatedCase:
             if not child.messages:
                 raise
             code = EXIT_FAILED if error.limit else child.process.returncode  # the former: ended by us
-            raise CommandRefused(NAME, child.messages[-1], code) from error
+            raise CommandRefused(SIMULATOR_NAME, child.messages[-1], code) from error
 
     def taken_up(self) -> None:
         """The run's journal names the theatre as it is now; without that it is left as it was."""
@@ -108,7 +108,7 @@ class SimulatedCase:
             write_whole(self._file, self._former)
         if gone and error is not None:  # what the procedure met is only the consequence
             words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
-            raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error
+            raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error
 
 
 def _start_phantom(scene: list[str], folder: Path) -> subprocess.Popen[str]:

@@ -1,4 +1,12 @@
-"""All bodies that can collide: the links of an arm, its tool, and its surroundings."""
+"""Bodies that can collide, as plain values: the links of an arm, its tool, and its surroundings.
+
+Capsules are the only shape. A capsule is the set of points within a radius of a segment, and everything else
+is covered by capsules, so that a single closed formula gives the distance. The real-time loop uses it: no
+NumPy.
+
+Lengths in mm. Parts of the tool are in the flange frame, obstacles in $ROBROOT. A `Surroundings` is created
+once per tool and patient position, and is constant while the arm moves.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +36,7 @@ class Capsule(NamedTuple):
 
 
 def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float:
-    """Distance between segments a-b and c-d: closest points of the lines, clamped in turn to the segments."""
+    """Distance of segments a-b and c-d: closest points of the lines, clamped in turn to the segments."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
     wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
@@ -57,11 +65,12 @@ def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float
 
 
 def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Capsule]:
-    """Two capsules that cover an ellipsoid, along its longest axis, side by side along the middle one.
+    """Cover an ellipsoid by two capsules along its longest axis, side by side along the middle one.
 
-    The radius is the smallest for which the balls at the ends of the segments cover the ellipsoid's ends and
-    the two capsules meet in its middle; they exceed its surface by some per cent of the differences between
-    the axes. `pose` maps from the ellipsoid's frame (origin at its centre, along its axes) to the wanted one.
+    The radius is the smallest for which the balls at the ends of the segments cover the ends of the ellipsoid
+    and the two capsules meet in its middle; they exceed its surface by some per cent of the differences
+    between the axes. `pose` maps from the frame of the ellipsoid (origin at its centre, along its axes) to
+    the wanted one.
     """
     order = sorted(range(3), key=lambda axis: semi_axes_mm[axis])
     short, middle, long = (semi_axes_mm[axis] for axis in order)
@@ -100,7 +109,7 @@ class Obstacle(NamedTuple):
 
 
 class Corridor(NamedTuple):
-    """The straight passage into the head: from outside through the entry to slightly beyond the target."""
+    """Straight passage into the head: from outside through the entry to slightly beyond the target."""
 
     entry_mm: Vector3
     target_mm: Vector3
@@ -128,14 +137,14 @@ class SpeedZone(NamedTuple):
     far_speed_mm_s: float
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """The speed limit at a distance; constant closer than `near_mm` and farther than `far_mm`."""
+        """Speed limit at a distance; constant closer than `near_mm` and farther than `far_mm`."""
         share = (distance_mm - self.near_mm) / (self.far_mm - self.near_mm)
         share = min(max(share, 0.0), 1.0)
         return self.near_speed_mm_s + share * (self.far_speed_mm_s - self.near_speed_mm_s)
 
 
 class ArmRadii(NamedTuple):
-    """Radii of the arm's bodies about their axes; our own conservative estimates (U)."""
+    """Radii of the bodies of the arm about their axes; our own conservative estimates (U)."""
 
     column_mm: float = 150.0
     upper_arm_mm: float = 85.0
@@ -144,7 +153,7 @@ class ArmRadii(NamedTuple):
     hand_mm: float = 45.0
 
     def of(self, part: ArmPart) -> float:
-        """The radius of a part."""
+        """Radius of a part."""
         return self[_PARTS.index(part)]
 
 
@@ -155,7 +164,7 @@ DEFAULT_RADII = ArmRadii()
 
 @dataclass(frozen=True)
 class Surroundings:
-    """All bodies, and the rules: minimum distance on a planned path, minimum distance live, speed zone."""
+    """All bodies, and the rules: least distance on a planned path, least distance live, speed zone."""
 
     tool: tuple[Part, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
@@ -166,7 +175,7 @@ class Surroundings:
     corridor: Corridor | None = None
 
     def moved(self, by: Pose) -> Surroundings:
-        """The same with everything fixed in the room moved."""
+        """Move everything that is fixed in the room."""
         corridor = self.corridor
         return replace(
             self,
@@ -182,12 +191,12 @@ class Surroundings:
         return inf if self.zone is None else self.zone.cap_mm_s(distance_mm)
 
     def to_json(self) -> str:
-        """One line, for the real-time process."""
+        """Encode as one line, for the real-time process."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, line: str) -> Surroundings:
-        """The inverse; raises KeyError, TypeError or ValueError if the line is not from `to_json`."""
+        """Decode `to_json`; raises KeyError, TypeError or ValueError for any other line."""
         values: dict[str, Any] = json.loads(line)
         corridor, zone = values["corridor"], values["zone"]
         return cls(
@@ -227,7 +236,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """Moving bodies: the arm's links, then parts of the tool. Fixed ones: its column, then obstacles."""
+    """Moving bodies: the links, then parts of the tool. Fixed bodies: the column, then obstacles."""
 
     arm: ArmBodies
     surroundings: Surroundings

@@ -1,8 +1,9 @@
-"""Checks where set-points take the bodies: distances to everything, their speed, and that near the head.
+"""Live check of set-points: the distances of all bodies, their speed, and their speed near the head.
 
-Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
-are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring it to its
-limit, and the bodies are placed only if a bound from the joint angles alone does not already clear them.
+Part of the monitor, so it shares no formula with planning: links come from the closed form of the arm,
+distances are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring
+it to its limit, and the bodies are placed only if a bound from the joint angles alone does not already clear
+them.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ronna_hw.devices.readings import JointVector
 
 
 class ViolationKind(StrEnum):
-    """The limit that was exceeded: of an axis, of a moving body, or, the last two, of a pair of bodies."""
+    """Limit that was exceeded: of an axis, of a moving body, or, the last two, of a pair of bodies."""
 
     RANGE = "range"
     TOTAL_CORRECTION = "total correction"
@@ -44,7 +45,7 @@ _BODY_UNITS = {
 
 
 class Violation(NamedTuple):
-    """What was exceeded, the value and its limit, in rad, mm and seconds.
+    """A limit that a set-point or a measured pose exceeds, with value and limit in rad, mm and seconds.
 
     `axis` counts from 1. For `BODY_SPEED` it is the index in `Bodies.moving_names`, for `CLEARANCE` and
     `ZONE_SPEED` that in `Bodies.pairs`.
@@ -61,7 +62,7 @@ class Violation(NamedTuple):
         return self.kind not in _BODY_UNITS
 
     def in_units(self, value: float) -> str:
-        """A value of this kind, as people read it."""
+        """Format a value of this kind for people."""
         if not self.of_axis:
             return f"{value:.1f} {_BODY_UNITS[self.kind]}"
         unit = _ANGLE_UNITS.get(self.kind)
@@ -87,7 +88,10 @@ def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
 
 
 class LiveWatch:
-    """One per stream and surroundings. `check` does not count a set-point as sent; `sent` does."""
+    """Watch over one stream in its surroundings.
+
+    `check` does not count a set-point as sent; `sent` does.
+    """
 
     def __init__(
         self,
@@ -132,7 +136,7 @@ class LiveWatch:
         self._bounds = [self._distance(number, segments) for number in self._head]
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """The first violation if this set-point were sent next, or None."""
+        """Return the first violation if this set-point were sent next, or None."""
         most = self._at_most(joints_rad)
         if self._plainly_well(most):
             self._tried = (joints_rad, None, most)
@@ -143,7 +147,7 @@ class LiveWatch:
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """Record that this set-point was sent, or is the arm's current position."""
+        """Record a set-point that was sent, or is the current position of the arm."""
         if joints_rad is self._joints:
             return
         segments, moved = None, 0.0
@@ -218,7 +222,7 @@ class LiveWatch:
         return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
     def _moved(self, segments: list[Segment]) -> float:
-        """The largest motion of an end of any body since the last set-point."""
+        """Largest motion of an end of any body since the last set-point."""
         return max(self._ways_mm(segments))
 
     def _ways_mm(self, segments: list[Segment]) -> list[float]:
@@ -248,5 +252,5 @@ class LiveWatch:
         return segment_distance_mm(*segments[pair.moving], *other) - self._thick[number]
 
     def _share(self, number: int) -> float:
-        """The share of a pair's gap that one body may use up: both may move towards each other."""
+        """Share of a pair's gap that one body may use up: both may move towards each other."""
         return 0.5 if self._pairs[number].other < 0 else 1.0

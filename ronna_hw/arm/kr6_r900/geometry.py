@@ -1,4 +1,7 @@
-"""Link lengths, joint ranges and speeds of the nominal KR 6 R900 in its two variants."""
+"""Geometry of the KR 6 R900 in its two variants: dimensions, forward kinematics, Jacobian, link bodies.
+
+All of it is in closed form; the positions of the bodies are written out for the real-time loop.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class ArmVariant(StrEnum):
-    """Two arms share the name KR 6 R900; they differ by 10 mm at the elbow and at the flange."""
+    """Two arms with the name KR 6 R900; they differ by 10 mm at the elbow and at the flange."""
 
     SIXX = "kr6_r900_sixx"
     R900_2 = "kr6_r900_2"
@@ -28,7 +31,7 @@ class ArmVariant(StrEnum):
 
 @dataclass(frozen=True)
 class Dimensions:
-    """One variant in numbers; names follow the chain from $ROBROOT to the flange.
+    """Dimensions of a variant; names follow the chain from $ROBROOT to the flange.
 
     A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm extends along x.
     """

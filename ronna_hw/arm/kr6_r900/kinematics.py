@@ -23,7 +23,7 @@ HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 
 
 class Kr6R900:
-    """One variant. Its branches are KUKA's status S."""
+    """A variant of the arm. Its branches are KUKA's status S."""
 
     axis_names = AXIS_NAMES
     home_rad = HOME_RAD

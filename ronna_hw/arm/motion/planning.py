@@ -1,4 +1,7 @@
-"""Plans joint moves and straight lines, checked over the whole path: branch, joint ranges, joint speeds."""
+"""Joint moves and straight lines, planned and checked over the whole path: branch, ranges, joint speeds.
+
+A path is geometry over a parameter s from 0 to 1, independent of time.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +18,18 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 
 NEARLY_PARALLEL = 0.9999995  # cosine of half a mrad: beyond it slerp divides by almost nothing
+SAMPLE_MM = 0.5  # spacing of the checks along a line
+SAMPLE_RAD = radians(0.2)
+SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may move slightly faster
+LEAST_SAMPLES = 16  # enough for the second differences of a short line
+LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
+PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
+STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
+IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
 
 
 class Path(Protocol):
-    """From the start of a motion to its target."""
+    """Geometry from the start of a motion to its target."""
 
     def joints(self, s: float, near: JointVector) -> JointVector:
         """Joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
@@ -94,16 +105,6 @@ class LinePath:
         return self.kinematics.solve_branch(self.flange(s), self.branch, near)
 
 
-SAMPLE_MM = 0.5  # spacing of the checks along a line
-SAMPLE_RAD = radians(0.2)
-SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may move slightly faster
-LEAST_SAMPLES = 16  # enough for the second differences of a short line
-LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
-PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
-IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
-STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
-
-
 @dataclass(frozen=True)
 class MotionPlan:
     """A checked motion in plain numbers, as passed to the real-time loop. `target` None: a joint move.
@@ -128,42 +129,6 @@ class MotionPlan:
     def is_standstill(self) -> bool:
         """Whether start and target are the same joint vector."""
         return max(abs(a - b) for a, b in zip(self.start_rad, self.target_rad, strict=True)) < STANDSTILL_RAD
-
-
-def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
-    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
-
-    With `limits`, a motion from anywhere may end there: their margin is kept too.
-    """
-    if limits is None:
-        _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
-    else:
-        _require_within(arm, limits.ranges(arm), joints_rad, limits.range_margin_rad)
-
-
-def _require_within(
-    arm: JointRanges,
-    ranges: tuple[JointVector, JointVector],
-    joints_rad: JointVector,
-    margin_rad: float = 0.0,
-) -> None:
-    lower_rad, upper_rad = ranges
-    if len(joints_rad) != len(lower_rad):
-        names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
-        raise MotionInvalid(
-            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
-        )
-    for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
-        if angle != angle:
-            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
-        if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
-            raise OutOfJointRange(
-                f"{arm.axis_names[axis]} would leave its range",
-                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
-                + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
-                got=f"{degrees(angle):.3f} deg",
-                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
-            )
 
 
 def plan_joint_move(
@@ -217,6 +182,42 @@ def plan_line(
             got=f"{allowed.velocity / asked.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
+
+
+def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
+    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
+
+    With `limits`, a motion from anywhere may end there: their margin is kept too.
+    """
+    if limits is None:
+        _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
+    else:
+        _require_within(arm, limits.ranges(arm), joints_rad, limits.range_margin_rad)
+
+
+def _require_within(
+    arm: JointRanges,
+    ranges: tuple[JointVector, JointVector],
+    joints_rad: JointVector,
+    margin_rad: float = 0.0,
+) -> None:
+    lower_rad, upper_rad = ranges
+    if len(joints_rad) != len(lower_rad):
+        names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
+        raise MotionInvalid(
+            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
+        )
+    for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
+        if angle != angle:
+            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
+        if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
+            raise OutOfJointRange(
+                f"{arm.axis_names[axis]} would leave its range",
+                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
+                + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
+                got=f"{degrees(angle):.3f} deg",
+                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
+            )
 
 
 def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:

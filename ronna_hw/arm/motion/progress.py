@@ -2,6 +2,10 @@
 
 A path may be slower in places (`SpeedStep`): near the head, or where joints move fast. A lower speed is
 reached before its section begins; acceleration to a higher one starts once its section has begun.
+
+Profiles come from ruckig, in a typed wrapper that avoids its traps. Ruckig accepts lists of any length and
+fails later, raises its own exceptions, extrapolates before the start, and calls a network service when given
+waypoints. Here lengths are fixed, errors are ours, times are clamped and there are no waypoints.
 """
 
 from __future__ import annotations
@@ -26,7 +30,7 @@ class State(NamedTuple):
 
     @classmethod
     def resting(cls, position: Values) -> State:
-        """At rest at a position."""
+        """State of rest at a position."""
         still = [0.0] * len(position)
         return cls(list(position), still, list(still))
 
@@ -40,14 +44,14 @@ class Bounds(NamedTuple):
 
 
 class MotionProfile:
-    """One computed profile. Sampling costs well below a microsecond."""
+    """A computed profile. Sampling costs well below a microsecond."""
 
     def __init__(self, axes: int) -> None:
         self.raw = Trajectory(axes)
         self.duration_s = 0.0
 
     def at(self, time_s: float) -> State:
-        """State at a time; before the start it is the start's, after the end the end's."""
+        """State at a time; clamped to the profile's start and end."""
         position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
         return State(position, velocity, acceleration)
 
@@ -73,7 +77,7 @@ class MotionProfiler:
         self._slower.target_acceleration = [0.0] * axes
 
     def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
-        """All axes to rest at `target` simultaneously, from any state. Raises ARM-006.
+        """Move all axes to rest at `target` simultaneously, from any state. Raises ARM-006.
 
         The profile may overshoot start and target if it starts in motion.
         """
@@ -82,11 +86,11 @@ class MotionProfiler:
         return self._calculate(self._move, start, bounds)
 
     def stop(self, start: State, bounds: Bounds) -> MotionProfile:
-        """Each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
+        """Bring each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
         return self._calculate(self._stop, start, bounds)
 
     def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
-        """Each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
+        """Bring each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
         self._check(velocity)
         self._slower.target_velocity = list(velocity)
         return self._calculate(self._slower, start, bounds)
@@ -122,28 +126,28 @@ class PathLimits(NamedTuple):
 
 
 class SpeedStep(NamedTuple):
-    """From `start` (0..1) until the next step, the path parameter's speed is at most `velocity` per s."""
+    """Limit `velocity` per s of the path parameter, from `start` (0..1) to the next step."""
 
     start: float
     velocity: float
 
 
 class StopPrediction(NamedTuple):
-    """Where a stop that begins now would end: its duration and final path parameter."""
+    """Duration and final path parameter of a stop that begins now."""
 
     duration_s: float
     parameter: float
 
 
 class _Course(NamedTuple):
-    """A profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
+    """Profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
 
     profile: MotionProfile
     velocity: float
     to_end: bool
 
     def at(self, time_s: float) -> State:
-        """The state at a time; after braking it continues at the lower speed."""
+        """State at a time; after braking it continues at the lower speed."""
         if self.to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.at(time_s)
         return State(*self.profile.raw.at_time(time_s))
@@ -192,7 +196,7 @@ class PathProgress:
         return go, stop
 
     def take_go(self) -> None:
-        """The go state was used."""
+        """Record that the go state was used."""
         if self._next is None:
             return
         self._before = self.state
@@ -202,7 +206,7 @@ class PathProgress:
             self._ceiling = None
 
     def take_stop(self) -> None:
-        """The stop state was used; from now on only the stop continues."""
+        """Record that the stop state was used; from now on only the stop continues."""
         if self._halt is not None:
             self.take_go()
         elif self._next_halt is not None:
@@ -226,7 +230,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """The arm was brought to rest elsewhere, at the last state or the one before it."""
+        """Continue from rest: the arm was stopped elsewhere, at the last state or the one before it."""
         at = self._before if one_back else self.state
         self.state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
@@ -331,7 +335,7 @@ def _peak(state: State, jerk: float) -> float:
 
 
 def driven(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
-    """The states of a path driven from rest to rest, one per cycle, found by stepping through it."""
+    """States of a path driven from rest to rest, one per cycle, found by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []
     while not progress.finished:

@@ -16,7 +16,6 @@ from conformance.case import (
     CaseList,
     Need,
     Nonconformity,
-    NoSuchCase,
     NotShown,
     Outcome,
     Run,
@@ -25,6 +24,7 @@ from conformance.case import (
     refused,
 )
 from conformance.device_under_test import DeviceUnderTest
+from conformance.errors import NoSuchCase
 from conformance.protocol import ProtocolCases, composed
 from conformance.report import run_case, run_suite
 from ronna_hw.errors import ConnectError

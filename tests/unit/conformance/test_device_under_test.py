@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from conformance.case import DeviceNotInFile, NoSimulator
 from conformance.device_under_test import Choice, DeviceUnderTest, device_under_test, resolve
+from conformance.errors import DeviceNotInFile, NoSimulator
 from conformance.protocol import ProtocolCases
 from ronna_hw.host.child_process import ChildNotReady
 

@@ -1,0 +1,43 @@
+"""Reasons why a conformance run does not start."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import ConfigurationError, RefusedError
+
+
+class NoDeviceChosen(ConfigurationError):
+    """The command line names no device to test, or more than one."""
+
+    code = "CNF-001"
+    action = "Give one of --sim, --config FILE and --endpoint [NAME=]URI."
+
+
+class DeviceNotInFile(ConfigurationError):
+    """The theatre file has no such device."""
+
+    code = "CNF-002"
+    action = "Name a device of the theatre file, with --device for one of several robots."
+
+
+class NoSuchCase(ConfigurationError):
+    """No case of the suite has a number that starts with the text given to --only."""
+
+    code = "CNF-003"
+    action = "Run the suite without --only to see the numbers of its cases."
+
+
+class NotConfirmed(RefusedError):
+    """The suite would move a device that is not our simulator, and this was not confirmed."""
+
+    code = "CNF-005"
+    action = (
+        "Stand by the arm with the emergency stop in hand and give your name at the prompt, or with "
+        "--confirmed-by if there is no terminal."
+    )
+
+
+class NoSimulator(ConfigurationError):
+    """`--sim` was given for a driver whose wire protocol has no simulator."""
+
+    code = "CNF-006"
+    action = "Name the device with --endpoint or --config."
