@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from conformance.errors import NoSuchCase
 
@@ -50,6 +50,14 @@ class Nonconformity(AssertionError):
 
 Run = Callable[["DeviceUnderTest"], object]
 E = TypeVar("E", bound=Exception)
+S = TypeVar("S")
+Decorator = Callable[[Callable[[S], object]], Callable[[S], object]]
+
+
+class CaseOf(Protocol[S]):
+    """Decorator like `CaseList.case`, for functions that check a subject instead of a device under test."""
+
+    def __call__(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]: ...
 
 
 @dataclass(frozen=True)
@@ -81,6 +89,34 @@ class CaseList:
             return run
 
         return add
+
+    def with_each(self, subjects: Callable[[DeviceUnderTest], Iterable[S]]) -> CaseOf[S]:
+        """Return a variant of `case` whose function checks one subject, such as a camera, each in turn."""
+
+        def check_each(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
+            for subject in subjects(dut):
+                check_one(subject)
+
+        return self._case_of(check_each)
+
+    def within(self, context: Callable[[DeviceUnderTest], AbstractContextManager[S]]) -> CaseOf[S]:
+        """Return a variant of `case` whose function runs within a context, such as an open line."""
+
+        def check_within(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
+            with context(dut) as subject:
+                check_one(subject)
+
+        return self._case_of(check_within)
+
+    def _case_of(self, run: Callable[[DeviceUnderTest, Callable[[S], object]], None]) -> CaseOf[S]:
+        def case(number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]:
+            def add(check_one: Callable[[S], object]) -> Callable[[S], object]:
+                self.case(number, statement, needs=needs)(lambda dut: run(dut, check_one))
+                return check_one
+
+            return add
+
+        return case
 
 
 class Suite(CaseList):

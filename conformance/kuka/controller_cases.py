@@ -48,6 +48,8 @@ _NUMBER = re.compile(rb'"-?\d+\.(\d+)"')
 
 CASES = CaseList()
 case = CASES.case
+on_stream = CASES.within(stream)
+on_eki = CASES.within(eki_line)
 
 
 def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
@@ -86,11 +88,12 @@ def one_sender(dut: DeviceUnderTest) -> None:
     check(len(senders) == 1, "one sender", senders)
 
 
-@case("K04", "the root has Type KUKA; double quotes, no white space between elements, no blank before />")
-def layout_is_exact(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        for telegram in line.cycles(FEW):
-            check(layout_is_that_of_a_kr_c4(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
+@on_stream(
+    "K04", "the root has Type KUKA; double quotes, no white space between elements, no blank before />"
+)
+def layout_is_exact(line: RsiLine) -> None:
+    for telegram in line.cycles(FEW):
+        check(layout_is_that_of_a_kr_c4(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
 
 
 @case("K05", "elements are in the order of the configuration, IPOC last")
@@ -119,11 +122,10 @@ def precision_is_kept(dut: DeviceUnderTest) -> None:
     check(digits == {wanted}, f"{wanted} decimals", digits)
 
 
-@case("K09", "the delay D is an integer")
-def delay_is_whole(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        for telegram in line.cycles(FEW):
-            check(telegram.late >= 0, "at least 0", telegram.late)
+@on_stream("K09", "the delay D is an integer")
+def delay_is_whole(line: RsiLine) -> None:
+    for telegram in line.cycles(FEW):
+        check(telegram.late >= 0, "at least 0", telegram.late)
 
 
 @case("K10", "IPOC increases by the cycle time in every telegram")
@@ -134,25 +136,24 @@ def time_stamps_grow(dut: DeviceUnderTest) -> None:
     check(steps == {line.context.program.cycle_ms}, f"{line.context.program.cycle_ms} each time", steps)
 
 
-@case("K14", "a reply with a wrong Type, a wrong IPOC or broken XML does not count", needs=(HOST_TIME,))
-def wrong_replies_count_as_none(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        wrong: dict[str, Callable[[Telegram], bytes]] = {
-            "a wrong Type": lambda t: line.reply(t.ipoc, sentype="Stranger"),
-            "an IPOC of the past": lambda t: line.reply(t.ipoc - 10_000),
-            "an IPOC of the future": lambda t: line.reply(t.ipoc + 10_000),
-            "broken XML": lambda t: line.reply(t.ipoc)[:-6],
-            "text for a number": lambda t: line.reply(t.ipoc).replace(b'"0.0000"', b'"zero"', 1),
-        }
-        for what, reply in wrong.items():
-            line.cycles(FEW)
-            # One at a time: over many cycles a busy computer adds late replies of its own.
-            for _ in range(MISSED):
-                telegram = line.next()
-                line.send(telegram, reply(telegram))
-                after = line.next()
-                line.answer(after)
-                check(after.late > telegram.late, f"{what} counted as late", after.late)
+@on_stream("K14", "a reply with a wrong Type, a wrong IPOC or broken XML does not count", needs=(HOST_TIME,))
+def wrong_replies_count_as_none(line: RsiLine) -> None:
+    wrong: dict[str, Callable[[Telegram], bytes]] = {
+        "a wrong Type": lambda t: line.reply(t.ipoc, sentype="Stranger"),
+        "an IPOC of the past": lambda t: line.reply(t.ipoc - 10_000),
+        "an IPOC of the future": lambda t: line.reply(t.ipoc + 10_000),
+        "broken XML": lambda t: line.reply(t.ipoc)[:-6],
+        "text for a number": lambda t: line.reply(t.ipoc).replace(b'"0.0000"', b'"zero"', 1),
+    }
+    for what, reply in wrong.items():
+        line.cycles(FEW)
+        # One at a time: over many cycles a busy computer adds late replies of its own.
+        for _ in range(MISSED):
+            telegram = line.next()
+            line.send(telegram, reply(telegram))
+            after = line.next()
+            line.answer(after)
+            check(after.late > telegram.late, f"{what} counted as late", after.late)
 
 
 @case("K15", "one late reply does not make the following ones late", needs=(HOST_TIME,))
@@ -181,17 +182,18 @@ def correction_is_held(dut: DeviceUnderTest) -> None:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
 
-@case("K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE, HOST_TIME))
-def timeout_ends_the_run(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        line.cycles(FEW)
-        rest = line.until_silent(answered=False)
-        limit = line.context.ethernet.timeout_packets
-        check(limit // 2 <= len(rest) <= limit + FEW, f"about {limit} more telegrams", len(rest))
-        check(rest[-1].late - rest[0].late >= limit // 2, "an increasing D", rest[-1].late)
-        state = line.eki.state()
-        check(state.get("RSI") == "3", "RSI in fault", state.get("RSI"))
-        check(state.get("Err") != "0", "a message", state.get("Err"))
+@on_stream(
+    "K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE, HOST_TIME)
+)
+def timeout_ends_the_run(line: RsiLine) -> None:
+    line.cycles(FEW)
+    rest = line.until_silent(answered=False)
+    limit = line.context.ethernet.timeout_packets
+    check(limit // 2 <= len(rest) <= limit + FEW, f"about {limit} more telegrams", len(rest))
+    check(rest[-1].late - rest[0].late >= limit // 2, "an increasing D", rest[-1].late)
+    state = line.eki.state()
+    check(state.get("RSI") == "3", "RSI in fault", state.get("RSI"))
+    check(state.get("Err") != "0", "a message", state.get("Err"))
 
 
 @case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back at zero", needs=(MOTION,))
@@ -285,35 +287,32 @@ BETWEEN_SPLITS_S = 0.03
 CYCLES = 50
 
 
-@case("K34", "one client per channel; nothing is written between elements")
-def one_client(dut: DeviceUnderTest) -> None:
-    with eki_line(dut) as first:
-        first.state()
-        with EkiLine(first.endpoint) as second:
-            second.command("STATUS")
-            check(second.closed_by_controller(), "a second client that is refused")
-        first.state()
-        check(first.between == b"", "no byte between elements", first.between)
+@on_eki("K34", "one client per channel; nothing is written between elements")
+def one_client(first: EkiLine) -> None:
+    first.state()
+    with EkiLine(first.endpoint) as second:
+        second.command("STATUS")
+        check(second.closed_by_controller(), "a second client that is refused")
+    first.state()
+    check(first.between == b"", "no byte between elements", first.between)
 
 
-@case("K35", "requests may be padded with NUL, split, or sent several at once")
-def requests_by_element_end(dut: DeviceUnderTest) -> None:
-    with eki_line(dut) as line:
-        line.send(command("padded", "STATUS").ljust(PADDED_BYTES, b"\0"))
-        line.answer("State", "padded")
-        for piece in (b'<Cmd Id="pie', b'ces" Name="STA', b'TUS"></Cmd>'):
-            line.send(piece)
-            time.sleep(BETWEEN_SPLITS_S)
-        line.answer("State", "pieces")
-        line.send(command("one", "STATUS") + command("two", "STATUS"))
-        line.answer("State", "one")
-        line.answer("State", "two")
+@on_eki("K35", "requests may be padded with NUL, split, or sent several at once")
+def requests_by_element_end(line: EkiLine) -> None:
+    line.send(command("padded", "STATUS").ljust(PADDED_BYTES, b"\0"))
+    line.answer("State", "padded")
+    for piece in (b'<Cmd Id="pie', b'ces" Name="STA', b'TUS"></Cmd>'):
+        line.send(piece)
+        time.sleep(BETWEEN_SPLITS_S)
+    line.answer("State", "pieces")
+    line.send(command("one", "STATUS") + command("two", "STATUS"))
+    line.answer("State", "one")
+    line.answer("State", "two")
 
 
-@case("K40", "the stream outlives a lost connection, and the state still reports it")
-def connection_is_lost(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        line.cycles(5)
-        line.eki.reconnect()
-        line.cycles(CYCLES)
-        check(line.eki.state().get("RSI") == "2", "RSI still in MOVECORR after a new connection")
+@on_stream("K40", "the stream outlives a lost connection, and the state still reports it")
+def connection_is_lost(line: RsiLine) -> None:
+    line.cycles(5)
+    line.eki.reconnect()
+    line.cycles(CYCLES)
+    check(line.eki.state().get("RSI") == "2", "RSI still in MOVECORR after a new connection")

@@ -34,6 +34,7 @@ UNKNOWN_COMMANDS = ("ERROR01", "ERROR33")
 
 CASES = CaseList()
 case = CASES.case
+on_unit = CASES.within(idle_unit)
 
 
 @contextmanager
@@ -46,19 +47,20 @@ def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[Polar
         yield unit
 
 
-@case("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
-def set_up_while_tracking(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        handle = seen(unit).handles[0].handle
-        for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
-            unit.refused(command, 0x0C)
+while_tracking = CASES.within(tracking)
 
 
-@case("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
-def reading_while_idle(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        for command in ("TX:0001", "BX:0001", "TSTOP:"):
-            unit.refused(command, 0x0C)
+@while_tracking("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
+def set_up_while_tracking(unit: PolarisLink) -> None:
+    handle = seen(unit).handles[0].handle
+    for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
+        unit.refused(command, 0x0C)
+
+
+@on_unit("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
+def reading_while_idle(unit: PolarisLink) -> None:
+    for command in ("TX:0001", "BX:0001", "TSTOP:"):
+        unit.refused(command, 0x0C)
 
 
 @case("P26", "TSTART 80 restarts the frame number", needs=WITH_TOOL)
@@ -89,30 +91,29 @@ def frame_rate(dut: DeviceUnderTest) -> None:
         check(least <= last - first <= most, f"{least:.0f} to {most:.0f} frames", last - first)
 
 
-@case(
+@while_tracking(
     "P28",
     "TX has the exact form of its options: LF after each handle, four digits at the end",
     needs=WITH_TOOL,
 )
-def tx_grammar(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        handle = seen(unit).handles[0].handle
-        stray = r"(?:[+-][0-9]{6}){3}"
-        pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}"
-        forms = {
-            "0001": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
-            "0801": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
-            "0003": rf"01{handle}{pose}[0-9A-F]{{22}}\n[0-9A-F]{{4}}",
-            "1801": rf"01{handle}{pose}\n([0-9A-F]{{2}})([0-9A-F]*)((?:{stray})*)[0-9A-F]{{4}}",
-        }
-        for options, form in forms.items():
-            text = unit.ask(f"TX:{options}")
-            match = re.fullmatch(form, text)
-            check(match is not None, f"the form of TX {options}", repr(text))
-            if options == "1801" and match is not None:
-                count = int(match[1], 16)
-                check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
-                check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
+def tx_grammar(unit: PolarisLink) -> None:
+    handle = seen(unit).handles[0].handle
+    stray = r"(?:[+-][0-9]{6}){3}"
+    pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}"
+    forms = {
+        "0001": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
+        "0801": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
+        "0003": rf"01{handle}{pose}[0-9A-F]{{22}}\n[0-9A-F]{{4}}",
+        "1801": rf"01{handle}{pose}\n([0-9A-F]{{2}})([0-9A-F]*)((?:{stray})*)[0-9A-F]{{4}}",
+    }
+    for options, form in forms.items():
+        text = unit.ask(f"TX:{options}")
+        match = re.fullmatch(form, text)
+        check(match is not None, f"the form of TX {options}", repr(text))
+        if options == "1801" and match is not None:
+            count = int(match[1], 16)
+            check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
+            check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
 
 
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
@@ -181,60 +182,56 @@ def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
         check(re.fullmatch(form, text) is not None, "nothing after DISABLED", repr(text))
 
 
-@case("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
-def bx_is_whole(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        for options in ("0001", "0801", "1801"):
-            unit.binary(f"BX:{options}")
-            check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
+@while_tracking("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
+def bx_is_whole(unit: PolarisLink) -> None:
+    for options in ("0001", "0801", "1801"):
+        unit.binary(f"BX:{options}")
+        check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
-@case("P33", "BX contains little-endian float32", needs=WITH_TOOL)
-def little_endian(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        body = unit.binary("BX:0801")
-        if body[2] != HandleStatus.VALID:
-            raise NotShown("the tool is not in view")
-        norms = {order: _norm(struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
-        check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
-        check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
+@while_tracking("P33", "BX contains little-endian float32", needs=WITH_TOOL)
+def little_endian(unit: PolarisLink) -> None:
+    body = unit.binary("BX:0801")
+    if body[2] != HandleStatus.VALID:
+        raise NotShown("the tool is not in view")
+    norms = {order: _norm(struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
+    check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
+    check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
 
 
-@case("P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL)
-def tool_information_is_added(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        for _ in range(SAME_FRAME_TRIES):
-            short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
-            texts = unit.ask("TX:0001"), unit.ask("TX:0003")
-            missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
-            if len(missing) == 1:  # tracked in every frame, or missing in every frame
-                check(
-                    len(long) - len(short) == TOOL_INFORMATION_BYTES, "11 bytes more", len(long) - len(short)
-                )
-                more = len(texts[1]) - len(texts[0])
-                check(more == TX_INFORMATION_CHARACTERS, "22 characters more", more)
-                return
-        raise NotShown("the tool came and went between two frames")
+@while_tracking(
+    "P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL
+)
+def tool_information_is_added(unit: PolarisLink) -> None:
+    for _ in range(SAME_FRAME_TRIES):
+        short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
+        texts = unit.ask("TX:0001"), unit.ask("TX:0003")
+        missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
+        if len(missing) == 1:  # tracked in every frame, or missing in every frame
+            check(len(long) - len(short) == TOOL_INFORMATION_BYTES, "11 bytes more", len(long) - len(short))
+            more = len(texts[1]) - len(texts[0])
+            check(more == TX_INFORMATION_CHARACTERS, "22 characters more", more)
+            return
+    raise NotShown("the tool came and went between two frames")
 
 
-@case(
+@on_unit(
     "P49",
     "DSTART and DSTOP switch between setup and diagnostic mode, in which nothing is tracked",
     needs=NEEDS,
 )
-def diagnostic_mode(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        reply = unit.ask("DSTART:")
-        if reply in UNKNOWN_COMMANDS:
-            raise NotShown(f"this unit has no diagnostic mode: {reply}")
-        check(reply == "OKAY", "OKAY to DSTART", reply)
-        try:
-            for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
-                unit.refused(command, 0x0C)
-        finally:
-            unit.okay("DSTOP:")
-        unit.refused("DSTOP:", 0x0C)
-        check(unit.handles() == [], "setup mode again", unit.handles())
+def diagnostic_mode(unit: PolarisLink) -> None:
+    reply = unit.ask("DSTART:")
+    if reply in UNKNOWN_COMMANDS:
+        raise NotShown(f"this unit has no diagnostic mode: {reply}")
+    check(reply == "OKAY", "OKAY to DSTART", reply)
+    try:
+        for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
+            unit.refused(command, 0x0C)
+    finally:
+        unit.okay("DSTOP:")
+    unit.refused("DSTOP:", 0x0C)
+    check(unit.handles() == [], "setup mode again", unit.handles())
 
 
 def frame_number(unit: PolarisLink) -> int:

@@ -29,6 +29,7 @@ READ_ONLY = "Features.Firmware.Version=0"
 
 CASES = CaseList()
 case = CASES.case
+on_unit = CASES.within(idle_unit)
 
 
 @case("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040", needs=WITH_TOOL)
@@ -67,19 +68,16 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         raise NotShown("no stray marker is in view")
 
 
-@case("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
-def unknown_parameter(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        unit.refused("GET:No.Such Parameter", 0x34)
-        before = unit.ask("GET:Features.Firmware.Version")
-        unit.refused(f"SET:{READ_ONLY}", 0x39)
-        check(unit.ask("GET:Features.Firmware.Version") == before, "an unchanged value")
+@on_unit("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+def unknown_parameter(unit: PolarisLink) -> None:
+    unit.refused("GET:No.Such Parameter", 0x34)
+    before = unit.ask("GET:Features.Firmware.Version")
+    unit.refused(f"SET:{READ_ONLY}", 0x39)
+    check(unit.ask("GET:Features.Firmware.Version") == before, "an unchanged value")
 
 
 @case(
-    "P45",
-    "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers",
-    needs=NEEDS,
+    "P45", "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers", needs=NEEDS
 )
 def volumes_are_reported(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
