@@ -33,7 +33,7 @@ HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
-    """How a case ended."""
+    """End of a case."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -41,7 +41,7 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Raised by a case that cannot be decided here, for example without a stray in view; says why."""
+    """Raised by a case that cannot be decided here, such as without a stray in view; says why."""
 
 
 class Nonconformity(AssertionError):
@@ -62,7 +62,7 @@ class CaseOf(Protocol[S]):
 
 @dataclass(frozen=True)
 class Case:
-    """One behaviour under a stable number.
+    """A behaviour under a stable number.
 
     T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
@@ -157,7 +157,10 @@ def check(condition: bool, expected: str, found: object = "") -> None:
 
 @contextmanager
 def read_as(expected: str) -> Iterator[None]:
-    """Around, or as decorator of, what decodes a device's bytes: Nonconformity if they are not `expected`."""
+    """Decode a device's bytes in a context; raises Nonconformity if they are not `expected`.
+
+    Also a decorator.
+    """
     try:
         yield
     except (ValueError, OverflowError, struct.error) as error:
@@ -165,7 +168,7 @@ def read_as(expected: str) -> Iterator[None]:
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """The error raised by `call`; Nonconformity if there is none, or one of another class."""
+    """Return the error raised by `call`; raises Nonconformity if there is none, or one of another class."""
     try:
         call()
     except kind as error:

@@ -1,4 +1,8 @@
-"""Cases that any device must pass: activation for a block, observation from outside, a probe."""
+"""Cases that any device must pass, and checks that the suites share.
+
+The cases: activation for a block, observation from outside, a probe. The checks: interface, lifecycle,
+refusals, closing.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +28,7 @@ SLACK_S = 1.5  # on top of a time limit, for a busy computer
 
 @contextmanager
 def ends_within(limit_s: float) -> Iterator[None]:
-    """The block must end within `limit_s` of host time."""
+    """Require the block to end within `limit_s` of host time."""
     began_s = time.monotonic()
     yield
     elapsed_s = time.monotonic() - began_s
@@ -32,7 +36,7 @@ def ends_within(limit_s: float) -> Iterator[None]:
 
 
 def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
-    """A new driver has all calls of its interface and the given name, and is not connected."""
+    """Check that a new driver has all calls of its interface and the given name, and is not connected."""
     device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
     check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
@@ -40,7 +44,7 @@ def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
 
 
 def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
-    """The connected device and its identity, which must name vendor and model."""
+    """Connect the device and check that its identity names vendor and model; returns both."""
     device = dut.make()
     identity: Identity = device.connect()
     check(bool(identity.vendor and identity.model), "vendor and model", identity)
@@ -49,7 +53,7 @@ def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
 
 
 def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
-    """Calls are refused while disconnected and while connected. Returns the connected device."""
+    """Check that calls are refused while disconnected and while connected; returns the connected device."""
     device = dut.make()
     for call in disconnected:
         refused(getattr(device, call), StateError, f"{call} while disconnected")
@@ -60,7 +64,7 @@ def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: 
 
 
 def closes(device: Device, limit_s: float) -> None:
-    """Closing takes bounded time, is final, and may be repeated."""
+    """Check that closing takes bounded time, is final, and may be repeated."""
     with ends_within(limit_s):
         device.close()
     check(device.state is Lifecycle.CLOSED, "state closed", device.state)
@@ -69,7 +73,7 @@ def closes(device: Device, limit_s: float) -> None:
 
 
 def fails_to_connect(device: Device, limit_s: float) -> None:
-    """Without a device at the endpoint, connecting fails in time with a code and advice."""
+    """Check that connecting without a device at the endpoint fails in time, with code and advice."""
     try:
         with ends_within(limit_s + SLACK_S):
             error = refused(lambda: device.connect(limit_s), ConnectError, "connecting without a device")
@@ -79,7 +83,7 @@ def fails_to_connect(device: Device, limit_s: float) -> None:
 
 
 def refuses_unknown_options(dut: DeviceUnderTest) -> None:
-    """An unknown option is refused by the constructor."""
+    """Check that the constructor refuses an unknown option."""
     options = {**dut.config.options, "no_such_option": 1}
     refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")
 
@@ -173,7 +177,7 @@ class DeviceCases:
 
 
 def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
-    """What another thread sees of a device in this state; observing must be immediate and change nothing."""
+    """Observe a device in this state from another thread; must be immediate and change nothing."""
     fault, seen = device.fault, list[LastKnown[object]]()
     observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
     observer.start()

@@ -1,4 +1,7 @@
-"""The device under test: creates drivers for the cases; cases that only read share one connection."""
+"""The device under test: chosen on the command line before anything starts, then connected for the cases.
+
+It creates drivers for the cases; cases that only read share one connection.
+"""
 
 from __future__ import annotations
 
@@ -177,7 +180,7 @@ _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED
 
 
 class DeviceUnderTest:
-    """One driver with one configuration. `offers` names the needs of cases that it meets.
+    """A driver with one configuration. `offers` names the needs of cases that it meets.
 
     `clock_known` is False if the host's clock is merely assumed.
     """

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Checklist:
-    """The lines of one protocol, numbered from 1.
+    """The numbered checklist of a wire protocol, its lines numbered from 1.
 
     A case's number assigns it to a line: one of `letters`, the line, and a lower-case letter if a line has
     several cases. `also` names generic cases that also check a line. `elsewhere` says where a line without a
@@ -45,7 +45,7 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """The line checked by a case; None for a generic case."""
+        """Line checked by a case; None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 
@@ -59,7 +59,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Where a line is tested, or what its cases leave out; empty without a remark."""
+        """Note where a line is tested, or what its cases leave out; empty without a remark."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
@@ -72,7 +72,7 @@ def _nothing(_dut: DeviceUnderTest) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class ProtocolCases:
-    """What a package provides for one wire protocol.
+    """Cases of a package for one wire protocol.
 
     `offers` names the needs that it can meet for a given device under test. `simulator` returns the arguments
     of `ronna-sim` for a device that speaks the protocol.
@@ -85,7 +85,7 @@ class ProtocolCases:
 
 
 def load_protocol(wire_protocol: str) -> ProtocolCases:
-    """What the installed packages provide for a wire protocol; empty if none do."""
+    """Load the cases that the installed packages provide for a wire protocol; empty if none do."""
     for point in entry_points(group=GROUP, name=wire_protocol):
         found: ProtocolCases = point.load()
         return found

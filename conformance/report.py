@@ -33,7 +33,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Report:
-    """One run: the device, the time, and every case in the order of the suite."""
+    """A run of a suite: the device, the time, and every case in order."""
 
     suite: str
     driver: str

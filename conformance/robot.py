@@ -65,19 +65,9 @@ SUITE = Suite(
 
 
 def turned(joints_rad: JointVector, by_rad: float) -> JointVector:
-    """The same pose with the last axis turned towards the middle of its range."""
+    """Turn the last axis of a pose towards the middle of its range."""
     a, b, c, d, e, last = joints_rad
     return (a, b, c, d, e, last - math.copysign(by_rad, last))
-
-
-def shifted(pose: Transform, by_mm: tuple[float, float, float]) -> Transform:
-    """The same orientation, moved in the robot frame."""
-    return Transform.of(
-        pose.target,
-        pose.source,
-        translation_mm=[at + by for at, by in zip(pose.translation_mm, by_mm, strict=True)],
-        quaternion_wxyz=pose.quaternion_wxyz,
-    )
 
 
 def apart_rad(a: JointVector, b: JointVector) -> float:
@@ -207,7 +197,7 @@ def small_line(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     here: Transform = arm.kinematics.flange_pose(start)
-    for target in (shifted(here, (0.0, 0.0, SMALL_LINE_MM)), here):
+    for target in (here.displaced((0.0, 0.0, SMALL_LINE_MM)), here):
         reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
         reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
         missed_mm = math.dist(reached.translation_mm, target.translation_mm)

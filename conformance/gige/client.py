@@ -1,6 +1,7 @@
-"""A plain GVCP client of a camera that bypasses every driver.
+"""A plain GVCP client of a camera: its registers, and its features by name. It bypasses every driver.
 
 It decodes answers independently, following the protocol reference, so that a driver's misreading cannot hide.
+Features need a description that maps them to one fixed register: nodes with formulas are not supported.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ class Reply:
 
 
 class GigeLink:
-    """One socket to one camera; every command gets a new request id."""
+    """A socket to a camera; every command gets a new request id."""
 
     def __init__(self, address: str) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -74,7 +75,7 @@ class GigeLink:
         raise AssertionError("check has raised")
 
     def silent_after(self, datagram: bytes) -> bool:
-        """Send a datagram; True if nothing comes back."""
+        """Send a datagram; returns whether nothing comes back."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -107,7 +108,7 @@ class GigeLink:
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
-        """Send the last command again, like a client after a lost answer; True if answered."""
+        """Send the last command again, like a client after a lost answer; returns whether it is answered."""
         self._socket.send(self._last)
         return self._answer(self._request_id) is not None
 
@@ -144,7 +145,7 @@ class GigeLink:
 
 
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
-    """A link to each camera in turn; closes every connection of the driver first."""
+    """Link to each camera in turn; closes every connection of the driver first."""
     dut.release()
     for text in dut.config.endpoints.values():
         with GigeLink(parse_endpoint(text).require("gev").host) as link:
@@ -167,7 +168,7 @@ DEPTH_LIMIT = 8
 
 
 class GigeFeatures:
-    """The features of the camera at the other end of a link."""
+    """Features of the camera at the other end of a link."""
 
     def __init__(self, link: GigeLink) -> None:
         self._link = link
@@ -199,7 +200,7 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """True when the description has a node of that name."""
+        """Whether the description has a node of that name."""
         return name in self.nodes
 
     @read_as("an entry with an integer value")

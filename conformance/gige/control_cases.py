@@ -1,4 +1,8 @@
-"""Cases for a camera's control channel: broadcast discovery, multiple writes, privileges, heartbeat."""
+"""Cases for the registers and the control channel of a GigE Vision camera, bypassing the driver.
+
+The number of a case is G and a line of the protocol's checklist. Every case runs on each camera and leaves it
+uncontrolled.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Cases of the suite for GigE Vision cameras: registers, control, features, stream."""
+"""GigE Vision in the suite: its numbered checklist, its cases, and the simulator that speaks it.
+
+All lines are about the camera, on the wire; a case's number is G and its line.
+"""
 
 from __future__ import annotations
 

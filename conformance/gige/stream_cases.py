@@ -1,4 +1,4 @@
-"""Cases for a camera's stream and triggers, packet by packet."""
+"""Cases for a camera's features, stream and triggers: limits, locks and rates, packet by packet."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A plain EKI client of a KUKA controller that bypasses every driver.
+"""A plain client of a KUKA controller, on EKI and RSI, that bypasses every driver.
 
-It decodes elements independently, following the protocol reference, so that a driver's
-misreading cannot hide.
+It decodes elements independently, following the protocol reference, so that a driver's misreading cannot
+hide. Its RSI replies hold the arm unless a case gives corrections.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
 class EkiLine:
-    """One client of one channel. `between` stores the bytes between elements."""
+    """A client of one channel. `between` stores the bytes between elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -73,7 +73,7 @@ class EkiLine:
         return self.answer("State", self.command("STATUS"))
 
     def answer(self, tag: str, identifier: str) -> ElementTree.Element:
-        """The element with this tag and identifier; raises Nonconformity if it does not arrive in time."""
+        """Element with this tag and identifier; raises Nonconformity if it does not arrive in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
             while (raw := self._cut_off()) is None:
@@ -137,13 +137,13 @@ END_LIMIT_S = 4.0
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
 HOLD: Mapping[str, float] = dict.fromkeys(AXES, 0.0)
 
-_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
+IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _DELAY = re.compile(rb'<Delay D="([^"]*)"')
 
 
 @dataclass(frozen=True)
 class Telegram:
-    """One telegram of the controller as received."""
+    """A telegram of the controller as received."""
 
     raw: bytes
     sender: tuple[str, int]
@@ -153,7 +153,7 @@ class Telegram:
     @read_as("an IPOC in digits")
     def ipoc(self) -> int:
         """The time stamp that a reply must carry."""
-        match = _IPOC.search(self.raw)
+        match = IPOC.search(self.raw)
         check(match is not None, "an IPOC in digits", self.raw[-80:])
         assert match is not None
         return int(match[1])

@@ -1,4 +1,4 @@
-"""Cases for a KUKA controller on RSI, telegram by telegram, bypassing the driver.
+"""Cases for a KUKA controller on RSI, telegram by telegram, and on EKI, bypassing the driver.
 
 The number of a case is K and a line of the protocol's checklist. Without `--allow motion` all corrections are
 zero: the program starts, streams and ends, and the arm stays where it is.

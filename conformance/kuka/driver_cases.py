@@ -16,7 +16,7 @@ from typing import Any
 from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
-from conformance.kuka.client import AXES
+from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, set_moving, turned
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -37,7 +37,6 @@ SILENCE_SLACK_S = 1.5  # for a busy computer; both together are below the allowe
 GATHERED_S = 0.05
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
 
-_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
 
 CASES = CaseList()
@@ -104,7 +103,7 @@ def one_reply_each(dut: DeviceUnderTest) -> None:
 
 
 def _unanswered(tap: RsiTap) -> int:
-    """How many of at least `CYCLES` telegrams were not answered; none may be answered twice."""
+    """Count the unanswered of at least `CYCLES` telegrams; none may be answered twice."""
     heard = _exchanges(tap)
     stamps = _stamps(heard.replies)
     check(len(set(stamps)) == len(stamps), "no telegram answered twice")
@@ -256,4 +255,4 @@ def _exchanges(tap: RsiTap) -> Traffic:
 
 
 def _stamps(datagrams: list[bytes]) -> list[int]:
-    return [int(match[1]) for data in datagrams if (match := _IPOC.search(data)) is not None]
+    return [int(match[1]) for data in datagrams if (match := IPOC.search(data)) is not None]

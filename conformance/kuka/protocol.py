@@ -1,4 +1,7 @@
-"""Cases of the suite for KUKA controllers on RSI and EKI: stream, EKI, driver."""
+"""KUKA's RSI and EKI in the suite: their numbered checklist, their cases, and the simulator that speaks them.
+
+S lines are about the controller, on the wire (cases K), D lines about the driver (cases L).
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """A plain client of an NDI Polaris unit that bypasses every driver.
 
-It decodes replies independently, following the protocol reference, so that a driver's misreading cannot hide.
+It decodes replies, also BX (options 0001, 0002, 0800, 1000), independently, following the protocol reference,
+so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def _open(endpoint: Endpoint) -> socket.socket | SerialLine:
 
 
 def with_crc(text: str) -> bytes:
-    """The CRC form of a command."""
+    """Command or text reply with its CRC in four upper-case digits, and CR."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
 
 
@@ -132,7 +133,7 @@ class PolarisLink:
         return body
 
     def rest(self, quiet_s: float = QUIET_S) -> bytes:
-        """Everything that arrives before the line has been quiet for `quiet_s`."""
+        """Receive everything that arrives before the line has been quiet for `quiet_s`."""
         heard = b""
         while select.select([self.line], [], [], quiet_s)[0]:
             if not (data := self.line.recv(65536)):
@@ -195,7 +196,7 @@ class PolarisLink:
 
     @contextmanager
     def hurried(self) -> Iterator[None]:
-        """At a faster baud rate inside the block on a serial line; no effect over TCP."""
+        """Use a faster baud rate inside the block on a serial line; no effect over TCP."""
         if not isinstance(self.line, SerialLine):
             yield
             return
@@ -227,7 +228,7 @@ class PolarisLink:
 
 
 def is_error(text: str) -> bool:
-    """True for ERRORhh."""
+    """Whether a reply is ERRORhh."""
     return _ERROR.fullmatch(text) is not None
 
 
@@ -265,7 +266,7 @@ OPTION_STRAYS = 0x1000
 
 @dataclass(frozen=True)
 class HandleSeen:
-    """One handle: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
+    """A handle in a reply: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
 
     handle: str
     status: HandleStatus
@@ -281,7 +282,7 @@ class HandleSeen:
 
 @dataclass(frozen=True)
 class Seen:
-    """One complete reply; `strays_at` is the offset of the first stray's position in the body.
+    """A complete reply; `strays_at` is the offset of the first stray's position in the body.
 
     `strays_outside` are the flags with the low bit of each byte first, as most clients read them,
     `strays_outside_mirrored` with the high bit first: the order is undocumented.

@@ -1,4 +1,4 @@
-"""Checklist lines 11 to 16 and 37 to 41: the driver's behaviour, seen by a tap on its line."""
+"""Checklist lines 11 to 16 and 37 to 43: the driver's behaviour, seen by a tap on its line."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ from conformance.polaris.client import (
     placed,
     plain_unit,
     read_body,
+    with_crc,
 )
 from conformance.polaris.fixtures import (
     NEEDS,
@@ -36,7 +37,6 @@ from conformance.polaris.tap import (
     PolarisTap,
     body_of,
     polaris_tap,
-    text_reply,
     with_body,
     with_system_status,
 )
@@ -66,7 +66,7 @@ ARRIVAL_S = 0.1  # for injected bytes to reach the driver
 NORM_TOLERANCE = 1e-6
 NEAR_MARKER_MM = 1.0
 FAR_OUTSIDE_MM = (3000.0, 0.0, -1500.0)  # beyond the side of every volume
-STALE_TEXT = text_reply("OKAY")
+STALE_TEXT = with_crc("OKAY")
 READING_OPTIONS = OPTION_OUT_OF_VOLUME | OPTION_STRAYS | 0x0001
 DISTURBED_BYTES = {"start": 0, "length": 2, "header CRC": 4, "body": 20, "body CRC": -1}
 

@@ -1,4 +1,4 @@
-"""What the cases for a Polaris unit and its driver share: needs, the tool they load, one frame by BX.
+"""Fixtures of the cases for a Polaris unit and its driver: needs, tool definitions, volumes, a frame.
 
 A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter if a line has
 several cases. Every case leaves the unit initialised, idle and without tools.
@@ -80,7 +80,7 @@ def markers_of(block: bytes) -> tuple[Vector3, ...]:
 
 
 def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
-    """The same tool with another origin: every marker moves by `shift_mm` in the tool frame.
+    """Give a tool another origin: every marker moves by `shift_mm` in the tool frame.
 
     It has its own part number, so that a simulated unit does not know where its spheres really are.
     """
@@ -94,7 +94,7 @@ def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
 
 
 def looking_away(block: bytes) -> bytes:
-    """The same tool with all marker normals reversed, so that no marker faces the unit."""
+    """Reverse all marker normals of a tool, so that no marker faces the unit."""
     changed = bytearray(block)
     count = block[layout.MARKER_COUNT_OFFSET]
     for slot in range(count):
@@ -153,7 +153,7 @@ SPECTRA_SHAPE, VICRA_SHAPE = "5", "7"
 
 @dataclass(frozen=True)
 class MeasuringVolume:
-    """One volume: its shape and its ten numbers, in hundredths of a mm and of a slope per 1000."""
+    """A volume: its shape and its ten numbers, in hundredths of a mm and of a slope per 1000."""
 
     shape: str
     numbers: tuple[int, ...]
@@ -183,7 +183,7 @@ class MeasuringVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """How far inside a point is, along the closest axis; negative outside."""
+        """Distance of a point inside the faces, along the closest axis; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)

@@ -1,4 +1,7 @@
-"""Cases of the suite for devices on the NDI Polaris protocol, in the order of the checklist."""
+"""The NDI Polaris protocol in the suite: its numbered checklist, its cases in that order, its simulator.
+
+S lines are about the unit, on the wire; D lines about the driver. A case's number is P or D and its line.
+"""
 
 from __future__ import annotations
 
@@ -93,7 +96,7 @@ CASE_MODULES = (unit_cases, frame_cases, volume_cases, driver_cases)
 
 
 def offers(dut: DeviceUnderTest) -> frozenset[str]:
-    """Which needs of the Polaris cases the device under test meets."""
+    """Needs of the Polaris cases that the device under test meets."""
     met = {CHECKED_REPLIES}
     if dut.config.endpoint is not None:
         met.add(POLARIS_BYTES)

@@ -1,4 +1,4 @@
-"""Checklist lines 1 to 10: the line, the forms of commands and replies, the first commands."""
+"""Checklist lines 1 to 10, 17 to 23 and 47: line, commands and replies, port handles, tool definitions."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ from typing import IO
 import pytest
 
 from conformance.case import Nonconformity
-from conformance.polaris.client import PolarisLink, placed, read_body
+from conformance.polaris.client import PolarisLink, placed, read_body, with_crc
 from conformance.polaris.fixtures import (
     SPECTRA_VOLUMES,
     MeasuringVolume,
@@ -17,7 +17,7 @@ from conformance.polaris.fixtures import (
     published,
     shifted,
 )
-from conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
+from conformance.polaris.tap import body_of, with_body, with_system_status
 from ronna_hw.wire.polaris import HandleStatus
 from sim.polaris.tools.definition import parse_definition
 
@@ -43,15 +43,15 @@ def test_a_body_of_the_wrong_length_is_rejected() -> None:
 
 def test_a_reply_is_rebuilt_byte_for_byte() -> None:
     assert with_body(body_of(SEEN)) == SEEN
-    assert text_reply("OKAY") == b"OKAYA896\r"
+    assert with_crc("OKAY") == b"OKAYA896\r"
 
 
 def test_replacing_the_system_status_keeps_the_rest_of_the_reply() -> None:
     changed = with_system_status(SEEN, 0x0200)
     assert read_body(body_of(changed), 0x0001).system_status == 0x0200
     assert body_of(changed)[:-2] == body_of(SEEN)[:-2]
-    text = text_reply("0101MISSING000000310000012D\n0000")
-    assert with_system_status(text, 0x0100) == text_reply("0101MISSING000000310000012D\n0100")
+    text = with_crc("0101MISSING000000310000012D\n0000")
+    assert with_system_status(text, 0x0100) == with_crc("0101MISSING000000310000012D\n0100")
 
 
 def test_markers_are_placed_by_rotation_and_translation() -> None:
