@@ -19,7 +19,7 @@ from ronna_hw.arm.clearance.sweep import ARC_FACTOR, Closest, SweptPath, motion_
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, driven
+from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_states
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.devices.robot import JointMove, Motion
@@ -119,7 +119,7 @@ def preview(
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
-    states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, limits.cycle_s)
+    states = [] if plan.is_standstill else drive_states(slowed.limits, slowed.speed_steps, limits.cycle_s)
     speeds = _speeds(path, states)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]

@@ -24,6 +24,7 @@ from ronna_hw.evidence.manifest import (
     TRUTH_FILES,
     Seal,
     closed_files,
+    count_names,
     exchanged_inputs,
     files_of,
     hashes_in,
@@ -32,13 +33,12 @@ from ronna_hw.evidence.manifest import (
     is_made_anew,
     lasting_files,
     made_from,
-    names_in,
     not_vouched_for,
     read_seal,
     sha256_of,
     superseded_in,
-    unlike_content,
-    unlike_truth,
+    truth_difference,
+    truth_problems,
 )
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text import printable
@@ -136,7 +136,7 @@ class Inspection:
         lines = self.chain.lines
         named = closed_files(lines) if is_closed(lines) else {}
         changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
-        if what := "changed" if changed else unlike_content(name, content, lines):
+        if what := "changed" if changed else truth_difference(name, content, lines):
             self._require((Problem(name, what),))
         return content
 
@@ -157,7 +157,7 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     """
     problems: list[Problem] = []
     chain = _chain(folder, problems)
-    if names_in(chain.lines) > MOST_NAMES:
+    if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
         return Inspection(folder, chain, (), tuple(problems))
     records = tuple(_records(folder, chain.lines, problems))
@@ -254,7 +254,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
             name = f"{PICTURES_FOLDER}/{picture}"
             pictures[name] = of if pictures.get(name, of) == of else "two hashes"
     yield from against(folder, pictures)
-    yield from (Problem(name, what) for name, what in unlike_truth(folder, lines))
+    yield from (Problem(name, what) for name, what in truth_problems(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:

@@ -65,7 +65,7 @@ def hashes_in(line: Line, field: str) -> dict[str, str]:
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
 
 
-def names_in(lines: Iterable[Line]) -> int:
+def count_names(lines: Iterable[Line]) -> int:
     """Count the files that the lines of a journal name."""
     fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
     return sum(len(hashes_in(line, field)) for line in lines for field in fields)
@@ -133,7 +133,7 @@ def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
     return expected
 
 
-def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
+def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
     """Hashes for the end of a run; files that were not as left keep their earlier hash.
 
     A file that never had one is omitted: it counts as added until somebody removes it.
@@ -249,7 +249,7 @@ def journalled_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
     return known
 
 
-def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
+def truth_problems(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     """Truth files of a run that do not match its journal, and how."""
     for name in journalled_truth(lines):
         try:
@@ -260,11 +260,11 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
         except OSError as error:
             yield name, f"replaced, or cannot be read: {error.strerror}"
         else:
-            if what := unlike_content(name, content, lines):
+            if what := truth_difference(name, content, lines):
                 yield name, what
 
 
-def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
+def truth_difference(name: str, content: bytes, lines: Sequence[Line]) -> str:
     """How the content of a truth file differs from the journal; empty if it matches or is not named."""
     if name not in (known := journalled_truth(lines)):
         return ""

@@ -41,7 +41,7 @@ def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
 DEEPEST_LEVEL = 16  # of folders; a run has three
 
 
-class Found(NamedTuple):
+class WalkedPath(NamedTuple):
     """A path below the walked folder."""
 
     path: Path
@@ -49,7 +49,7 @@ class Found(NamedTuple):
     entered: bool  # a folder whose content follows
 
 
-def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
+def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[WalkedPath]:
     """Iterate without recursion over everything below a folder, except top-level folders named in `without`.
 
     Links are not followed. Folders at `DEEPEST_LEVEL` and unreadable ones are listed but not entered.
@@ -66,7 +66,7 @@ def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[Found]:
                 continue
             readable = is_folder and os.access(path, os.R_OK | os.X_OK)
             entered = readable and level + 1 < DEEPEST_LEVEL
-            yield Found(path, is_folder, entered)
+            yield WalkedPath(path, is_folder, entered)
             if entered:
                 waiting.append((path, level + 1))
 

@@ -12,8 +12,7 @@ from typing import Protocol
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.progress import PathLimits as PathLimits
-from ronna_hw.arm.motion.progress import SpeedStep
+from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 

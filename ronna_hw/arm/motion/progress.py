@@ -334,7 +334,7 @@ def _peak(state: State, jerk: float) -> float:
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
-def driven(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
+def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
     """States of a path driven from rest to rest, one per cycle, found by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []

@@ -1,5 +1,7 @@
 """A child that does not become ready: the error gives its limit and whether it did any work."""
 
+from __future__ import annotations
+
 import sys
 import time
 

@@ -1,5 +1,7 @@
 """A path that comes too close to anything is refused; the live watch stops what planning missed."""
 
+from __future__ import annotations
+
 import json
 import math
 import random

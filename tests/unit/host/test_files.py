@@ -1,5 +1,7 @@
 """Too few file descriptors are reported at the start, with the number required."""
 
+from __future__ import annotations
+
 import resource
 
 import pytest

@@ -1,5 +1,7 @@
 """Recorded pixels come back bit for bit."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 

@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 import itertools
 from types import SimpleNamespace
 from typing import Any

@@ -1,5 +1,7 @@
 """The calibrated arm against the simulator's own, a chain in Pinocchio written independently."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A foreign package under one of our names keeps a program from starting."""
+"""A command runs linear algebra on one thread and refuses foreign packages under our names."""
 
 from __future__ import annotations
 
@@ -7,7 +7,32 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from ronna_hw.host.process import OWN_PACKAGES, foreign_packages, require_own_packages
+
+MULTIPLYING = """
+import os, typer
+from ronna_hw.command_line import terminal
+app = typer.Typer()
+@app.command()
+def multiply() -> None:
+    import numpy as np
+    square = np.ones((600, 600))
+    square @ square
+    print(len(os.listdir("/proc/self/task")))
+terminal.run(app)
+"""
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor has one thread anyway")
+def test_linear_algebra_of_a_command_uses_one_thread_on_any_number_of_processors() -> None:
+    command = [sys.executable, "-P", "-c", MULTIPLYING]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    )
+    assert done.stdout == "1\n", done.stderr
+
 
 PROGRAM = """
 from ronna_hw.host.process import ForeignPackage, require_own_packages

@@ -1,5 +1,7 @@
 """Forward kinematics against golden flange poses, and poses as values."""
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
