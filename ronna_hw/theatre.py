@@ -63,7 +63,7 @@ class Theatre:
         self._make = make
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
-        self._found_fit: dict[tuple[str, object], Device] = {}  # by interface; a driver is checked once
+        self._checked: dict[tuple[str, object], Device] = {}  # by interface; a driver is checked once
         self._byte_sink: ByteSink | None = None
         self._closed = False
 
@@ -102,7 +102,7 @@ class Theatre:
     @property
     def devices(self) -> dict[str, Device]:
         """All devices, by their tables in the file, such as `robot.master`."""
-        return {name: self._made(name) for name in self.file.devices}
+        return {name: self._device_named(name) for name in self.file.devices}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """Device of the table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
@@ -132,7 +132,7 @@ class Theatre:
         Raises the driver's error of the first that fails; earlier ones stay connected.
         """
         for name in self.file.devices:
-            device = self._made(name)
+            device = self._device_named(name)
             if device.state is Lifecycle.DISCONNECTED:
                 device.connect(timeout_s)
             if device.state is Lifecycle.CONNECTED:
@@ -187,14 +187,14 @@ class Theatre:
             raise TheatreClosed(f"theatre {self.file.theatre} is closed")
 
     def _device(self, name: str, interface: Callable[..., D]) -> D:
-        device = self._made(name)
-        if self._found_fit.get((name, interface)) is device:
+        device = self._device_named(name)
+        if self._checked.get((name, interface)) is device:
             return cast("D", device)
         fitting = require_interface(name, self.file.devices[name].driver, device, interface)
-        self._found_fit[name, interface] = device
+        self._checked[name, interface] = device
         return fitting
 
-    def _made(self, name: str) -> Device:
+    def _device_named(self, name: str) -> Device:
         self._require_open()
         if name not in self._devices:
             self.require(name)

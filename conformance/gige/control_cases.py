@@ -14,7 +14,7 @@ from typing import Protocol, runtime_checkable
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.gige.client import GigeFeatures, GigeLink, cameras, controlled
-from conformance.gige.stream import GigeStream, started
+from conformance.gige.stream import GigeStream, start_acquisition
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.wire.gige_vision import (
@@ -247,7 +247,7 @@ def silence_ends_control(camera: GigeLink) -> None:
         check(silent.write(Bootstrap.CCP, CCP_CONTROL) == GevStatus.SUCCESS, "control")
         stream.small_frames(TriggerMode="Off")
         stream.open_channel()
-        started(stream).frame()
+        start_acquisition(stream).frame()
         silent.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
         began_s = time.monotonic()
         while camera.registers(Bootstrap.CCP) != [CCP_OPEN]:

@@ -182,7 +182,7 @@ def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
             stream.close()
 
 
-def started(stream: GigeStream) -> GigeStream:
+def start_acquisition(stream: GigeStream) -> GigeStream:
     """Start the acquisition of a stream and return it."""
     stream.features.execute("AcquisitionStart")
     return stream

@@ -20,7 +20,7 @@ from conformance.gige.stream import (
     controlled_stream,
     decode_leader,
     leader_of,
-    started,
+    start_acquisition,
 )
 from ronna_hw.wire.gige_vision import (
     CCP_OPEN,
@@ -113,7 +113,7 @@ def areas_stay_on_the_sensor(stream: GigeStream) -> None:
 
 @on_stream("G22", "geometry and pixel format are locked while the acquisition runs")
 def format_is_locked(stream: GigeStream) -> None:
-    started(stream)
+    start_acquisition(stream)
     pixel_format = stream.features.entry("PixelFormat", "Mono12")
     for name, value in (("Width", 512), ("Height", 32), ("PixelFormat", pixel_format)):
         status = stream.features.write(name, value)
@@ -127,7 +127,7 @@ def long_exposures_lower_the_rate(stream: GigeStream) -> None:
     found = float(stream.features.get("ResultingFrameRateAbs"))
     most = 1e6 / RATE_LIMITING_EXPOSURE_US
     check(0 < found <= most * (1 + RATE_SLACK), f"at most {most:g} frames/s", found)
-    started(stream)
+    start_acquisition(stream)
     before, after = (leader_of(stream.frame()).ticks for _ in range(2))
     high, low = stream.link.registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
     rate = (high << 32 | low) / (after - before)
@@ -181,27 +181,27 @@ def test_packets(stream: GigeStream) -> None:
 @on_stream("G24", "destination 0.0.0.0 is the application in control")
 def nameless_destination(stream: GigeStream) -> None:
     stream.open_channel("0.0.0.0")
-    frames(started(stream), 1)
+    frames(start_acquisition(stream), 1)
 
 
 @on_stream("G25", "images need an open channel, control and a running acquisition")
 def three_conditions(stream: GigeStream) -> None:
     stream.trigger()
     check(stream.silent(), "nothing before AcquisitionStart")
-    started(stream)
+    start_acquisition(stream)
     stream.link.write(Bootstrap.SCP, 0)
     stream.trigger()
     check(stream.silent(), "nothing on a closed channel")
     stream.features.execute("AcquisitionStop")
     stream.open_channel()
-    frames(started(stream), 1)
+    frames(start_acquisition(stream), 1)
 
 
 @on_camera("G25a", "releasing control ends the stream")
 def release_ends_the_stream(camera: GigeLink) -> None:
     with controlled_stream(camera) as stream:
         stream.features.set("TriggerMode", "Off")
-        started(stream).frame()
+        start_acquisition(stream).frame()
         camera.write(Bootstrap.CCP, CCP_OPEN)
         stream.last_packets()
         check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
@@ -211,7 +211,7 @@ def release_ends_the_stream(camera: GigeLink) -> None:
 @on_stream("G26", "leader, payload and trailer have ids 0, 1 to n, n+1; only the last payload is short")
 def packets_are_numbered(stream: GigeStream) -> None:
     full = PACKET_BYTES - GVSP_OVERHEAD_BYTES
-    (frame,) = frames(started(stream), 1)
+    (frame,) = frames(start_acquisition(stream), 1)
     check([p.packet_id for p in frame] == list(range(len(frame))), "ids in order from 0")
     kinds = [LEADER, *[PAYLOAD] * (len(frame) - 2), TRAILER]
     check([p.kind for p in frame] == kinds, "leader, payload, trailer")
@@ -224,7 +224,7 @@ def packets_are_numbered(stream: GigeStream) -> None:
 def leader_agrees(stream: GigeStream) -> None:
     stream.features.set("OffsetX", 64)
     stream.features.set("OffsetY", 32)
-    (frame,) = frames(started(stream), 1)
+    (frame,) = frames(start_acquisition(stream), 1)
     leader = leader_of(frame)
     check(leader.payload_type == PayloadType.IMAGE, "an image", leader.payload_type)
     found = (leader.x, leader.y, leader.width, leader.height)
@@ -237,7 +237,7 @@ def leader_agrees(stream: GigeStream) -> None:
 def stamps_grow(stream: GigeStream) -> None:
     high, low = stream.link.registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
     check(high << 32 | low > 0, "a nonzero frequency")
-    ticks = [leader_of(frame).ticks for frame in frames(started(stream), FRAMES)]
+    ticks = [leader_of(frame).ticks for frame in frames(start_acquisition(stream), FRAMES)]
     check(ticks == sorted(set(ticks)), "increasing stamps", ticks)
 
 
@@ -245,7 +245,7 @@ def stamps_grow(stream: GigeStream) -> None:
     "G30", "the counter can be latched and reset, and agrees with the images' stamps", needs=(HOST_TIME,)
 )
 def latch_and_reset(stream: GigeStream) -> None:
-    started(stream)
+    start_acquisition(stream)
     before = stream.latched()
     (frame,) = frames(stream, 1)
     after = stream.latched()
@@ -257,7 +257,7 @@ def latch_and_reset(stream: GigeStream) -> None:
 
 @on_stream("G31", "packets of the last 16 images are resent byte by byte")
 def packets_are_repeated(stream: GigeStream) -> None:
-    taken = frames(started(stream), KEPT_FRAMES)
+    taken = frames(start_acquisition(stream), KEPT_FRAMES)
     for frame in (taken[0], taken[-1]):
         for first in (frame[0], frame[2], frame[-1]):
             stream.request_resend(first.block_id, first.packet_id, first.packet_id)
@@ -269,7 +269,7 @@ def packets_are_repeated(stream: GigeStream) -> None:
 @case("G32", "a request for a discarded packet is answered by a header that says so")
 def discarded_packets(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
-        frames(started(stream), 1)
+        frames(start_acquisition(stream), 1)
         stream.request_resend(0x7000, 1, 1)
         answer = stream.packet(TEST_LIMIT_S)
         if answer is None:
@@ -280,7 +280,7 @@ def discarded_packets(dut: DeviceUnderTest) -> None:
 
 @on_stream("G33", "one software trigger yields one image; a trigger while busy is dropped and counted")
 def software_trigger(stream: GigeStream) -> None:
-    check(started(stream).silent(), "nothing without a trigger")
+    check(start_acquisition(stream).silent(), "nothing without a trigger")
     frames(stream, 1)
     check(stream.silent(), "one image for one trigger")
     stream.features.set("ExposureTimeAbs", LONG_EXPOSURE_US)
@@ -295,7 +295,7 @@ def software_trigger(stream: GigeStream) -> None:
 
 @on_stream("G34", "a command repeated with its request id is executed once")
 def repeated_commands_act_once(stream: GigeStream) -> None:
-    started(stream)
+    start_acquisition(stream)
     trigger = struct.pack(">II", *stream.features.command("TriggerSoftware"))
     stream.link.exchange(GvcpCommand.WRITEREG, trigger)
     stream.frame()  # only then would the camera take another one
@@ -311,7 +311,7 @@ def actions(stream: GigeStream) -> None:
     stream.features.set("ActionDeviceKey", DEVICE_KEY)
     stream.features.set("ActionGroupKey", GROUP_KEY)
     stream.features.set("ActionGroupMask", GROUP_MASK)
-    started(stream)
+    start_acquisition(stream)
     for keys in ((1, GROUP_KEY, GROUP_MASK), (DEVICE_KEY, 4, GROUP_MASK), (DEVICE_KEY, GROUP_KEY, 1)):
         stream.link.send(GvcpCommand.ACTION, struct.pack(">III", *keys))
     check(stream.silent(), "nothing for other keys, groups or masks")
@@ -323,7 +323,7 @@ def actions(stream: GigeStream) -> None:
 @on_stream("G38", "AcquisitionStop ends the stream after at most the image in progress")
 def stop_ends_the_stream(stream: GigeStream) -> None:
     stream.features.set("TriggerMode", "Off")
-    started(stream).frame()
+    start_acquisition(stream).frame()
     stream.features.execute("AcquisitionStop")
     stopped = stream.latched()
     # an image exposed before the stop may still arrive

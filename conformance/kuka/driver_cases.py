@@ -18,7 +18,7 @@ from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
 from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
-from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, set_moving, turned
+from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, start_moving, turn_last_axis
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
@@ -135,7 +135,7 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
         tap.traffic()
-        for target in (turned(start, SMALL_TURN_RAD), start):
+        for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
             arm.move_joints(target, speed_fraction=SLOW)
         replies = [corrections(reply) for reply in tap.traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
@@ -175,7 +175,7 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
-        mover, ends = set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        mover, ends = start_moving(dut, arm, start, turn_last_axis(start, STOPPED_TURN_RAD))
         check(mover.is_alive(), "an arm that moves")
         tap.hold()
         mover.join()

@@ -345,7 +345,7 @@ def _read_body(body: bytes, options: int) -> Seen:
     return Seen(tuple(handles), tuple(strays), outside, mirrored, strays_at, system_status)
 
 
-def placed(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
+def place_markers(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
     """Markers of a tool in the tracker frame, for a pose with a scalar-first quaternion."""
     q0, qx, qy, qz, tx, ty, tz, _ = pose
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)

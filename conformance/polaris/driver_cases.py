@@ -17,7 +17,7 @@ from conformance.polaris.client import (
     OPTION_STRAYS,
     Vector3,
     idle_unit,
-    placed,
+    place_markers,
     plain_unit,
     read_body,
     with_crc,
@@ -199,12 +199,12 @@ def strays_are_filtered(dut: DeviceUnderTest) -> None:
         far = [stray for stray in strays if math.dist(stray.position_mm, FAR_OUTSIDE_MM) < NEAR_MARKER_MM]
         if formula_is_public:  # otherwise only the unit's own flag is available
             check(all(s.validity is Validity.OUT_OF_VOLUME for s in far), "validity out of volume", far)
-        tap.change("BX", _first_stray_at(lambda pose: placed(markers_mm, pose)[0]))
+        tap.change("BX", _first_stray_at(lambda pose: place_markers(markers_mm, pose)[0]))
         strays = tracker.read_frame(PATIENT_S).strays
         pose = read_body(body_of(tap.replies["BX"]), READING_OPTIONS).handles[0].pose
         if pose is None:
             raise NotShown("the tool was lost")
-        marker_mm = placed(markers_mm, pose)[0]
+        marker_mm = place_markers(markers_mm, pose)[0]
         near = [stray for stray in strays if math.dist(stray.position_mm, marker_mm) < NEAR_MARKER_MM]
         check(not near, "no stray at a tool's marker", near)
 

@@ -53,7 +53,7 @@ def definition(dut: DeviceUnderTest) -> bytes:
     return next(iter(tracker.definition_blocks.values()))
 
 
-def seen(unit: PolarisLink, options: int = 0x0001) -> Seen:
+def read_frame(unit: PolarisLink, options: int = 0x0001) -> Seen:
     """The frame by BX with these options."""
     return read_body(unit.binary(f"BX:{options:04X}"), options)
 
@@ -79,7 +79,7 @@ def markers_of(block: bytes) -> tuple[Vector3, ...]:
     return tuple((flat[k], flat[k + 1], flat[k + 2]) for k in range(0, 3 * count, 3))
 
 
-def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
+def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
     """Give a tool another origin: every marker moves by `shift_mm` in the tool frame.
 
     It has its own part number, so that a simulated unit does not know where its spheres really are.
@@ -93,7 +93,7 @@ def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
     return _sealed(changed)
 
 
-def looking_away(block: bytes) -> bytes:
+def reverse_normals(block: bytes) -> bytes:
     """Reverse all marker normals of a tool, so that no marker faces the unit."""
     changed = bytearray(block)
     count = block[layout.MARKER_COUNT_OFFSET]
@@ -104,7 +104,7 @@ def looking_away(block: bytes) -> bytes:
     return _sealed(changed)
 
 
-def published() -> bytes:
+def published_definition() -> bytes:
     """A definition with the numbers of a real one, assembled from the published layout."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)

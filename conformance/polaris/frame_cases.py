@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
-from conformance.polaris.fixtures import NEEDS, WITH_TOOL, definition, looking_away, seen
+from conformance.polaris.fixtures import NEEDS, WITH_TOOL, definition, read_frame, reverse_normals
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
@@ -52,7 +52,7 @@ while_tracking = CASES.within(tracking)
 
 @while_tracking("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
 def set_up_while_tracking(unit: PolarisLink) -> None:
-    handle = seen(unit).handles[0].handle
+    handle = read_frame(unit).handles[0].handle
     for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
         unit.refused(command, 0x0C)
 
@@ -97,7 +97,7 @@ def frame_rate(dut: DeviceUnderTest) -> None:
     needs=WITH_TOOL,
 )
 def tx_grammar(unit: PolarisLink) -> None:
-    handle = seen(unit).handles[0].handle
+    handle = read_frame(unit).handles[0].handle
     stray = r"(?:[+-][0-9]{6}){3}"
     pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}"
     forms = {
@@ -142,10 +142,10 @@ def tx_and_bx_agree(dut: DeviceUnderTest) -> None:
 
 @case("P31", "a missing tool has its status and frame number, in TX and in BX", needs=WITH_TOOL)
 def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
-    with tracking(dut, looking_away(definition(dut))) as unit:
-        before = seen(unit).handles[0]
+    with tracking(dut, reverse_normals(definition(dut))) as unit:
+        before = read_frame(unit).handles[0]
         dut.clock.sleep(0.1)
-        after = seen(unit).handles[0]
+        after = read_frame(unit).handles[0]
         text = unit.ask("TX:0001")
         if HandleStatus.VALID in (before.status, after.status):
             raise NotShown("the tool is tracked although its markers face away")
@@ -165,10 +165,10 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
 def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
-        disabled, enabled = unit.load(looking_away(block)), unit.load(block)
+        disabled, enabled = unit.load(reverse_normals(block)), unit.load(block)
         unit.okay(f"PDIS:{disabled}")
         unit.okay("TSTART:80")
-        frame = seen(unit)
+        frame = read_frame(unit)
         listed = {reading.handle: reading.status for reading in frame.handles}
         check(
             listed.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED,
@@ -236,7 +236,7 @@ def diagnostic_mode(unit: PolarisLink) -> None:
 
 def frame_number(unit: PolarisLink) -> int:
     """Frame number of the only handle."""
-    return seen(unit).frame
+    return read_frame(unit).frame
 
 
 def _counts_requests(unit: PolarisLink) -> bool:

@@ -15,7 +15,14 @@ from conformance.polaris.client import (
     is_error,
     with_crc,
 )
-from conformance.polaris.fixtures import NEEDS, PUBLISHED_PART, SERIAL, WITH_TOOL, definition, published
+from conformance.polaris.fixtures import (
+    NEEDS,
+    PUBLISHED_PART,
+    SERIAL,
+    WITH_TOOL,
+    definition,
+    published_definition,
+)
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import DEFAULT_BAUD, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES, REPLY_RESET
 
@@ -212,7 +219,7 @@ def joined_information(dut: DeviceUnderTest) -> None:
     "P47", "a generated definition and one with a manufacturer's published numbers both load", needs=WITH_TOOL
 )
 def both_makers_definitions_load(dut: DeviceUnderTest) -> None:
-    ours, theirs = definition(dut), published()
+    ours, theirs = definition(dut), published_definition()
     with idle_unit(dut) as unit:
         handles = unit.load(ours), unit.load(theirs)
         check(unit.handles("04") == sorted(handles), "both enabled", unit.handles("04"))

@@ -122,7 +122,7 @@ MOST_ALIKE = 3  # suggestions
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
-def asked_for(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
+def selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
     """Name and parameters of the command that the arguments select."""
     names = [str(command.name)]
     for word in arguments:

@@ -20,7 +20,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from ronna_hw.command_line.errors import UsageMistake, as_ronna_error, asked_for, usage_mistake
+from ronna_hw.command_line.errors import UsageMistake, as_ronna_error, selected_command, usage_mistake
 from ronna_hw.command_line.messages import (
     Progress,
     fail_with,
@@ -128,7 +128,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
         if isinstance(mistake, _NOTHING_ASKED):
             sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        raise usage_mistake(mistake, *asked_for(command, arguments)) from mistake
+        raise usage_mistake(mistake, *selected_command(command, arguments)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 
@@ -136,7 +136,7 @@ def _command_of(app: typer.Typer, asked: str) -> Any:
     """The command; of a group only the selected one: typer takes two milliseconds for each."""
     named = next((one for one in app.registered_commands if _name_of(one) == asked), None)
     alone = len(app.registered_commands) + len(app.registered_groups) == 1
-    return _made(app, None if alone else named)
+    return _build_command(app, None if alone else named)
 
 
 def _name_of(command: typer.models.CommandInfo) -> str:
@@ -145,7 +145,7 @@ def _name_of(command: typer.models.CommandInfo) -> str:
 
 
 @cache
-def _made(app: typer.Typer, only: typer.models.CommandInfo | None) -> Any:
+def _build_command(app: typer.Typer, only: typer.models.CommandInfo | None) -> Any:
     if only is None:
         return with_common_options(typer.main.get_command(app))
     group = copy.copy(app)

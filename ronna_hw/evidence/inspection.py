@@ -17,7 +17,6 @@ from typing import NamedTuple
 from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, RunChanged, chain_until_broken
 from ronna_hw.evidence.manifest import (
-    PICTURES_FOLDER,
     RECORDS_FOLDER,
     REQUEST_FILE,
     SEAL_FILE,
@@ -31,10 +30,13 @@ from ronna_hw.evidence.manifest import (
     is_closed,
     is_later,
     is_made_anew,
+    last_end,
     lasting_files,
     made_from,
     not_vouched_for,
+    picture_files,
     read_seal,
+    record_files,
     sha256_of,
     superseded_in,
     truth_difference,
@@ -111,7 +113,7 @@ class Inspection:
         Excluded are files that every program continues, such as the log, unless added, and a renamed folder,
         which is found whenever it is read.
         """
-        end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
+        end = last_end(self.chain.lines)
         known = hashes_in(end, "files") | hashes_in(end, "inputs") | lasting_files(self.chain.lines)
         return {
             one.file: known.get(one.file)
@@ -248,12 +250,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     request = lines[0].get("request_sha256")
     if isinstance(request, str):
         yield from against(folder, {REQUEST_FILE: request})
-    pictures: dict[str, str] = {}
-    for line in lines:
-        for picture, of in hashes_in(line, "pictures").items():
-            name = f"{PICTURES_FOLDER}/{picture}"
-            pictures[name] = of if pictures.get(name, of) == of else "two hashes"
-    yield from against(folder, pictures)
+    yield from against(folder, picture_files(lines))
     yield from (Problem(name, what) for name, what in truth_problems(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
@@ -269,7 +266,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         since = against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
         for one in since:
             yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
-        in_journal = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
+        in_journal = record_files(lines)
         for name in there:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
@@ -294,11 +291,7 @@ def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -
     expected = not_vouched_for(lines)
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
     yield from against(folder, known, inputs=True)
-    vouched = {
-        *TRUTH_FILES,
-        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
-    }
-    suspects = {*there} - vouched
+    suspects = {*there} - {*TRUTH_FILES, *picture_files(lines)}
     yield from _added([name for name in expected if expected[name] is None and name in suspects])
 
 

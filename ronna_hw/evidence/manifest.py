@@ -76,10 +76,29 @@ def is_closed(lines: Sequence[Line]) -> bool:
     return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
 
 
+def last_end(lines: Sequence[Line]) -> Line:
+    """The last `closed` line; empty if the run was never closed."""
+    return next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
+
+
 def closed_files(lines: Sequence[Line]) -> dict[str, str]:
     """Files and hashes of the last `closed` line."""
-    closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
-    return hashes_in(closed, "files")
+    return hashes_in(last_end(lines), "files")
+
+
+def record_files(lines: Iterable[Line]) -> set[str]:
+    """Files of the records that lines name."""
+    return {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
+
+
+def picture_files(lines: Iterable[Line]) -> dict[str, str]:
+    """Pictures and their hashes; a picture named with different ones has no valid hash."""
+    pictures: dict[str, str] = {}
+    for line in lines:
+        for picture, of in hashes_in(line, "pictures").items():
+            name = f"{PICTURES_FOLDER}/{picture}"
+            pictures[name] = of if pictures.get(name, of) == of else "two hashes"
+    return pictures
 
 
 def begun_with(lines: Sequence[Line]) -> dict[str, str]:

@@ -12,12 +12,9 @@ from pathlib import PurePosixPath
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
 from ronna_hw.evidence.manifest import (
-    PICTURES_FOLDER,
-    RECORDS_FOLDER,
     REQUEST_FILE,
     closed_files,
     files_of,
-    hashes_in,
     is_closed,
     is_later,
     is_sealed,
@@ -25,6 +22,8 @@ from ronna_hw.evidence.manifest import (
     lasting_files,
     made_from,
     not_vouched_for,
+    picture_files,
+    record_files,
 )
 from ronna_hw.records import PARTIAL
 from ronna_hw.text import counted, printable
@@ -67,8 +66,8 @@ def _confirmed(lines: tuple[Line, ...]) -> set[str]:
     return {
         *(closed_files(lines) if is_closed(lines) else lasting_files(lines)),
         *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
-        *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
-        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
+        *record_files(lines),
+        *picture_files(lines),
         *made_from(lines),
         *journalled_truth(lines),
     }

@@ -233,18 +233,18 @@ def _member(name: str, calls: Collection[str]) -> Any:
     if name in calls:
         return _taped_call(name)
     if name in LOOKS:
-        return property(lambda self: _asked(self, name, lambda: getattr(self._device, name)))
+        return property(lambda self: _ask_and_keep(self, name, lambda: getattr(self._device, name)))
     return property(lambda self: getattr(self._device, name))
 
 
 def _taped_call(name: str) -> Callable[..., Any]:
     def call(self: _Taped, *arguments: Any, **more: Any) -> Any:
-        return _asked(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+        return _ask_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
 
     return call
 
 
-def _asked(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
+def _ask_and_keep(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
     device, tape = self._device, self._tape
     if not tape.listening:
         return ask()

@@ -8,14 +8,14 @@ from typing import IO
 import pytest
 
 from conformance.case import Nonconformity
-from conformance.polaris.client import PolarisLink, placed, read_body, with_crc
+from conformance.polaris.client import PolarisLink, place_markers, read_body, with_crc
 from conformance.polaris.fixtures import (
     SPECTRA_VOLUMES,
     MeasuringVolume,
-    looking_away,
     markers_of,
-    published,
-    shifted,
+    published_definition,
+    reverse_normals,
+    shift_origin,
 )
 from conformance.polaris.tap import body_of, with_body, with_system_status
 from ronna_hw.wire.polaris import HandleStatus
@@ -56,7 +56,9 @@ def test_replacing_the_system_status_keeps_the_rest_of_the_reply() -> None:
 
 def test_markers_are_placed_by_rotation_and_translation() -> None:
     half = 0.5**0.5
-    (moved,) = placed(((1.0, 2.0, 3.0),), (half, 0.0, 0.0, half, 10.0, 20.0, 30.0, 0.0))  # 90 deg about z
+    (moved,) = place_markers(
+        ((1.0, 2.0, 3.0),), (half, 0.0, 0.0, half, 10.0, 20.0, 30.0, 0.0)
+    )  # 90 deg about z
     assert moved == pytest.approx((8.0, 21.0, 33.0))
 
 
@@ -87,18 +89,18 @@ def test_the_clearance_of_a_point_is_negative_outside() -> None:
 
 
 def test_the_simulators_parser_reads_the_published_definition() -> None:
-    tool = parse_definition(published())
+    tool = parse_definition(published_definition())
     assert (tool.part_number, tool.manufacturer, tool.minimum_markers) == ("8700339", "NDI", 4)
     assert tool.markers_mm[1] == pytest.approx((28.59, 41.02, 0.0), abs=1e-5)
 
 
 def test_variants_of_a_definition_are_valid() -> None:
-    block = published()
-    away = parse_definition(looking_away(block))
+    block = published_definition()
+    away = parse_definition(reverse_normals(block))
     assert (away.normals[:, 2] == -1.0).all()
-    moved = parse_definition(shifted(block, (10.0, 0.0, -5.0)))
+    moved = parse_definition(shift_origin(block, (10.0, 0.0, -5.0)))
     assert moved.part_number != "8700339"
-    assert markers_of(shifted(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
+    assert markers_of(shift_origin(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
 
 
 class Flooded:
