@@ -53,15 +53,18 @@ def _shortened(text: str, most: int) -> str:
     return f"{text[: most - len(GAP) - end]}{GAP}{text[-end:]}"
 
 
+MOST_SHOWN = 5  # of a list of names
+
+
 def counted(number: int, one: str, several: str | None = None) -> str:
-    """Say a number of things: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
+    """Count things in words: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
     return f"{number} {one if number == 1 else several or one + 's'}"
 
 
-def some_of(names: Sequence[str], shown: int = 5) -> str:
+def some_of(names: Sequence[str]) -> str:
     """List the first names, and how many more there are: `a, b and 4 more`."""
-    listed = ", ".join(names[:shown])
-    return listed if len(names) <= shown else f"{listed} and {len(names) - shown} more"
+    listed = ", ".join(names[:MOST_SHOWN])
+    return listed if len(names) <= MOST_SHOWN else f"{listed} and {len(names) - MOST_SHOWN} more"
 
 
 MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals it

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import socket
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -92,9 +92,9 @@ class EkiLine:
             if root.tag == tag and root.get("Id") == identifier:
                 return root
 
-    def closed_by_controller(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
+    def closed_by_controller(self) -> bool:
         """Whether the controller closes the connection in time."""
-        until_s = time.monotonic() + limit_s
+        until_s = time.monotonic() + ANSWER_LIMIT_S
         while (left_s := until_s - time.monotonic()) > 0:
             self._socket.settimeout(left_s)
             try:
@@ -185,16 +185,12 @@ class RsiLine:
     eki: EkiLine
     context: RsiContext
 
-    def next(self, limit_s: float = NEXT_LIMIT_S) -> Telegram:
-        """The next telegram; raises Nonconformity if none arrives."""
-        telegram = self._receive(limit_s)
-        check(telegram is not None, f"a telegram within {limit_s:g} s", "nothing")
+    def next(self) -> Telegram:
+        """Receive the next telegram; raises Nonconformity if none arrives."""
+        telegram = self._receive(NEXT_LIMIT_S)
+        check(telegram is not None, f"a telegram within {NEXT_LIMIT_S:g} s", "nothing")
         assert telegram is not None
         return telegram
-
-    def next_if_any(self, limit_s: float = SILENT_S) -> Telegram | None:
-        """The next telegram, or None if the stream has ended."""
-        return self._receive(limit_s)
 
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
@@ -237,12 +233,12 @@ class RsiLine:
             self.answer(telegrams[-1], corrections)
         return telegrams
 
-    def until_silent(self, limit_s: float = END_LIMIT_S, *, answered: bool = True) -> list[Telegram]:
+    def until_silent(self, *, answered: bool = True) -> list[Telegram]:
         """Wait for the end of the stream; returns the telegrams that still arrived."""
         telegrams: list[Telegram] = []
-        until_s = time.monotonic() + limit_s
-        while (telegram := self.next_if_any()) is not None:
-            check(time.monotonic() < until_s, f"a stream that ends within {limit_s:g} s")
+        until_s = time.monotonic() + END_LIMIT_S
+        while (telegram := self._receive(SILENT_S)) is not None:
+            check(time.monotonic() < until_s, f"a stream that ends within {END_LIMIT_S:g} s")
             telegrams.append(telegram)
             if answered:
                 self.answer(telegram)
@@ -287,11 +283,9 @@ def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.sock
 
 
 @contextmanager
-def stream(dut: DeviceUnderTest, prepare: Callable[[socket.socket], None] | None = None) -> Iterator[RsiLine]:
+def stream(dut: DeviceUnderTest) -> Iterator[RsiLine]:
     """A freshly started stream, ended after the block."""
     with idle_controller(dut) as (eki, ours):
-        if prepare is not None:
-            prepare(ours)
         check(eki.ask("RSI_START") == 0, "a program that starts")
         line = RsiLine(ours, eki, load_context())
         try:

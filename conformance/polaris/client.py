@@ -153,13 +153,13 @@ class PolarisLink:
         reply = self.ask(command)
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
 
-    def load(self, definition: bytes, priority: str = "D") -> str:
+    def load(self, definition: bytes) -> str:
         """Load, initialise and enable a tool; returns its handle, two hex digits."""
         handle = self.request_handle()
         self.write(handle, definition)
         reply = self.ask(f"PINIT:{handle}")
         check(reply == REPLY_OKAY or reply.startswith("WARNING"), "OKAY or WARNING to PINIT", reply)
-        self.okay(f"PENA:{handle}{priority}")
+        self.okay(f"PENA:{handle}D")
         return handle
 
     def write(self, handle: str, definition: bytes) -> None:

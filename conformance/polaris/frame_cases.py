@@ -194,7 +194,7 @@ def little_endian(unit: PolarisLink) -> None:
     body = unit.binary("BX:0801")
     if body[2] != HandleStatus.VALID:
         raise NotShown("the tool is not in view")
-    norms = {order: _norm(struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
+    norms = {order: math.hypot(*struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
     check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
     check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
 
@@ -253,7 +253,3 @@ def _counts_requests(unit: PolarisLink) -> bool:
             return False
         before = number
     return True
-
-
-def _norm(values: tuple[float, ...]) -> float:
-    return math.sqrt(sum(value * value for value in values))

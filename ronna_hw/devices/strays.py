@@ -59,18 +59,14 @@ class _Growing:
         self.total = self.total + reading
 
 
-def average_strays(frames: Iterable[TrackerFrame], *, least_share: float = LEAST_SHARE) -> StrayAverage:
-    """Average the strays inside the measuring volume, excluding repeated measurements (STALE).
-
-    Raises DEV-005 for an impossible share.
-    """
+def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
+    """Average the strays inside the measuring volume, excluding repeated measurements (STALE)."""
     measurements = [frame for frame in frames if frame.validity is not Validity.STALE]
     return group_strays(
         [
             [stray.position_mm for stray in frame.strays if stray.validity is Validity.OK]
             for frame in measurements
-        ],
-        least_share=least_share,
+        ]
     )
 
 

@@ -17,10 +17,10 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import FrameType
+from typing import NamedTuple
 
 from ronna_hw.errors import ConfigurationError
 
@@ -42,8 +42,7 @@ def end_start() -> None:
 INIT = 1
 
 
-@dataclass(frozen=True)
-class ParentProcess:
+class ParentProcess(NamedTuple):
     """The parent at the start of this process."""
 
     pid: int
