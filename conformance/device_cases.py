@@ -12,16 +12,13 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from conformance.case import Case, Nonconformity, check, refused
 from conformance.device_under_test import DeviceUnderTest
-from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle
+from ronna_hw.devices.lifecycle import Device, Identity, LastKnown, Lifecycle
 from ronna_hw.errors import ConfigurationError, ConnectError, StateError
 from ronna_hw.registry import load_probe
-
-if TYPE_CHECKING:
-    from ronna_hw.devices.lifecycle import Identity
 
 SLACK_S = 1.5  # on top of a time limit, for a busy computer
 

@@ -12,16 +12,13 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Generic, Protocol, Self, TypeVar, runtime_checkable
+from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.process import interruption_deferred
 from ronna_hw.logs import logger
-
-if TYPE_CHECKING:
-    from ronna_hw.devices.capabilities import Fact
-
 
 R = TypeVar("R")
 R_co = TypeVar("R_co", covariant=True)
