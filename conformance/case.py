@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from conformance.errors import NoSuchCase
 
@@ -33,7 +33,7 @@ HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
-    """How a case ended."""
+    """End of a case."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -41,7 +41,7 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Raised by a case that cannot be decided here, for example without a stray in view; says why."""
+    """Raised by a case that cannot be decided here, such as without a stray in view; says why."""
 
 
 class Nonconformity(AssertionError):
@@ -50,11 +50,19 @@ class Nonconformity(AssertionError):
 
 Run = Callable[["DeviceUnderTest"], object]
 E = TypeVar("E", bound=Exception)
+S = TypeVar("S")
+Decorator = Callable[[Callable[[S], object]], Callable[[S], object]]
+
+
+class CaseOf(Protocol[S]):
+    """Decorator like `CaseList.case`, for functions that check a subject instead of a device under test."""
+
+    def __call__(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]: ...
 
 
 @dataclass(frozen=True)
 class Case:
-    """One behaviour under a stable number.
+    """A behaviour under a stable number.
 
     T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
@@ -81,6 +89,34 @@ class CaseList:
             return run
 
         return add
+
+    def with_each(self, subjects: Callable[[DeviceUnderTest], Iterable[S]]) -> CaseOf[S]:
+        """Return a variant of `case` whose function checks one subject, such as a camera, each in turn."""
+
+        def check_each(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
+            for subject in subjects(dut):
+                check_one(subject)
+
+        return self._case_of(check_each)
+
+    def within(self, context: Callable[[DeviceUnderTest], AbstractContextManager[S]]) -> CaseOf[S]:
+        """Return a variant of `case` whose function runs within a context, such as an open line."""
+
+        def check_within(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
+            with context(dut) as subject:
+                check_one(subject)
+
+        return self._case_of(check_within)
+
+    def _case_of(self, run: Callable[[DeviceUnderTest, Callable[[S], object]], None]) -> CaseOf[S]:
+        def case(number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]:
+            def add(check_one: Callable[[S], object]) -> Callable[[S], object]:
+                self.case(number, statement, needs=needs)(lambda dut: run(dut, check_one))
+                return check_one
+
+            return add
+
+        return case
 
 
 class Suite(CaseList):
@@ -121,7 +157,10 @@ def check(condition: bool, expected: str, found: object = "") -> None:
 
 @contextmanager
 def read_as(expected: str) -> Iterator[None]:
-    """Around, or as decorator of, what decodes a device's bytes: Nonconformity if they are not `expected`."""
+    """Decode a device's bytes in a context; raises Nonconformity if they are not `expected`.
+
+    Also a decorator.
+    """
     try:
         yield
     except (ValueError, OverflowError, struct.error) as error:
@@ -129,7 +168,7 @@ def read_as(expected: str) -> Iterator[None]:
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """The error raised by `call`; Nonconformity if there is none, or one of another class."""
+    """Return the error raised by `call`; raises Nonconformity if there is none, or one of another class."""
     try:
         call()
     except kind as error:

@@ -57,8 +57,7 @@ def conformance(
     json: JsonOption = False,
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
-    from conformance.choice import Choice, resolve
-    from conformance.device_under_test import device_under_test
+    from conformance.device_under_test import Choice, device_under_test, resolve
     from conformance.report import run_suite
     from ronna_hw.records import write_whole
 

@@ -1,19 +1,89 @@
-"""Cases that any device must pass: activation for a block, observation from outside, a probe."""
+"""Cases that any device must pass, and checks that the suites share.
+
+The cases: activation for a block, observation from outside, a probe. The checks: interface, lifecycle,
+refusals, closing.
+"""
 
 from __future__ import annotations
 
 import math
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from conformance.case import Case, Nonconformity, check
+from conformance.case import Case, Nonconformity, check, refused
 from conformance.device_under_test import DeviceUnderTest
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.lifecycle import Device, Identity, LastKnown, Lifecycle
+from ronna_hw.errors import ConfigurationError, ConnectError, StateError
 from ronna_hw.registry import load_probe
+
+SLACK_S = 1.5  # on top of a time limit, for a busy computer
+
+
+@contextmanager
+def ends_within(limit_s: float) -> Iterator[None]:
+    """Require the block to end within `limit_s` of host time."""
+    began_s = time.monotonic()
+    yield
+    elapsed_s = time.monotonic() - began_s
+    check(elapsed_s < limit_s, f"an end within {limit_s:g} s", f"{elapsed_s:.1f} s")
+
+
+def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
+    """Check that a new driver has all calls of its interface and the given name, and is not connected."""
+    device = dut.make()
+    check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
+    check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
+    check(device.name == dut.name, f"the name {dut.name}", device.name)
+
+
+def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
+    """Connect the device and check that its identity names vendor and model; returns both."""
+    device = dut.make()
+    identity: Identity = device.connect()
+    check(bool(identity.vendor and identity.model), "vendor and model", identity)
+    check(device.state is Lifecycle.CONNECTED, "state connected", device.state)
+    return device, identity
+
+
+def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
+    """Check that calls are refused while disconnected and while connected; returns the connected device."""
+    device = dut.make()
+    for call in disconnected:
+        refused(getattr(device, call), StateError, f"{call} while disconnected")
+    device.connect()
+    for call in connected:
+        refused(getattr(device, call), StateError, f"{call} while connected")
+    return device
+
+
+def closes(device: Device, limit_s: float) -> None:
+    """Check that closing takes bounded time, is final, and may be repeated."""
+    with ends_within(limit_s):
+        device.close()
+    check(device.state is Lifecycle.CLOSED, "state closed", device.state)
+    device.close()
+    refused(device.connect, StateError, "connect after close")
+
+
+def fails_to_connect(device: Device, limit_s: float) -> None:
+    """Check that connecting without a device at the endpoint fails in time, with code and advice."""
+    try:
+        with ends_within(limit_s + SLACK_S):
+            error = refused(lambda: device.connect(limit_s), ConnectError, "connecting without a device")
+    finally:
+        device.close()
+    check(bool(error.code and error.advice), "an error with code and advice", error)
+
+
+def refuses_unknown_options(dut: DeviceUnderTest) -> None:
+    """Check that the constructor refuses an unknown option."""
+    options = {**dut.config.options, "no_such_option": 1}
+    refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")
+
 
 LOOK_LIMIT_S = 1.0  # observing takes microseconds; the rest is for a busy computer
 READINGS = 3
@@ -104,7 +174,7 @@ class DeviceCases:
 
 
 def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
-    """What another thread sees of a device in this state; observing must be immediate and change nothing."""
+    """Observe a device in this state from another thread; must be immediate and change nothing."""
     fault, seen = device.fault, list[LastKnown[object]]()
     observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
     observer.start()

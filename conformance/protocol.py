@@ -10,18 +10,58 @@ They follow the generic cases if the driver's `wire_protocol` has that name.
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
 from conformance.case import Case, Suite
-from conformance.checklist import Checklist
 from ronna_hw.registry import load_driver
 
 if TYPE_CHECKING:
     from conformance.device_under_test import DeviceUnderTest
+
+
+@dataclass(frozen=True)
+class Checklist:
+    """The numbered checklist of a wire protocol, its lines numbered from 1.
+
+    A case's number assigns it to a line: one of `letters`, the line, and a lower-case letter if a line has
+    several cases. `also` names generic cases that also check a line. `elsewhere` says where a line without a
+    case is tested, `remarks` what a line's cases leave out.
+    """
+
+    letters: str
+    lines: Mapping[int, str]
+    remarks: Mapping[int, str] = field(default_factory=dict)
+    elsewhere: Mapping[int, str] = field(default_factory=dict)
+    also: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+
+    @cached_property
+    def _number(self) -> re.Pattern[str]:
+        return re.compile(rf"[{self.letters}](\d+)[a-z]?")
+
+    def line_of(self, number: str) -> int | None:
+        """Line checked by a case; None for a generic case."""
+        match = self._number.fullmatch(number)
+        return int(match[1]) if match else None
+
+    def cases_by_line(self, numbers: Iterable[str]) -> dict[int, tuple[str, ...]]:
+        """Line -> numbers of the cases that check it, for every line."""
+        known = tuple(numbers)
+        own = {line: [number for number in known if self.line_of(number) == line] for line in self.lines}
+        return {
+            line: (*own[line], *(number for number in self.also.get(line, ()) if number in known))
+            for line in self.lines
+        }
+
+    def remark(self, line: int) -> str:
+        """Note where a line is tested, or what its cases leave out; empty without a remark."""
+        return self.elsewhere.get(line) or self.remarks.get(line, "")
+
 
 GROUP = "ronna_hw.conformance"
 
@@ -32,7 +72,7 @@ def _nothing(_dut: DeviceUnderTest) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class ProtocolCases:
-    """What a package provides for one wire protocol.
+    """Cases of a package for one wire protocol.
 
     `offers` names the needs that it can meet for a given device under test. `simulator` returns the arguments
     of `ronna-sim` for a device that speaks the protocol.
@@ -45,7 +85,7 @@ class ProtocolCases:
 
 
 def load_protocol(wire_protocol: str) -> ProtocolCases:
-    """What the installed packages provide for a wire protocol; empty if none do."""
+    """Load the cases that the installed packages provide for a wire protocol; empty if none do."""
     for point in entry_points(group=GROUP, name=wire_protocol):
         found: ProtocolCases = point.load()
         return found

@@ -14,7 +14,7 @@ from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import canonical_json
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 SCHEMA_VERSION = 1
 
@@ -33,7 +33,7 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Report:
-    """One run: the device, the time, and every case in the order of the suite."""
+    """A run of a suite: the device, the time, and every case in order."""
 
     suite: str
     driver: str

@@ -17,22 +17,23 @@ from functools import partial
 from math import degrees, radians
 from typing import Any
 
-from conformance.any_device import (
+from conformance.case import MOTION, Suite, check, refused
+from conformance.device_cases import (
+    DeviceCases,
+    Interruption,
     closes,
     fails_to_connect,
     identifies_device,
+    observe,
     offers,
     refuses_early,
     refuses_unknown_options,
 )
-from conformance.case import MOTION, Suite, check, refused
-from conformance.device_cases import DeviceCases, Interruption, observe
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.motion import JointMove, LineMove
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
-from ronna_hw.devices.robot import OperatingMode, RobotArm, StopKind
+from ronna_hw.devices.robot import JointMove, LineMove, OperatingMode, RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
@@ -63,20 +64,10 @@ SUITE = Suite(
 )
 
 
-def turned(joints_rad: JointVector, by_rad: float) -> JointVector:
-    """The same pose with the last axis turned towards the middle of its range."""
+def turn_last_axis(joints_rad: JointVector, by_rad: float) -> JointVector:
+    """Turn the last axis of a pose towards the middle of its range."""
     a, b, c, d, e, last = joints_rad
     return (a, b, c, d, e, last - math.copysign(by_rad, last))
-
-
-def shifted(pose: Transform, by_mm: tuple[float, float, float]) -> Transform:
-    """The same orientation, moved in the robot frame."""
-    return Transform.of(
-        pose.target,
-        pose.source,
-        translation_mm=[at + by for at, by in zip(pose.translation_mm, by_mm, strict=True)],
-        quaternion_wxyz=pose.quaternion_wxyz,
-    )
 
 
 def apart_rad(a: JointVector, b: JointVector) -> float:
@@ -84,7 +75,7 @@ def apart_rad(a: JointVector, b: JointVector) -> float:
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
-def stands_at(arm: Any, joints_rad: JointVector) -> None:
+def check_standstill(arm: Any, joints_rad: JointVector) -> None:
     """Raise Nonconformity unless the arm has stayed at these axes."""
     moved = apart_rad(arm.read_state().joints_rad, joints_rad)
     check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
@@ -187,14 +178,14 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.move_joints(before), StateError, "move_joints after deactivate")
     arm.activate()
     dut.clock.sleep(HOLDING_S)
-    stands_at(arm, before)
+    check_standstill(arm, before)
 
 
 @SUITE.case("R11", "a small joint move reaches its target, and the start again", needs=(MOTION,))
 def small_joint_move(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
-    for target in (turned(start, SMALL_TURN_RAD), start):
+    for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
         reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
         missed = apart_rad(reading.joints_rad, target)
         check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg off")
@@ -206,7 +197,7 @@ def small_line(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
     here: Transform = arm.kinematics.flange_pose(start)
-    for target in (shifted(here, (0.0, 0.0, SMALL_LINE_MM)), here):
+    for target in (here.displaced((0.0, 0.0, SMALL_LINE_MM)), here):
         reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
         reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
         missed_mm = math.dist(reached.translation_mm, target.translation_mm)
@@ -221,14 +212,14 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
     outside = (*here[:-1], arm.kinematics.upper_rad[-1] + SMALL_TURN_RAD)
     refused(lambda: arm.move_joints(outside), LimitError, "a target out of range")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
-    stands_at(arm, here)
+    check_standstill(arm, here)
 
 
 @SUITE.case("R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,))
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
-    target = turned(start, STOPPED_TURN_RAD)
+    target = turn_last_axis(start, STOPPED_TURN_RAD)
     ends = _stopped_on_the_way(dut, arm, start, target, StopKind.HOLD)
     check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
     check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
@@ -245,7 +236,7 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
 def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.ACTIVE)
     start = arm.read_state().commanded_rad
-    ends = _stopped_on_the_way(dut, arm, start, turned(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
+    ends = _stopped_on_the_way(dut, arm, start, turn_last_axis(start, STOPPED_TURN_RAD), StopKind.PROTECTIVE)
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
     check(observe(arm, Lifecycle.FAULT).fault is not None, "the fault observed")
@@ -270,7 +261,7 @@ def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
     second = dut.make()
     again = second.connect()
     check(identity == again, f"the identity {identity}", again)
-    stands_at(dut.brought_to(Lifecycle.ACTIVE, second), before)
+    check_standstill(dut.brought_to(Lifecycle.ACTIVE, second), before)
     dut.release()
 
 
@@ -307,7 +298,7 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
         for call in (partial(line.drive, arm), partial(arm.preview, line)):
             refused(call, FrameMismatch, f"a line to {target.target} <- {target.source}")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
-    stands_at(arm, before)
+    check_standstill(arm, before)
 
 
 @SUITE.case("R21", "with a tool, it is the tool point that follows the straight line", needs=(MOTION,))
@@ -353,7 +344,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     arm = dut.make()
     with suppress(Interruption), arm.active():
         start = arm.read_state().commanded_rad
-        mover, ends = set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        mover, ends = start_moving(dut, arm, start, turn_last_axis(start, STOPPED_TURN_RAD))
         raise Interruption
     rest: ArmReading = arm.read_state()
     mover.join()
@@ -361,7 +352,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     check(bool(ends), "a motion that says it was stopped")
     check(apart_rad(rest.joints_rad, start) < STOPPED_TURN_RAD / 2, "an arm stopped before its target")
     dut.clock.sleep(HOLDING_S)
-    stands_at(arm, rest.joints_rad)
+    check_standstill(arm, rest.joints_rad)
     with arm.active():
         arm.move_joints(start, speed_fraction=SLOW)
 
@@ -388,7 +379,7 @@ def limits_are_stated(dut: DeviceUnderTest) -> None:
 def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
     arm = dut.at(Lifecycle.CONNECTED)
     here = arm.read_state().joints_rad
-    seen = arm.preview(JointMove(turned(here, STOPPED_TURN_RAD)), start_rad=here)
+    seen = arm.preview(JointMove(turn_last_axis(here, STOPPED_TURN_RAD)), start_rad=here)
     check(seen.largest_joint_speed_share <= 1.0 + 1e-6, "an axis within its speed", seen)
     _, upper = arm.limits().ranges(arm.kinematics)
     beyond = JointMove((*here[:-1], upper[-1] + STANDS_STILL_RAD))
@@ -399,7 +390,7 @@ def _stopped_on_the_way(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector, kind: StopKind
 ) -> list[RonnaError]:
     """Stop a motion once the arm has visibly left its start; returns the errors that the motion raised."""
-    mover, ends = set_moving(dut, arm, start, target)
+    mover, ends = start_moving(dut, arm, start, target)
     try:
         arm.stop(kind)
     finally:
@@ -407,10 +398,13 @@ def _stopped_on_the_way(
     return ends
 
 
-def set_moving(
+def start_moving(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector
 ) -> tuple[threading.Thread, list[RonnaError]]:
-    """A thread that moves the arm, which has visibly left its start, and the errors the motion will raise."""
+    """Start a thread that moves the arm; returns once the arm has visibly left its start.
+
+    The list receives the errors that the motion raises.
+    """
     ends: list[RonnaError] = []
 
     def move() -> None:

@@ -8,13 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from conformance.any_device import closes, fails_to_connect, identifies_device, offers, refuses_early
 from conformance.case import NotShown, Suite, check, refused
-from conformance.device_cases import DeviceCases
+from conformance.device_cases import (
+    DeviceCases,
+    closes,
+    fails_to_connect,
+    identifies_device,
+    offers,
+    refuses_early,
+)
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
-from ronna_hw.devices.stereo import StereoPair
+from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, StateError
 from ronna_hw.registry import make_device
 

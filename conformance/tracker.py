@@ -10,23 +10,24 @@ from collections.abc import Iterator
 from functools import partial
 from typing import Any
 
-from conformance.any_device import (
+from conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
+from conformance.device_cases import (
     SLACK_S,
+    DeviceCases,
     closes,
     ends_within,
     fails_to_connect,
     identifies_device,
+    observe,
     offers,
     refuses_early,
     refuses_unknown_options,
 )
-from conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, check, refused
-from conformance.device_cases import DeviceCases, observe
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
-from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.devices.sensors import OpticalTracker
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, StateError
 
 FRAMES = 15

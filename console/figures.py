@@ -19,7 +19,7 @@ from procedures.reporting.case_figures import CaseFigures, read_case_figures
 from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import PICTURES_FOLDER
+from ronna_hw.evidence.manifest import PICTURES_FOLDER
 
 
 def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:

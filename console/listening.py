@@ -14,7 +14,7 @@ from console.errors import PortTaken
 from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard
 from console.sessions import Role
 from ronna_hw.command_line.viewers_address import ViewersAddress
-from ronna_hw.host.connection_account import account_at
+from ronna_hw.host.network import account_at
 
 HOST = "127.0.0.1"
 BACKLOG = 32  # also the most that the loop accepts at a time

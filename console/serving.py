@@ -10,7 +10,7 @@ import os
 import sys
 from pathlib import Path
 
-from ronna_hw.host.linear_algebra import single_threaded
+from ronna_hw.host.process import single_threaded
 
 NICER = 10  # than the engine: a page must never cost it a cycle
 

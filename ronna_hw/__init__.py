@@ -10,17 +10,16 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Frame
-    from ronna_hw.simulation import SimulatedTheatre, simulated_theatre
-    from ronna_hw.theatre import Theatre, open_theatre
+    from ronna_hw.theatre import SimulatedTheatre, Theatre, open_theatre, simulated_theatre
 
 __all__ = ["Frame", "SimulatedTheatre", "Theatre", "open_theatre", "simulated_theatre"]
 
 _HOMES = {
     "Frame": "ronna_hw.frames",
-    "SimulatedTheatre": "ronna_hw.simulation",
+    "SimulatedTheatre": "ronna_hw.theatre",
     "Theatre": "ronna_hw.theatre",
     "open_theatre": "ronna_hw.theatre",
-    "simulated_theatre": "ronna_hw.simulation",
+    "simulated_theatre": "ronna_hw.theatre",
 }
 
 

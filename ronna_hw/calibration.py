@@ -105,7 +105,7 @@ class PoseRecord(Strict):
         return self
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as a checked transform."""
+        """Convert the pose to a checked transform."""
         from ronna_hw.frames import Transform
 
         return Transform.of(
@@ -123,10 +123,10 @@ OnTheMount = Annotated[PoseRecord, AfterValidator(_on_the_mount)]
 
 
 class CameraCalibration(Strict):
-    """One camera of the stereo head: pinhole with radial and tangential distortion.
+    """A camera of the stereo head: pinhole with radial and tangential distortion.
 
-    Pixel (0, 0) is the centre of the sensor's top-left pixel. `camera_from_tool` maps tool coordinates
-    to the camera frame (z along the optical axis, x along columns, y down the rows).
+    Pixel (0, 0) is the centre of the sensor's top-left pixel. `camera_from_tool` maps tool coordinates to the
+    camera frame (z along the optical axis, x along columns, y down the rows).
     """
 
     serial: Words = Field(description="Serial number, as read from the camera.")
@@ -144,7 +144,7 @@ class CameraCalibration(Strict):
 
     @model_validator(mode="after")
     def _of_this_sensor(self) -> Self:
-        """The principal point distinguishes columns from rows, the view a focal length in other pixels."""
+        """The principal point tells columns from rows, the view a focal length in other pixels."""
         for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
             if not 0.25 * count < at_px < 0.75 * count:
                 raise ValueError(
@@ -162,7 +162,7 @@ class CameraCalibration(Strict):
 
 
 class Dated(Strict):
-    """Fields that all dated records have in common."""
+    """Fields of all dated records."""
 
     what: ClassVar[str] = "calibration"  # its kind, in messages
 
@@ -200,12 +200,12 @@ class Dated(Strict):
 
     @property
     def _renewing(self) -> str | None:
-        """What to do when the record has expired, if not the same as for a calibration."""
+        """Action when the record has expired, if it differs from that of a calibration."""
         return None
 
 
 class DatedRecord(Dated):
-    """Fields that all calibration records have in common."""
+    """Fields of all calibration records."""
 
     stated_error_mm: StatedError = Field(description="Stated error, one standard deviation.")
 
@@ -252,7 +252,7 @@ class TrackerFrameCalibration(DatedRecord):
 
 
 def _numbers(rows: object) -> object:
-    """Rows of numbers from lines of text; anything else as it is."""
+    """Parse rows of numbers from lines of text; return anything else unchanged."""
     if isinstance(rows, list | tuple):
         return tuple(tuple(map(float, row.split())) if isinstance(row, str) else row for row in rows)
     return rows
@@ -269,7 +269,7 @@ Rows = Annotated[
 
 
 class ArmCalibration(DatedRecord):
-    """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
+    """Deviations of an arm from its nominal kinematics; joints are listed from the base outwards."""
 
     arm: ArmName = Field(description="Name of the kinematic model to correct.")
     serial: Words | None = Field(
@@ -328,7 +328,7 @@ class ArmCalibration(DatedRecord):
 
     @model_validator(mode="after")
     def _leaves_plausible_errors(self) -> Self:
-        """A triangle cannot be asymmetric or indefinite: what remains is its shape, and the size of a row."""
+        """Check shape and row sizes; a triangle cannot be asymmetric or indefinite."""
         if self.remaining is None:
             return self
         joints = len(self.joint_offset_rad)

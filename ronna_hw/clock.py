@@ -19,7 +19,7 @@ from typing import Protocol
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError
-from ronna_hw.wire import theatre_clock as layout
+from ronna_hw.host.shared_memory import MemoryMap
 
 WAIT_STEP_S = 0.0002  # host time between two polls of a clock that another process advances
 
@@ -68,11 +68,27 @@ class HostClock:
         time.sleep(max(0.0, duration_s))
 
 
-class SharedClock:
-    """One clock for several processes. A process that needs time to pass requests it under the lock.
+# Layout of the shared clock. Times are nanoseconds of theatre time unless stated otherwise.
+LAYOUT_VERSION = 3
+CLOCK = MemoryMap(b"RONNACLK")
+VERSION = CLOCK.word("I")
+PACED = CLOCK.word("I")  # 1 when theatre time follows the host's clock, 0 when devices advance it
+TIME_NS = CLOCK.word("q")  # meaningful when not paced
+EPOCH_NS = CLOCK.word("q")  # host monotonic time at theatre time 0, meaningful when paced
+STREAM_HOST_NS = CLOCK.word("q")  # host monotonic time of the last cycle of a cyclic device, 0 if none
+WANTED_NS = CLOCK.word("q")  # the latest theatre time that any process waits for
+UNREAD_NS = CLOCK.word("q")  # due time of the next measurement of a tracker that is being read, 0 for none
+# A cyclic device that has not run a cycle for this long no longer controls the pace of time. It waits two
+# seconds for a missing reply (see the robot simulator), so the limit is above that.
+STREAM_SILENCE_NS = 2_500_000_000
 
-    While a cyclic device streams (the robot's correction stream), only its cycles advance the time and
-    everything else waits; otherwise a wait advances the time itself.
+
+class SharedClock:
+    """A clock shared by several processes, at the beginning of a `shm://` block.
+
+    While a cyclic device streams (the correction stream of the robot), only its cycles advance the time and
+    everything else waits; otherwise a wait advances the time itself. A process requests time to pass under
+    the lock.
     """
 
     def __init__(self, path: str) -> None:
@@ -83,27 +99,27 @@ class SharedClock:
             raise ClockUnavailable(f"cannot open the clock at {path}: {why}") from error
         self._close_file = weakref.finalize(self, os.close, self._file)
         try:
-            self._memory = mmap.mmap(self._file, layout.CLOCK.size_bytes)
+            self._memory = mmap.mmap(self._file, CLOCK.size_bytes)
         except (OSError, ValueError) as error:
             self._close_file()
             raise ClockUnavailable(f"{path} is too short for a clock file") from error
         memory = self._memory
-        if not layout.CLOCK.is_marked(memory) or layout.VERSION.read(memory) != layout.LAYOUT_VERSION:
+        if not CLOCK.is_marked(memory) or VERSION.read(memory) != LAYOUT_VERSION:
             self.close()
             raise ClockUnavailable(f"{path} is not a clock file of this version")
         self._thread_lock = threading.Lock()
-        self._paced = bool(layout.PACED.read(self._memory))
+        self._paced = bool(PACED.read(self._memory))
 
     @staticmethod
     def initialise(memory: mmap.mmap, *, paced: bool, begins_ns: int = 0) -> None:
         """Write a clock at theatre time `begins_ns` into the first bytes of a block."""
-        layout.CLOCK.mark_memory(memory)
-        layout.VERSION.write(memory, layout.LAYOUT_VERSION)
-        layout.PACED.write(memory, int(paced))
-        layout.TIME_NS.write(memory, begins_ns)
-        for word in (layout.STREAM_HOST_NS, layout.WANTED_NS, layout.UNREAD_NS):
+        CLOCK.mark_memory(memory)
+        VERSION.write(memory, LAYOUT_VERSION)
+        PACED.write(memory, int(paced))
+        TIME_NS.write(memory, begins_ns)
+        for word in (STREAM_HOST_NS, WANTED_NS, UNREAD_NS):
             word.write(memory, 0)
-        layout.EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
+        EPOCH_NS.write(memory, time.monotonic_ns() - begins_ns)
 
     @property
     def paced(self) -> bool:
@@ -112,8 +128,8 @@ class SharedClock:
     def now_ns(self) -> int:
         """Current theatre time, nanoseconds."""
         if self._paced:
-            return time.monotonic_ns() - layout.EPOCH_NS.read(self._memory)
-        return layout.TIME_NS.read(self._memory)
+            return time.monotonic_ns() - EPOCH_NS.read(self._memory)
+        return TIME_NS.read(self._memory)
 
     def now_s(self) -> float:
         return self.now_ns() / 1e9
@@ -131,46 +147,46 @@ class SharedClock:
                 if self.now_ns() >= moment_ns:
                     return
                 if not self.streaming():
-                    layout.TIME_NS.write(self._memory, moment_ns)
+                    TIME_NS.write(self._memory, moment_ns)
                     return
-                if layout.WANTED_NS.read(self._memory) < moment_ns:
-                    layout.WANTED_NS.write(self._memory, moment_ns)
+                if WANTED_NS.read(self._memory) < moment_ns:
+                    WANTED_NS.write(self._memory, moment_ns)
             time.sleep(WAIT_STEP_S)
 
     def has_waiters(self) -> bool:
         """Whether any process waits for a future theatre time."""
-        return layout.WANTED_NS.read(self._memory) > layout.TIME_NS.read(self._memory)
+        return WANTED_NS.read(self._memory) > TIME_NS.read(self._memory)
 
     def streaming(self) -> bool:
         """Whether a cyclic device controls the pace of time."""
-        last = layout.STREAM_HOST_NS.read(self._memory)
-        return last != 0 and time.monotonic_ns() - last < layout.STREAM_SILENCE_NS
+        last = STREAM_HOST_NS.read(self._memory)
+        return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
-        """For the cyclic device: add one cycle and return the new time. No effect when paced."""
+        """Add one cycle of the cyclic device and return the new time. No effect when paced."""
         if self._paced:
             return self.now_ns()
         with self.locked():
-            layout.STREAM_HOST_NS.write(self._memory, time.monotonic_ns())
-            moment = layout.TIME_NS.read(self._memory) + duration_ns
-            layout.TIME_NS.write(self._memory, moment)
+            STREAM_HOST_NS.write(self._memory, time.monotonic_ns())
+            moment = TIME_NS.read(self._memory) + duration_ns
+            TIME_NS.write(self._memory, moment)
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """For a device that is read measurement by measurement: when the next is due; 0 ends it."""
-        layout.UNREAD_NS.write(self._memory, moment_ns)
+        """Note when the next measurement of a device is due that is read one by one; 0 ends it."""
+        UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
-        """For the cyclic device: whether its next cycle would pass a measurement no reader awaits yet."""
-        due_ns = layout.UNREAD_NS.read(self._memory)
+        """Whether the next cycle would pass a measurement that no reader awaits yet."""
+        due_ns = UNREAD_NS.read(self._memory)
         if due_ns == 0 or self._paced or self.has_waiters():
             return False
-        return layout.TIME_NS.read(self._memory) + duration_ns >= due_ns
+        return TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
-        """For the cyclic device: release the pace of time."""
+        """Release the pace of time at the end of a cyclic stream."""
         with self.locked():
-            layout.STREAM_HOST_NS.write(self._memory, 0)
+            STREAM_HOST_NS.write(self._memory, 0)
 
     @contextmanager
     def locked(self) -> Iterator[None]:

@@ -15,8 +15,16 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid
-from ronna_hw.arm.clearance.surroundings import ArmRadii, Corridor, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.clearance.bodies import (
+    ArmRadii,
+    Capsule,
+    Corridor,
+    Obstacle,
+    Part,
+    SpeedZone,
+    Surroundings,
+    covering_ellipsoid,
+)
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.plausible import FARTHEST_MM, Length, farther_than
@@ -36,7 +44,7 @@ HEAD, FIDUCIAL = "head", "fiducial"
 
 
 class BodyFrame(StrEnum):
-    """The frame in which a body of the surroundings is described."""
+    """Frame in which a body of the surroundings is described."""
 
     HEAD = "head"
     ROBOT = "robot"
@@ -52,7 +60,7 @@ class BodyConfig(Strict):
 
     @property
     def capsule(self) -> Capsule:
-        """As plain numbers."""
+        """The body as plain numbers."""
         return Capsule(self.start_mm, self.end_mm, self.radius_mm)
 
 
@@ -179,7 +187,10 @@ class CollisionConfig(Strict):
         fiducials_mm: tuple[Numbers3, ...] = (),
         corridor: Corridor | None = None,
     ) -> Surroundings:
-        """Everything in the frames that the arm needs; fiducials in $ROBROOT, as localized so far."""
+        """Surroundings in the frames that the arm needs.
+
+        `fiducials_mm` are in $ROBROOT, as localized so far.
+        """
         head = covering_ellipsoid(head_semi_axes_mm, robot_from_head)
         obstacles = [Obstacle(HEAD, capsule, True) for capsule in head]
         for body in self.bodies:
@@ -201,7 +212,7 @@ class CollisionConfig(Strict):
 
 
 def _post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """A sphere and its post, which points to the centre of the head."""
+    """A sphere on its post, which points to the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

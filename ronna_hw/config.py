@@ -5,30 +5,20 @@ Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from datetime import date
-from difflib import get_close_matches
+import math
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    Field,
-    PrivateAttr,
-    ValidationError,
-    field_validator,
-    model_validator,
-)
-from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
+from pydantic import AfterValidator, Field, PrivateAttr, ValidationError, field_validator, model_validator
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
     ArmCalibration,
+    Dated,
     DatedRecord,
     Numbers3,
+    PoseRecord,
     StereoHeadCalibration,
     Strict,
     ToolTipCalibration,
@@ -37,7 +27,9 @@ from ronna_hw.calibration import (
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.plausible import (
+    LONGEST_LIFE,
     ArmError,
     Length,
     MountedError,
@@ -45,18 +37,60 @@ from ronna_hw.plausible import (
     SensorPixels,
     farther_than,
 )
-from ronna_hw.record_checks import require_expiry, require_outside_hand
-from ronna_hw.text.counting import counted
-from ronna_hw.text.validation import in_words
-from ronna_hw.tool_record import TipInHead, ToolRecord
+from ronna_hw.text import counted
+from ronna_hw.theatre_kind import is_simulated
+from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
+
+
+def require_expiry(theatre: TheatreFile) -> None:
+    """Raise ValueError unless records of a real theatre expire within a year.
+
+    In a simulated one nothing is knocked or worn.
+    """
+    calibrations = {} if theatre.calibration is None else theatre.calibration.records
+    records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
+    records |= {f"tools.{name}": one for name, one in theatre.tools.items()}
+    endless = [f"[{table}]" for table, one in records.items() if one.expires - one.created > LONGEST_LIFE]
+    if endless and not is_simulated(theatre):
+        raise ValueError(
+            f"{', '.join(endless)}: expected to expire at most {LONGEST_LIFE.days} days after `created`"
+        )
+
+
+def require_outside_hand(theatre: TheatreFile) -> None:
+    """Raise ValueError if a tool or the axis of the guide is inside the arm's hand: it is in centimetres."""
+    if theatre.calibration is None:
+        return
+    hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration
+    bore = theatre.tools["guide"].bore if "guide" in theatre.tools else None
+    for name, near_mm in (
+        ("stereo_head", closest_to_flange_mm(records.stereo_head.flange_from_tool)),
+        ("tool_tip", closest_to_flange_mm(records.tool_tip.flange_from_tool, bore)),
+    ):
+        if near_mm < hand_mm:
+            raise ValueError(
+                f"[calibration.{name}] flange_from_tool.translation_mm: the tool is {near_mm:.0f} mm from "
+                f"the centre of the flange, expected more than cell.arm.hand_mm = {hand_mm:g}, the radius of "
+                "the arm's hand: give millimetres, not centimetres"
+            )
+
+
+def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = None) -> float:
+    """Distance of the flange's centre from a tip, or from the axis of a guide between tip and upper end."""
+    w, x, y, z = flange_from_tool.quaternion_wxyz
+    axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
+    tip_mm = flange_from_tool.translation_mm
+    length_mm = 0.0 if bore is None else bore.reach_mm + bore.length_mm
+    up_mm = sum(at * along for at, along in zip(tip_mm, axis, strict=True))
+    up_mm = min(max(up_mm, 0.0), length_mm)
+    return math.dist(tip_mm, [up_mm * along for along in axis])
+
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
 NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
 FARTHEST_APPROACH_MM = 500.0  # as the longest guide
 # Two spheres of 11.5 mm that touch are that far apart: one seen farther off than half of it may be another.
 LARGEST_COARSE_FINE_MM = 5.75
-MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
-LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
 
 
 class BadTheatreFile(ConfigurationError):
@@ -82,7 +116,7 @@ class ClockConfig(Strict):
 
 
 class DeviceConfig(Strict):
-    """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
+    """A device: its driver by name, its endpoint or endpoints, and the driver's own options."""
 
     driver: str = Field(description="Name of the driver, as registered by its package.")
     endpoint: str | None = Field(default=None, description="Address of a device with one endpoint.")
@@ -102,7 +136,7 @@ class DeviceConfig(Strict):
         return self._folder
 
     def read_from(self, folder: Path) -> Self:
-        """The same device, with paths in its options relative to `folder`."""
+        """Copy with paths in its options relative to `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -123,7 +157,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """The parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
+        """Parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -149,7 +183,7 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """The existing records, by name."""
+        """Existing records by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 
@@ -229,7 +263,7 @@ class ProcedureSettings(Strict):
 
 
 class TheatreFile(Strict):
-    """A complete theatre. Any number of robots, each with a name."""
+    """A theatre with any number of named robots."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of the file format."
@@ -285,7 +319,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """The bodies around the arm, including those in the tools' records."""
+        """Bodies around the arm, including those in the records of the tools."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()
@@ -341,78 +375,6 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
         raise BadTheatreFile(
             f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error
-
-
-def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """One line per mistake: its place, what was expected, what was found; then how many more there are.
-
-    With the validated model, an unknown key is reported with the known ones at its place.
-    """
-    lines = []
-    found = mistakes_in(error)
-    for item in found[:MISTAKES_SHOWN]:
-        where = _place(item["loc"])
-        message = in_words(item)
-        if item["type"] == "extra_forbidden":
-            known = () if model is None else known_keys(model, item["loc"][:-1])
-            message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
-        value = item.get("input")
-        found_is = str(value) if isinstance(value, date) else repr(value)
-        shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
-        lines.append(f"{where}: {message}{shown}")
-    if len(found) > MISTAKES_SHOWN:
-        lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
-    return lines
-
-
-def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
-    """Every mistake, without the lists that are only too short because of the mistakes in their items."""
-    return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
-
-
-def _is_only_emptied(item: ErrorDetails) -> bool:
-    given = item["input"]
-    return (
-        item["type"] == "too_short"
-        and isinstance(given, Sequence)
-        and len(given) >= item.get("ctx", {}).get("min_length", 0)
-    )
-
-
-def _place(parts: tuple[int | str, ...]) -> str:
-    """`trajectories 1.entry_mm`: list items are counted from 1, as in every message."""
-    text = ""
-    for part in parts:
-        text += f" {part + 1}" if isinstance(part, int) else f".{part}"
-    return text.strip(" .") or "file"
-
-
-def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """The keys of a model, or of the one nested at that place; none if it is not a model."""
-    here: Any = model
-    for part in place:
-        names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
-        if names and str(part) in names:
-            here = _model_in(names[str(part)])
-    return tuple(field.alias or name for name, field in _fields(here).items())
-
-
-def _fields(model: Any) -> dict[str, FieldInfo]:
-    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
-
-
-def _model_in(annotation: Any) -> Any:
-    """The model in a field: itself, optional, or as the values of a table or a list."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
-
-
-def _meant(key: str, known: Sequence[str]) -> str:
-    """The most similar known key, as a question, or all of them."""
-    if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
-        return f" (did you mean '{alike[0]}'?)"
-    return f" (known: {', '.join(known)})" if known else ""
 
 
 def _tuples(value: Any) -> Any:

@@ -30,7 +30,7 @@ class BadEndpoint(ConfigurationError, ValueError):
 
 @dataclass(frozen=True)
 class Endpoint:
-    """A parsed endpoint: `host` and `port` for networks, `path` for devices and shared memory."""
+    """A parsed address: `host` and `port` for networks, `path` for devices and shared memory."""
 
     scheme: str
     host: str = ""
@@ -46,7 +46,7 @@ class Endpoint:
         return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
 
     def resolved(self) -> Endpoint:
-        """The place itself, whatever links and names lead there; a name that nobody knows stays."""
+        """Follow links and names to the place itself; an unknown name stays."""
         if self.path:
             return replace(self, path=os.path.realpath(self.path))
         name = self.host.removesuffix(".")

@@ -1,4 +1,4 @@
-"""One tree of errors for the whole project.
+"""The tree of errors of the whole project.
 
     RonnaError
     +-- ConfigurationError   a file or an option is wrong; no device has been touched
@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 EXIT_DONE = 0
 EXIT_FAILED = 1
@@ -71,7 +71,10 @@ class RonnaError(Exception):
 
     @property
     def summary(self) -> str:
-        """What happened, with its values: `no reply; expected OKAY, got ERROR01`; without code and advice."""
+        """What happened, with its values, such as `no reply; expected OKAY, got ERROR01`.
+
+        Without code and advice.
+        """
         values = [
             f"{label} {value}"
             for label, value in (("expected", self.expected), ("limit", self.limit), ("got", self.got))
@@ -148,7 +151,7 @@ class RefusedError(RonnaError):
 
 
 def summary_of(problem: Exception) -> str:
-    """What happened, of ours or of Python's: the latter with the name of its class."""
+    """Summarise an error of ours, or one of Python with the name of its class."""
     return problem.summary if isinstance(problem, RonnaError) else f"{type(problem).__name__}: {problem}"
 
 

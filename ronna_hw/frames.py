@@ -43,7 +43,7 @@ class FrameMismatch(DataError):
 
 
 def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
-    """One translation (3,) mm after one rotation; other shapes raise ValueError, non-finite numbers FRM-001.
+    """Translate by (3,) mm after a rotation; other shapes raise ValueError, non-finite numbers FRM-001.
 
     `RigidTransform.from_components` multiplies two transforms for that and checks the product, in several
     times the time; planning builds tens of thousands.
@@ -113,7 +113,7 @@ class Transform:
         return np.asarray(self.rigid.apply(np.asarray(points_mm, dtype=float)), dtype=float)
 
     def displaced(self, by_mm: ArrayLike) -> Transform:
-        """The same rotation, with its origin displaced by (3,) mm in the target frame."""
+        """Displace the origin by (3,) mm in the target frame, with the same rotation."""
         place_mm = self.translation_mm + np.asarray(by_mm, dtype=float)
         return Transform(self.target, self.source, rigid_of(place_mm, self.rigid.rotation))
 

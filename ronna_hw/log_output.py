@@ -84,7 +84,7 @@ def about_this_computer() -> dict[str, Any]:
 
 
 class _NeverStops(logging.Handler):
-    """Loses whatever a full disk or a closed pipe refuses: a run depends on its journal, not on its log."""
+    """Loses lines that a full disk or a closed pipe refuses: a run depends on its journal, not on its log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Lose the line."""
@@ -128,7 +128,10 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """A library's own line. Warnings keep their location; libraries that read patient files keep no text."""
+    """Redact the line of a library.
+
+    Warnings keep their location; libraries that read patient files keep no text.
+    """
     record: logging.LogRecord = event["_record"]
     text = str(event["event"])
     if record.name == "py.warnings":

@@ -31,19 +31,19 @@ class Logger:
         self._channel = logging.getLogger(_channel(".".join((ALL, *names.values()))))
 
     def debug(self, event: str, **facts: Any) -> None:
-        """Details for debugging."""
+        """Log details for debugging."""
         self._log(logging.DEBUG, event, facts)
 
     def info(self, event: str, **facts: Any) -> None:
-        """What happened: a change of state, an identity, a configuration."""
+        """Log a change of state, an identity, a configuration."""
         self._log(logging.INFO, event, facts)
 
     def warning(self, event: str, **facts: Any) -> None:
-        """Something was lost, retried or recovered, and work continues."""
+        """Log something lost, retried or recovered, after which work continues."""
         self._log(logging.WARNING, event, facts)
 
     def error(self, event: str, **facts: Any) -> None:
-        """A fault: work stopped here."""
+        """Log a fault that stopped the work."""
         self._log(logging.ERROR, event, facts)
 
     def _log(self, level: int, event: str, facts: dict[str, Any]) -> None:
@@ -69,7 +69,7 @@ class Logger:
 
 
 def logger(**names: str) -> Logger:
-    """The logger of one part: `logger(device="tracker")`, `logger(part="engine", step="registration")`.
+    """Logger of one part: `logger(device="tracker")`, `logger(part="engine", step="registration")`.
 
     The names are in each of its lines; levels are set for their values, joined by dots: `engine` covers
     `engine.registration`, and `ronna-sim` the process `ronna-sim polaris`.
@@ -78,12 +78,12 @@ def logger(**names: str) -> Logger:
 
 
 def known_loggers() -> tuple[str, ...]:
-    """Possible beginnings of a logger's name."""
+    """First parts that a logger's name may have."""
     return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
 
 
 def is_known(name: str) -> bool:
-    """Whether there can be loggers with that name, or below it."""
+    """Whether loggers with that name, or below it, can exist."""
     if len(name) > LONGEST_NAME:  # each part of it would get a logger of its own
         return False
     first = name.split(".")[0]

@@ -15,9 +15,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 
 FEWEST, MOST = 3, 4  # with more, their number identifies them
 LEAST_DISTANCE_MM = 15.0  # two 11.5 mm spheres, and a gap that a CT shows
@@ -36,7 +36,7 @@ class BadTemplate(ConfigurationError):
 
 
 class TemplateMarker(Strict):
-    """One sphere: its centre, and the direction of its post."""
+    """A sphere: its centre, and the direction of its post."""
 
     centre_mm: Point = Field(
         description="Centre of the sphere, LPS of the CT on which the template was made."
@@ -67,7 +67,7 @@ class MarkerTemplate(Strict):
 
     @property
     def distances_mm(self) -> tuple[float, ...]:
-        """Between all pairs of markers, ascending."""
+        """Distances between all pairs of markers, ascending."""
         return tuple(sorted(math.dist(one, other) for one, other in combinations(self.centres_mm, 2)))
 
     @property

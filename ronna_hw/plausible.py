@@ -1,6 +1,8 @@
-"""Bounds of the numbers in a theatre file: beyond them one is in another unit, or mistyped.
+"""Bounds of the numbers in theatre files, plans and scenes: beyond them one is in another unit, or mistyped.
 
-Each is far from anything that is built or measured, so that whatever is refused was not meant.
+Each bound of a theatre file is far from anything that is built or measured, so that nothing is refused that
+was meant. A plan and a scene share one set of bounds: the plan of a simulated patient is made from its scene,
+so no scene is accepted whose plan would be refused.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibrat
 
 
 def not_in_metres(shortest_mm: float) -> AfterValidator:
-    """For a length that is 0 or at least this long; in metres it would be shorter."""
+    """Validator of a length that is 0 or at least this long; in metres it would be shorter."""
 
     def in_millimetres(length_mm: float) -> float:
         if 0.0 < length_mm < shortest_mm:
@@ -46,7 +48,7 @@ def not_in_metres(shortest_mm: float) -> AfterValidator:
 
 
 def not_in_micrometres(largest_mm: float) -> AfterValidator:
-    """For an error that is smaller than this; in micrometres it would be larger."""
+    """Validator of an error that is smaller than this; in micrometres it would be larger."""
 
     def in_millimetres(error_mm: float) -> float:
         if error_mm >= largest_mm:
@@ -57,7 +59,7 @@ def not_in_micrometres(largest_mm: float) -> AfterValidator:
 
 
 def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
-    """For a position that is this far from its origin, unless at it: in metres it would be closer."""
+    """Validator of a position at its origin or this far from it; in metres it would be closer."""
 
     def in_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
@@ -112,3 +114,16 @@ DeviationMm = Annotated[float, Field(ge=-LARGEST_DEVIATION_MM, le=LARGEST_DEVIAT
 DeviationRad = Annotated[float, Field(ge=-LARGEST_DEVIATION_RAD, le=LARGEST_DEVIATION_RAD)]
 DialReading = Annotated[float, Field(ge=-LONGEST_TRAVEL_MM, le=LONGEST_TRAVEL_MM)]
 JointDegrees = Annotated[float, Field(ge=-720, le=720)]  # no axis turns twice; its own range is the arm's
+
+
+# Files and records are named after a trajectory: no path, no line break, nothing that a shell reads.
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"
+LONGEST_NAME = 32
+LEAST_DEPTH_MM = 1.0  # entry and target closer than this are the same point to every instrument here
+MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; anything longer is a typing error
+LARGEST_MARGIN_MM = 20.0  # accepted error at a target
+LARGEST_ANGLE_DEG = 360.0  # about the axis, either way
+
+TrajectoryName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=NAME_PATTERN)]
+FreeAngle = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_ANGLE_DEG, le=LARGEST_ANGLE_DEG)]
+Margin = Annotated[float, Field(allow_inf_nan=False, gt=0.0, le=LARGEST_MARGIN_MM)]

@@ -46,7 +46,7 @@ class OtherVersion(DataError):
 
 @dataclass(frozen=True)
 class Record:
-    """One result: `kind` is its type, `parents` maps the identifiers of its parents to their hashes.
+    """A result: `kind` is its type, `parents` maps the identifiers of its parents to their hashes.
 
     `series` is the DICOM UID of the CT that the case is based on.
     """
@@ -71,7 +71,7 @@ FILE_FIELDS = frozenset(one.name for one in fields(Record)) | {"parents_sha256",
 
 
 def canonical_json(content: Any) -> bytes:
-    """One byte form per content: sorted keys, no blanks, no NaN."""
+    """Encode content in its only byte form: sorted keys, no blanks, no NaN."""
     return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False).encode()
 
 
@@ -91,7 +91,7 @@ def file_sha256(record: Record) -> str:
 
 
 def has_file(path: Path, sha256: str) -> bool:
-    """Whether there is a record's file with exactly these bytes: cheaper than to read it back."""
+    """Whether a record's file exists with exactly these bytes; cheaper than reading it back."""
     try:
         found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
     except (OSError, ValueError):
@@ -104,7 +104,7 @@ def _file_of(record: Record) -> bytes:
 
 
 def _as_written(record: Record) -> Iterator[str]:
-    """The one form of a record's file, in parts."""
+    """The only form of a record's file, in parts."""
     content = {
         **vars(record),
         "parents": list(record.parents),
@@ -166,7 +166,7 @@ def read_record(path: Path) -> Record:
 
 
 def _is_as_written(found: bytes, record: Record) -> bool:
-    """Compared part by part, to the first difference: the form of deep content is ten times as long."""
+    """Compare part by part, up to the first difference: the form of deep content is ten times as long."""
     at = 0
     for part in _as_written(record):
         if not found.startswith(part.encode(), at):

@@ -1,4 +1,4 @@
-"""What a log line may contain: no patient data, no secrets, no path that could identify a person.
+"""Redaction of log lines: no patient data, no secrets, no path that could identify a person.
 
 Redaction prefers removing too much. Text is kept only if it cannot come from a patient's files: an error
 about a CT, a plan or a file is logged by its code alone, and so is every library exception.
@@ -25,7 +25,7 @@ from ronna_hw.errors import (
     RonnaError,
     StateError,
 )
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import without_controls
 
 REDACTED = "[redacted]"
 TEXT_LIMIT = 1000  # characters of one value: a line stays a line
@@ -61,12 +61,12 @@ _FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b"
 
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """structlog processor: the same event with everything personal or secret removed."""
+    """Remove everything personal or secret from an event; a structlog processor."""
     return {key: redacted(key, value) for key, value in event.items()}
 
 
 def redacted(key: str, value: Any) -> Any:
-    """One value of an event, fit for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
+    """Make a value fit for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
     if _PATIENT_KEY.search(key):
         return REDACTED
     if isinstance(value, float):
@@ -95,7 +95,7 @@ def _more(value: Sized) -> str:
 
 
 def scrubbed(text: str) -> str:
-    """Text without tokens, DICOM UIDs, paths and file names; endpoints and device nodes are kept."""
+    """Remove tokens, DICOM UIDs, paths and file names from text; endpoints and device nodes are kept."""
     text = _TOKEN.sub(rf"\1{REDACTED}", text)
     text = _WORD_WITH_SLASH.sub(_path_out, text)
     text = _FILE_NAME.sub(REDACTED, text)
@@ -103,7 +103,7 @@ def scrubbed(text: str) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """The text of an error about a device, a limit or the theatre; of any other, its code or type."""
+    """Text of an error about a device, a limit or the theatre; of any other, its code or type."""
     code = error.code if isinstance(error, RonnaError) else ""
     if isinstance(error, _SAID_IN_FULL) and not code.startswith(_NAME_TRAJECTORIES):
         return scrubbed(str(error))
@@ -111,7 +111,7 @@ def error_text(error: BaseException) -> str:
 
 
 def redacted_arguments(arguments: Sequence[str]) -> list[str]:
-    """Command-line arguments: subcommand, options, numbers and endpoints are kept, all else is removed."""
+    """Keep subcommand, options, numbers and endpoints of a command line, and remove all else."""
     if arguments and re.fullmatch(r"[a-z-]+", arguments[0]):
         return [arguments[0], *map(_argument, arguments[1:])]
     return [_argument(one) for one in arguments]

@@ -16,12 +16,12 @@ from typing import Any, Protocol
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Finder
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.probing import (
     Diagnostic,
     EndpointProbe,
+    Finder,
     Inspection,
     Probe,
     Progress,
@@ -34,7 +34,7 @@ PROBE_GROUP = "ronna_hw.probes"
 
 
 class DriverFactory(Protocol):
-    """What an entry point of the group refers to: a class or function with these three arguments."""
+    """Target of an entry point of the group: a class or function with these three arguments."""
 
     def __call__(self, name: str, config: DeviceConfig, clock: Clock) -> Device: ...
 
@@ -45,7 +45,7 @@ def driver_names() -> tuple[str, ...]:
 
 
 def load_driver(name: str) -> Any:
-    """The driver class with that name; raises DEV-002 with the existing names."""
+    """Load the driver class with that name; raises DEV-002 with the existing names."""
     for point in entry_points(group=GROUP):
         if point.name == name:
             return point.load()
@@ -59,7 +59,7 @@ def make_device(name: str, config: DeviceConfig, clock: Clock) -> Device:
 
 
 def load_probe(driver: str) -> Probe:
-    """The probe of that driver. A driver without one is connected, identified and closed again."""
+    """Load the probe of a driver. A driver without one is connected, identified and closed again."""
     for point in entry_points(group=PROBE_GROUP):
         if point.name == driver:
             probe: Probe = point.load()
@@ -68,12 +68,12 @@ def load_probe(driver: str) -> Probe:
 
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
-    """The probes that can check bare endpoints, by driver."""
+    """Probes that can check bare endpoints, by driver."""
     return {driver: probe for driver, probe in _probes() if isinstance(probe, EndpointProbe)}
 
 
 def finders() -> dict[str, Finder]:
-    """The probes that can search lines and networks for their devices, by driver."""
+    """Probes that can search lines and networks for their devices, by driver."""
     return {driver: probe for driver, probe in _probes() if isinstance(probe, Finder)}
 
 

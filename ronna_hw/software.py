@@ -23,7 +23,10 @@ _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.M
 
 @dataclass(frozen=True)
 class Software:
-    """What computed a result. `commit` and `lock_sha256` are None if it does not run from a checkout."""
+    """The software that computed a result.
+
+    `commit` and `lock_sha256` are None if it does not run from a checkout.
+    """
 
     version: str
     commit: str | None  # with "-dirty" if files differ from it
@@ -31,7 +34,7 @@ class Software:
     otherwise: tuple[str, ...] = ()  # installed in another version than locked: "numpy 2.1, locked 2.0"
 
     def as_plain(self) -> dict[str, str | list[str] | None]:
-        """For a journal or a log."""
+        """Plain values for a journal or a log."""
         return {
             "version": self.version,
             "commit": self.commit,
@@ -63,7 +66,7 @@ def this_software(checkout: Path = CHECKOUT) -> Software:
 
 
 def _commit(checkout: Path) -> str | None:
-    """According to git; None without git or if the folder is not its own checkout."""
+    """Commit according to git; None without git or if the folder is not its own checkout."""
     if not (checkout / ".git").exists():
         return None
     try:

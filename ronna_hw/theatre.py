@@ -1,12 +1,19 @@
 """The front door: all devices of a theatre file, for the length of a block.
 
-with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracker:
-    frame = tracker.read_frame()
+    with open_theatre("theatre.toml") as theatre, theatre.tracker.active() as tracker:
+        frame = tracker.read_frame()
+
+A whole simulated theatre takes one line, too: it is the command `ronna-sim theatre` for the length of a
+block, opened with the file that the command writes. Nothing is imported from the simulators.
+
+    with simulated_theatre("mini", seed=7) as theatre:
+        ...
 """
 
 from __future__ import annotations
 
 import os
+import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -15,21 +22,32 @@ from typing import Self, TypeVar, cast
 
 from ronna_hw.clock import Clock, SharedClock, open_clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile, read_theatre_file
-from ronna_hw.devices.byte_sink import ByteSink, RecordsBytes
-from ronna_hw.devices.errors import NotInTheatre, TheatreClosed
-from ronna_hw.devices.interfaces import require_interface
+from ronna_hw.devices.capabilities import ByteSink, RecordsBytes
+from ronna_hw.devices.errors import NotInTheatre, TheatreClosed, WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.robot import RobotArm, StopKind
-from ronna_hw.devices.stereo import StereoPair
-from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.devices.sensors import OpticalTracker, StereoPair
 from ronna_hw.errors import summary_of
-from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.process import interruption_deferred
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
 
 D = TypeVar("D")
 DriverOfTable = Callable[[str, DeviceConfig, Clock], Device]
 STOP_LIMIT_S = 5.0  # host time, for all arms together
+
+
+@contextmanager
+def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
+    """Connect and configure all devices of a theatre file for the length of a block.
+
+    On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
+    time. Raises CFG-001 for a missing or invalid file, and the driver's error if a device is not there.
+    """
+    with Theatre.from_file(path) as theatre:
+        theatre.connect(timeout_s)
+        yield theatre
 
 
 class Theatre:
@@ -45,7 +63,7 @@ class Theatre:
         self._make = make
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
-        self._found_fit: dict[tuple[str, object], Device] = {}  # by interface; a driver is checked once
+        self._checked: dict[tuple[str, object], Device] = {}  # by interface; a driver is checked once
         self._byte_sink: ByteSink | None = None
         self._closed = False
 
@@ -57,23 +75,23 @@ class Theatre:
 
     @property
     def clock(self) -> Clock:
-        """The theatre clock; raises DEV-010 once the theatre is closed."""
+        """Theatre clock; raises DEV-010 once the theatre is closed."""
         self._require_open()
         return self._clock
 
     @property
     def tracker(self) -> OpticalTracker:
-        """The optical tracker; raises DEV-007 if the file has none."""
+        """Optical tracker; raises DEV-007 if the file has none."""
         return self._device("tracker", OpticalTracker)
 
     @property
     def stereo(self) -> StereoPair:
-        """The stereo head; raises DEV-007 if the file has none."""
+        """Stereo head; raises DEV-007 if the file has none."""
         return self._device("stereo", StereoPair)
 
     @property
     def calibrations(self) -> Calibrations:
-        """The calibration records; raises DEV-007 if the file has none."""
+        """Calibration records; raises DEV-007 if the file has none."""
         if self.file.calibration is None:
             raise NotInTheatre(
                 f"theatre {self.file.theatre} has no calibration records",
@@ -84,10 +102,10 @@ class Theatre:
     @property
     def devices(self) -> dict[str, Device]:
         """All devices, by their tables in the file, such as `robot.master`."""
-        return {name: self._made(name) for name in self.file.devices}
+        return {name: self._device_named(name) for name in self.file.devices}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """The device of table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
+        """Device of the table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
 
         Raises DEV-007 if the file has no such table, DEV-008 if the device is of another kind.
         """
@@ -114,7 +132,7 @@ class Theatre:
         Raises the driver's error of the first that fails; earlier ones stay connected.
         """
         for name in self.file.devices:
-            device = self._made(name)
+            device = self._device_named(name)
             if device.state is Lifecycle.DISCONNECTED:
                 device.connect(timeout_s)
             if device.state is Lifecycle.CONNECTED:
@@ -169,14 +187,14 @@ class Theatre:
             raise TheatreClosed(f"theatre {self.file.theatre} is closed")
 
     def _device(self, name: str, interface: Callable[..., D]) -> D:
-        device = self._made(name)
-        if self._found_fit.get((name, interface)) is device:
+        device = self._device_named(name)
+        if self._checked.get((name, interface)) is device:
             return cast("D", device)
         fitting = require_interface(name, self.file.devices[name].driver, device, interface)
-        self._found_fit[name, interface] = device
+        self._checked[name, interface] = device
         return fitting
 
-    def _made(self, name: str) -> Device:
+    def _device_named(self, name: str) -> Device:
         self._require_open()
         if name not in self._devices:
             self.require(name)
@@ -187,7 +205,7 @@ class Theatre:
 
 
 class _Arms(Mapping[str, RobotArm]):
-    """The arms by name; a missing name raises DEV-007."""
+    """Arms by name; a missing name raises DEV-007."""
 
     def __init__(self, theatre: Theatre) -> None:
         self._theatre = theatre
@@ -202,18 +220,6 @@ class _Arms(Mapping[str, RobotArm]):
         return len(self._theatre.file.robot)
 
 
-@contextmanager
-def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
-    """Connect and configure all devices of a theatre file for the length of a block.
-
-    On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
-    time. Raises CFG-001 for a missing or invalid file, and the driver's error if a device is not there.
-    """
-    with Theatre.from_file(path) as theatre:
-        theatre.connect(timeout_s)
-        yield theatre
-
-
 def _record_bytes(device: Device, sink: ByteSink | None) -> None:
     if isinstance(device, RecordsBytes):
         device.record_bytes(sink)
@@ -225,3 +231,102 @@ def _stop(arm: RobotArm, failures: list[str]) -> None:
     except Exception as error:  # `close` continues, and the link stops the arm when it ends
         logger(device=arm.name).error("may not be at rest: the stop failed", cause=error)
         failures.append(f"{arm.name} may not be at rest, the stop failed: {summary_of(error)}")
+
+
+_OF_KIND: dict[str, Callable[..., Device]] = {
+    "tracker": OpticalTracker,
+    "robot": RobotArm,
+    "stereo": StereoPair,
+}
+
+
+def interface_of(table: str) -> Callable[..., Device]:
+    """Interface for the device of a table such as `robot.master`; any device will do for `[device.NAME]`."""
+    return _OF_KIND.get(table.partition(".")[0], Device)
+
+
+def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
+    """Return the device of a table as `interface`, a runtime-checkable protocol or a class.
+
+    Raises DEV-008 naming what the driver lacks.
+    """
+    if not isinstance(device, cast("type", interface)):
+        lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
+        raise WrongKind(
+            f"{table}: driver {driver} does not provide {interface.__name__}",
+            got=f"it lacks {', '.join(lacking)}" if lacking else None,
+        )
+    return cast("D", device)
+
+
+SIMULATOR_NAME = "ronna-sim theatre"
+CONTROLLER_SAYS = "pendant at "  # prefix of a message on the simulated controller's pendant
+
+
+@contextmanager
+def simulated_theatre(
+    scene: str = "mini", *, seed: int = 0, timeout_s: float = 10.0
+) -> Iterator[SimulatedTheatre]:
+    """Start a simulated theatre, connect and configure its devices, and end all of it with the block.
+
+    `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
+    message when there is no such scene, and the errors of `open_theatre`.
+    """
+    with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
+        process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder)
+        try:
+            process.await_ready()
+            with SimulatedTheatre.of(process) as theatre:
+                theatre.connect(timeout_s)
+                yield theatre
+        finally:
+            process.end()
+
+
+class SimulatedTheatre(Theatre):
+    """A theatre whose devices are simulated."""
+
+    control: str = ""  # endpoint for `ronna-sim mount` and `ronna-sim fault`
+
+    @classmethod
+    def of(cls, process: TheatreProcess) -> Self:
+        """Open the theatre of a ready process."""
+        theatre = cls.from_file(process.file)
+        theatre.control = process.control
+        return theatre
+
+
+class TheatreProcess:
+    """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
+
+    def __init__(
+        self, *arguments: str, on_controller_message: Callable[[str], None] = lambda _line: None
+    ) -> None:
+        """`on_controller_message` is called with each message on the simulated controller's pendant."""
+
+        def on_message(line: str) -> None:
+            if line.startswith(CONTROLLER_SAYS):
+                on_controller_message(line)
+
+        self.child = ChildProcess(
+            SIMULATOR_NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, on_message=on_message
+        )
+
+    def await_ready(self) -> None:
+        """Return once every device is ready; raises PRC-001 with the command's own message."""
+        self.child.await_ready()
+
+    @property
+    def file(self) -> Path:
+        """The theatre file that was written."""
+        return Path(self.child.ready["file"])
+
+    @property
+    def control(self) -> str:
+        """Endpoint of the control port."""
+        return str(self.child.ready["endpoints"]["control"])
+
+    def end(self) -> None:
+        """End the process in bounded time; never raises. An interruption takes effect afterwards."""
+        with interruption_deferred():
+            self.child.stop()

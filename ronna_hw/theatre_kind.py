@@ -68,7 +68,7 @@ def require_one_kind(theatre: TheatreFile) -> None:
 
 
 def _kinds(theatre: TheatreFile) -> tuple[list[str], list[str]]:
-    """The simulated and the real devices, each with its address."""
+    """Simulated and real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
     for name, device in theatre.devices.items():

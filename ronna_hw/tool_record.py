@@ -108,7 +108,7 @@ class Gauge(Strict):
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
-        """The range that a dial can show at all."""
+        """Range that a dial can show at all."""
         recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
         return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 
@@ -128,7 +128,7 @@ class TipInHead(Strict):
 
     @classmethod
     def of(cls, flange_from_head: PoseRecord, flange_from_tip: PoseRecord) -> Self:
-        """From both records of the theatre file."""
+        """Compute it from both records of the theatre file."""
         from ronna_hw.arm.pose import Pose  # a theatre computes this as it starts: SciPy would double that
 
         head, tip = (
@@ -139,7 +139,7 @@ class TipInHead(Strict):
         return cls(translation_mm=here.position_mm, quaternion_wxyz=here.quaternion())
 
     def off(self, other: TipInHead) -> tuple[float, float]:
-        """How far another pose is from this one, mm and rad."""
+        """Distance of another pose from this one, mm and rad."""
         ours, theirs = self.quaternion_wxyz, other.quaternion_wxyz  # q and -q are one rotation
         chord = min(math.dist(ours, theirs), math.dist(ours, [-number for number in theirs]))
         turned_rad = 4.0 * math.asin(min(1.0, chord / 2.0))
@@ -147,7 +147,7 @@ class TipInHead(Strict):
 
 
 class ToolRecord(Dated):
-    """One tool: identity, purpose, mass, clearance bodies, and its tip or bore."""
+    """A tool: identity, purpose, mass, clearance bodies, and its tip or bore."""
 
     what: ClassVar[str] = "tool record"
 

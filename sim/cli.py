@@ -5,7 +5,7 @@ from __future__ import annotations
 import typer
 
 from ronna_hw.command_line.terminal import run
-from ronna_hw.host.starting_up import begin_start
+from ronna_hw.host.process import begin_start
 
 app = typer.Typer(
     name="ronna-sim",

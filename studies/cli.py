@@ -11,9 +11,9 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 from ronna_hw.errors import EXIT_FAILED
-from ronna_hw.text.counting import counted
+from ronna_hw.text import counted
 
 if TYPE_CHECKING:
     from studies.campaign.table import Table

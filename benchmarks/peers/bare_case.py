@@ -21,7 +21,7 @@ from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine import closing
 from procedures.engine.events import event_file, stream
 from procedures.journal import journal
-from ronna_hw.recording import flight_recorder, reading_tape, taped_device
+from ronna_hw.recording import flight_recorder, reading_tape
 from ronna_hw.theatre import Theatre
 
 
@@ -45,7 +45,7 @@ def keep_nothing() -> None:
         (event_file, "EventFile", _Nothing),
         (flight_recorder, "FlightRecorder", _Nothing),
         (reading_tape, "ReadingTape", _Tape),
-        (taped_device, "taped", lambda device, _tape: device),
+        (reading_tape, "taped", lambda device, _tape: device),
         (Theatre, "record_bytes", _ignore),
         (closing, "hashes_at_closing", lambda _folder: {}),
     ):

@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from sim.world.process import end_with_parent
 
 LONGEST_LIFE_S = 600.0

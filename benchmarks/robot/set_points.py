@@ -13,14 +13,13 @@ from benchmarks.contest import contest, cpu_of
 from benchmarks.figures import Figure, compared
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.preview import with_speed_steps
 from ronna_hw.collision_config import CollisionConfig
 
 CYCLE_S = 0.004

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from conformance.case import check, read_as
-from conformance.gige.features import GigeFeatures
-from conformance.gige.link import GigeLink, controlled
+from conformance.gige.client import GigeFeatures, GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
 FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly
@@ -24,7 +23,7 @@ LEADER, TRAILER, PAYLOAD = 1, 2, 3
 
 @dataclass(frozen=True)
 class Packet:
-    """One stream packet; `raw` is everything after the status."""
+    """A stream packet; `raw` is everything after the status."""
 
     status: int
     block_id: int
@@ -86,7 +85,7 @@ class GigeStream:
         self.link.write(Bootstrap.SCPS, PACKET_BYTES)
 
     def small_frames(self, **choices: int | str) -> None:
-        """Known settings: power-on values, a small area, one frame per software trigger, then `choices`."""
+        """Apply known settings: power-on values, a small area, software triggers, then `choices`."""
         features = self.features
         features.execute("AcquisitionStop")
         features.set("UserSetSelector", "Default")
@@ -139,7 +138,7 @@ class GigeStream:
         return self.datagram(SILENCE_S) is None
 
     def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """The packets until none arrives for this long; raises Nonconformity if they do not end."""
+        """Packets until none arrives for this long; raises Nonconformity if they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -169,7 +168,7 @@ def decode_leader(packet: Packet) -> Leader:
 
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
-    """The stream of a controlled camera with small frames; leaves the camera with power-on settings."""
+    """Stream of a controlled camera with small frames; leaves the camera with power-on settings."""
     with controlled(link):
         stream = GigeStream(link)
         try:
@@ -183,7 +182,7 @@ def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
             stream.close()
 
 
-def started(stream: GigeStream) -> GigeStream:
-    """The same stream with the acquisition running."""
+def start_acquisition(stream: GigeStream) -> GigeStream:
+    """Start the acquisition of a stream and return it."""
     stream.features.execute("AcquisitionStart")
     return stream

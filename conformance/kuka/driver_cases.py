@@ -16,14 +16,14 @@ from typing import Any
 from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
-from conformance.kuka.rsi_client import AXES
+from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
-from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, set_moving, turned
+from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, start_moving, turn_last_axis
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.registry import make_device
 from ronna_hw.wire.kuka_context import load_context
 
@@ -37,7 +37,6 @@ SILENCE_SLACK_S = 1.5  # for a busy computer; both together are below the allowe
 GATHERED_S = 0.05
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
 
-_IPOC = re.compile(rb"<IPOC>(\d+)</IPOC>")
 _TYPE = re.compile(rb'<Sen Type="([^"]*)">')
 
 CASES = CaseList()
@@ -104,7 +103,7 @@ def one_reply_each(dut: DeviceUnderTest) -> None:
 
 
 def _unanswered(tap: RsiTap) -> int:
-    """How many of at least `CYCLES` telegrams were not answered; none may be answered twice."""
+    """Count the unanswered of at least `CYCLES` telegrams; none may be answered twice."""
     heard = _exchanges(tap)
     stamps = _stamps(heard.replies)
     check(len(set(stamps)) == len(stamps), "no telegram answered twice")
@@ -136,7 +135,7 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
         tap.traffic()
-        for target in (turned(start, SMALL_TURN_RAD), start):
+        for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
             arm.move_joints(target, speed_fraction=SLOW)
         replies = [corrections(reply) for reply in tap.traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
@@ -176,7 +175,7 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
         start: JointVector = arm.read_state().commanded_rad
-        mover, ends = set_moving(dut, arm, start, turned(start, STOPPED_TURN_RAD))
+        mover, ends = start_moving(dut, arm, start, turn_last_axis(start, STOPPED_TURN_RAD))
         check(mover.is_alive(), "an arm that moves")
         tap.hold()
         mover.join()
@@ -256,4 +255,4 @@ def _exchanges(tap: RsiTap) -> Traffic:
 
 
 def _stamps(datagrams: list[bytes]) -> list[int]:
-    return [int(match[1]) for data in datagrams if (match := _IPOC.search(data)) is not None]
+    return [int(match[1]) for data in datagrams if (match := IPOC.search(data)) is not None]

@@ -1,4 +1,4 @@
-"""Checklist lines 11 to 16 and 37 to 41: the driver's behaviour, seen by a tap on its line."""
+"""Checklist lines 11 to 16 and 37 to 43: the driver's behaviour, seen by a tap on its line."""
 
 from __future__ import annotations
 
@@ -12,29 +12,51 @@ from typing import Any
 
 from conformance.case import LINE_FAULTS, CaseList, NotShown, check, refused
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import (
+from conformance.polaris.client import (
     OPTION_OUT_OF_VOLUME,
     OPTION_STRAYS,
     Vector3,
-    placed,
+    idle_unit,
+    place_markers,
+    plain_unit,
     read_body,
+    with_crc,
 )
-from conformance.polaris.definitions import markers_of
-from conformance.polaris.link import idle_unit, plain_unit
-from conformance.polaris.suite import (
+from conformance.polaris.fixtures import (
     NEEDS,
     SERIAL,
+    SPECTRA_SHAPE,
     TOOL_DEFINITION,
     WITH_TOOL,
     TellsBaud,
     definition,
+    markers_of,
+    volume_in_use,
 )
-from conformance.polaris.tap import PolarisTap, body_of, polaris_tap, text_reply, with_body
-from conformance.polaris.volumes import SPECTRA_SHAPE, volume_in_use
+from conformance.polaris.tap import (
+    PolarisTap,
+    body_of,
+    polaris_tap,
+    with_body,
+    with_system_status,
+)
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
-from ronna_hw.errors import ConfigurationError, LinkTimeout, ProtocolError, RonnaError
-from ronna_hw.wire.polaris import DEFAULT_BAUD, PARAMETER_ILLUMINATOR_RATE
+from ronna_hw.errors import (
+    ConfigurationError,
+    DeviceError,
+    LinkTimeout,
+    ProtocolError,
+    RonnaError,
+    StateError,
+)
+from ronna_hw.wire.polaris import (
+    DEFAULT_BAUD,
+    PARAMETER_ILLUMINATOR_RATE,
+    PARAMETER_NEW_ALERTS,
+    Alert,
+    SystemStatus,
+)
 
 TAPPED = (*NEEDS, LINE_FAULTS)
 TAPPED_TOOL = (*TAPPED, TOOL_DEFINITION)
@@ -44,7 +66,7 @@ ARRIVAL_S = 0.1  # for injected bytes to reach the driver
 NORM_TOLERANCE = 1e-6
 NEAR_MARKER_MM = 1.0
 FAR_OUTSIDE_MM = (3000.0, 0.0, -1500.0)  # beyond the side of every volume
-STALE_TEXT = text_reply("OKAY")
+STALE_TEXT = with_crc("OKAY")
 READING_OPTIONS = OPTION_OUT_OF_VOLUME | OPTION_STRAYS | 0x0001
 DISTURBED_BYTES = {"start": 0, "length": 2, "header CRC": 4, "body": 20, "body CRC": -1}
 
@@ -177,12 +199,12 @@ def strays_are_filtered(dut: DeviceUnderTest) -> None:
         far = [stray for stray in strays if math.dist(stray.position_mm, FAR_OUTSIDE_MM) < NEAR_MARKER_MM]
         if formula_is_public:  # otherwise only the unit's own flag is available
             check(all(s.validity is Validity.OUT_OF_VOLUME for s in far), "validity out of volume", far)
-        tap.change("BX", _first_stray_at(lambda pose: placed(markers_mm, pose)[0]))
+        tap.change("BX", _first_stray_at(lambda pose: place_markers(markers_mm, pose)[0]))
         strays = tracker.read_frame(PATIENT_S).strays
         pose = read_body(body_of(tap.replies["BX"]), READING_OPTIONS).handles[0].pose
         if pose is None:
             raise NotShown("the tool was lost")
-        marker_mm = placed(markers_mm, pose)[0]
+        marker_mm = place_markers(markers_mm, pose)[0]
         near = [stray for stray in strays if math.dist(stray.position_mm, marker_mm) < NEAR_MARKER_MM]
         check(not near, "no stray at a tool's marker", near)
 
@@ -276,3 +298,40 @@ def _first_stray_at(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[
         return with_body(bytes(body))
 
     return change
+
+
+@case("D42", "on system status 0100 the driver reads the alerts; a bump latches a fault", needs=TAPPED)
+def bump_is_a_fault(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        name = reading_command(tap)
+        tap.change(name, lambda reply: with_system_status(reply, SystemStatus.DIAGNOSTICS_PENDING))
+        tap.answer("GET", f"{PARAMETER_NEW_ALERTS}={int(Alert.BUMP)}")
+        error = refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a bumped unit")
+        check(bool(error.code), "an error with a code", repr(error))
+        check(tap.count(f"GET:{PARAMETER_NEW_ALERTS}") > 0, "a read of the alerts", tap.commands[-3:])
+        check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)
+        refused(lambda: tracker.read_frame(PATIENT_S), StateError, "read_frame in fault")
+
+
+@case("D43", "on system status 0200 poses are withheld until it clears", needs=TAPPED)
+def temperature_is_a_hold(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        tap.change(reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.TEMPERATURE))
+        refused(
+            lambda: tracker.read_frame(PATIENT_S),
+            DeviceError,
+            "a reading from a unit that is too cold or too hot",
+        )
+        check(tracker.state is Lifecycle.HOLD, "state hold", tracker.state)
+        tracker.read_frame(PATIENT_S)
+        check(tracker.state is Lifecycle.ACTIVE, "state active when it has cleared", tracker.state)
+
+
+@case("D43b", "on system status 0010 no more poses are used", needs=TAPPED)
+def hardware_failure_is_a_fault(dut: DeviceUnderTest) -> None:
+    with tapped(dut) as (tap, tracker):
+        tap.change(
+            reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.HARDWARE_FAILURE)
+        )
+        refused(lambda: tracker.read_frame(PATIENT_S), DeviceError, "a reading from a faulty unit")
+        check(tracker.state is Lifecycle.FAULT, "state fault", tracker.state)

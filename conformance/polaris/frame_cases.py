@@ -11,10 +11,8 @@ from contextlib import contextmanager
 
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import TOOL_INFORMATION_BYTES
-from conformance.polaris.definitions import looking_away
-from conformance.polaris.link import PolarisLink, idle_unit
-from conformance.polaris.suite import NEEDS, WITH_TOOL, definition, seen
+from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
+from conformance.polaris.fixtures import NEEDS, WITH_TOOL, definition, read_frame, reverse_normals
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
@@ -36,6 +34,7 @@ UNKNOWN_COMMANDS = ("ERROR01", "ERROR33")
 
 CASES = CaseList()
 case = CASES.case
+on_unit = CASES.within(idle_unit)
 
 
 @contextmanager
@@ -48,19 +47,20 @@ def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[Polar
         yield unit
 
 
-@case("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
-def set_up_while_tracking(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        handle = seen(unit).handles[0].handle
-        for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
-            unit.refused(command, 0x0C)
+while_tracking = CASES.within(tracking)
 
 
-@case("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
-def reading_while_idle(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        for command in ("TX:0001", "BX:0001", "TSTOP:"):
-            unit.refused(command, 0x0C)
+@while_tracking("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
+def set_up_while_tracking(unit: PolarisLink) -> None:
+    handle = read_frame(unit).handles[0].handle
+    for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
+        unit.refused(command, 0x0C)
+
+
+@on_unit("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
+def reading_while_idle(unit: PolarisLink) -> None:
+    for command in ("TX:0001", "BX:0001", "TSTOP:"):
+        unit.refused(command, 0x0C)
 
 
 @case("P26", "TSTART 80 restarts the frame number", needs=WITH_TOOL)
@@ -91,30 +91,29 @@ def frame_rate(dut: DeviceUnderTest) -> None:
         check(least <= last - first <= most, f"{least:.0f} to {most:.0f} frames", last - first)
 
 
-@case(
+@while_tracking(
     "P28",
     "TX has the exact form of its options: LF after each handle, four digits at the end",
     needs=WITH_TOOL,
 )
-def tx_grammar(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        handle = seen(unit).handles[0].handle
-        stray = r"(?:[+-][0-9]{6}){3}"
-        pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}"
-        forms = {
-            "0001": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
-            "0801": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
-            "0003": rf"01{handle}{pose}[0-9A-F]{{22}}\n[0-9A-F]{{4}}",
-            "1801": rf"01{handle}{pose}\n([0-9A-F]{{2}})([0-9A-F]*)((?:{stray})*)[0-9A-F]{{4}}",
-        }
-        for options, form in forms.items():
-            text = unit.ask(f"TX:{options}")
-            match = re.fullmatch(form, text)
-            check(match is not None, f"the form of TX {options}", repr(text))
-            if options == "1801" and match is not None:
-                count = int(match[1], 16)
-                check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
-                check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
+def tx_grammar(unit: PolarisLink) -> None:
+    handle = read_frame(unit).handles[0].handle
+    stray = r"(?:[+-][0-9]{6}){3}"
+    pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}"
+    forms = {
+        "0001": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
+        "0801": rf"01{handle}{pose}\n[0-9A-F]{{4}}",
+        "0003": rf"01{handle}{pose}[0-9A-F]{{22}}\n[0-9A-F]{{4}}",
+        "1801": rf"01{handle}{pose}\n([0-9A-F]{{2}})([0-9A-F]*)((?:{stray})*)[0-9A-F]{{4}}",
+    }
+    for options, form in forms.items():
+        text = unit.ask(f"TX:{options}")
+        match = re.fullmatch(form, text)
+        check(match is not None, f"the form of TX {options}", repr(text))
+        if options == "1801" and match is not None:
+            count = int(match[1], 16)
+            check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
+            check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
 
 
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
@@ -143,10 +142,10 @@ def tx_and_bx_agree(dut: DeviceUnderTest) -> None:
 
 @case("P31", "a missing tool has its status and frame number, in TX and in BX", needs=WITH_TOOL)
 def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
-    with tracking(dut, looking_away(definition(dut))) as unit:
-        before = seen(unit).handles[0]
+    with tracking(dut, reverse_normals(definition(dut))) as unit:
+        before = read_frame(unit).handles[0]
         dut.clock.sleep(0.1)
-        after = seen(unit).handles[0]
+        after = read_frame(unit).handles[0]
         text = unit.ask("TX:0001")
         if HandleStatus.VALID in (before.status, after.status):
             raise NotShown("the tool is tracked although its markers face away")
@@ -166,10 +165,10 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
 def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
-        disabled, enabled = unit.load(looking_away(block)), unit.load(block)
+        disabled, enabled = unit.load(reverse_normals(block)), unit.load(block)
         unit.okay(f"PDIS:{disabled}")
         unit.okay("TSTART:80")
-        frame = seen(unit)
+        frame = read_frame(unit)
         listed = {reading.handle: reading.status for reading in frame.handles}
         check(
             listed.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED,
@@ -183,65 +182,61 @@ def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
         check(re.fullmatch(form, text) is not None, "nothing after DISABLED", repr(text))
 
 
-@case("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
-def bx_is_whole(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        for options in ("0001", "0801", "1801"):
-            unit.binary(f"BX:{options}")
-            check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
+@while_tracking("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
+def bx_is_whole(unit: PolarisLink) -> None:
+    for options in ("0001", "0801", "1801"):
+        unit.binary(f"BX:{options}")
+        check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
-@case("P33", "BX contains little-endian float32", needs=WITH_TOOL)
-def little_endian(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        body = unit.binary("BX:0801")
-        if body[2] != HandleStatus.VALID:
-            raise NotShown("the tool is not in view")
-        norms = {order: _norm(struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
-        check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
-        check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
+@while_tracking("P33", "BX contains little-endian float32", needs=WITH_TOOL)
+def little_endian(unit: PolarisLink) -> None:
+    body = unit.binary("BX:0801")
+    if body[2] != HandleStatus.VALID:
+        raise NotShown("the tool is not in view")
+    norms = {order: math.hypot(*struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
+    check(abs(norms["<"] - 1.0) <= NORM_TOLERANCE, "norm 1 as little-endian", norms["<"])
+    check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
 
 
-@case("P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL)
-def tool_information_is_added(dut: DeviceUnderTest) -> None:
-    with tracking(dut) as unit:
-        for _ in range(SAME_FRAME_TRIES):
-            short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
-            texts = unit.ask("TX:0001"), unit.ask("TX:0003")
-            missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
-            if len(missing) == 1:  # tracked in every frame, or missing in every frame
-                check(
-                    len(long) - len(short) == TOOL_INFORMATION_BYTES, "11 bytes more", len(long) - len(short)
-                )
-                more = len(texts[1]) - len(texts[0])
-                check(more == TX_INFORMATION_CHARACTERS, "22 characters more", more)
-                return
-        raise NotShown("the tool came and went between two frames")
+@while_tracking(
+    "P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL
+)
+def tool_information_is_added(unit: PolarisLink) -> None:
+    for _ in range(SAME_FRAME_TRIES):
+        short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
+        texts = unit.ask("TX:0001"), unit.ask("TX:0003")
+        missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
+        if len(missing) == 1:  # tracked in every frame, or missing in every frame
+            check(len(long) - len(short) == TOOL_INFORMATION_BYTES, "11 bytes more", len(long) - len(short))
+            more = len(texts[1]) - len(texts[0])
+            check(more == TX_INFORMATION_CHARACTERS, "22 characters more", more)
+            return
+    raise NotShown("the tool came and went between two frames")
 
 
-@case(
+@on_unit(
     "P49",
     "DSTART and DSTOP switch between setup and diagnostic mode, in which nothing is tracked",
     needs=NEEDS,
 )
-def diagnostic_mode(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        reply = unit.ask("DSTART:")
-        if reply in UNKNOWN_COMMANDS:
-            raise NotShown(f"this unit has no diagnostic mode: {reply}")
-        check(reply == "OKAY", "OKAY to DSTART", reply)
-        try:
-            for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
-                unit.refused(command, 0x0C)
-        finally:
-            unit.okay("DSTOP:")
-        unit.refused("DSTOP:", 0x0C)
-        check(unit.handles() == [], "setup mode again", unit.handles())
+def diagnostic_mode(unit: PolarisLink) -> None:
+    reply = unit.ask("DSTART:")
+    if reply in UNKNOWN_COMMANDS:
+        raise NotShown(f"this unit has no diagnostic mode: {reply}")
+    check(reply == "OKAY", "OKAY to DSTART", reply)
+    try:
+        for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
+            unit.refused(command, 0x0C)
+    finally:
+        unit.okay("DSTOP:")
+    unit.refused("DSTOP:", 0x0C)
+    check(unit.handles() == [], "setup mode again", unit.handles())
 
 
 def frame_number(unit: PolarisLink) -> int:
     """Frame number of the only handle."""
-    return seen(unit).frame
+    return read_frame(unit).frame
 
 
 def _counts_requests(unit: PolarisLink) -> bool:
@@ -258,7 +253,3 @@ def _counts_requests(unit: PolarisLink) -> bool:
             return False
         before = number
     return True
-
-
-def _norm(values: tuple[float, ...]) -> float:
-    return math.sqrt(sum(value * value for value in values))

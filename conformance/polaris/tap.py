@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
+from conformance.polaris.client import with_crc
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_CRC_BYTES, BX_HEADER_BYTES, BX_START, CR, crc16
 
@@ -36,10 +37,10 @@ class PolarisTap(DisturbedLine):
 
     def answer(self, name: str, text: str) -> None:
         """Replace the next reply to this command by a text with a valid CRC; the unit still executes it."""
-        self.change(name, lambda _reply: text_reply(text))
+        self.change(name, lambda _reply: with_crc(text))
 
     def count(self, beginning: str) -> int:
-        """How many commands started like this."""
+        """Count the commands that start like this."""
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _from_driver(self, data: bytes) -> None:
@@ -76,11 +77,6 @@ def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
     return PolarisTap(dut.endpoint)
 
 
-def text_reply(text: str) -> bytes:
-    """A text reply: CRC in four upper-case digits, CR."""
-    return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
-
-
 def body_of(reply: bytes) -> bytes:
     """The body of a complete binary reply."""
     return reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
@@ -93,10 +89,10 @@ def with_body(body: bytes) -> bytes:
 
 
 def with_system_status(reply: bytes, status: int) -> bytes:
-    """The same reply with another system status, binary or text."""
+    """Replace the system status of a reply, binary or text."""
     if reply.startswith(_BX_START):
         return with_body(body_of(reply)[:-2] + _u16.pack(status))
-    return text_reply(reply[: -1 - ASCII_CRC_DIGITS - 4].decode() + f"{status:04X}")
+    return with_crc(reply[: -1 - ASCII_CRC_DIGITS - 4].decode() + f"{status:04X}")
 
 
 def _is_whole(reply: bytes) -> bool:

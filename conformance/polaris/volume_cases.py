@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from conformance.case import CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.bx_reply import Vector3, placed
-from conformance.polaris.definitions import markers_of, shifted
-from conformance.polaris.link import PolarisLink, idle_unit
-from conformance.polaris.suite import NEEDS, WITH_TOOL, definition, seen
-from conformance.polaris.volumes import (
+from conformance.polaris.client import PolarisLink, Vector3, idle_unit, place_markers
+from conformance.polaris.fixtures import (
+    NEEDS,
     SPECTRA_SHAPE,
     SPECTRA_VOLUMES,
     VICRA_SHAPE,
+    WITH_TOOL,
     MeasuringVolume,
+    definition,
+    markers_of,
     measuring_volumes,
+    read_frame,
+    shift_origin,
     volume_in_use,
 )
 from ronna_hw.wire import polaris_rom as layout
@@ -26,6 +29,7 @@ READ_ONLY = "Features.Firmware.Version=0"
 
 CASES = CaseList()
 case = CASES.case
+on_unit = CASES.within(idle_unit)
 
 
 @case("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040", needs=WITH_TOOL)
@@ -36,8 +40,8 @@ def out_of_volume_is_missing(dut: DeviceUnderTest) -> None:
         z_mm = volume.middle_mm
         x_mm, _ = volume.half_extents_mm(z_mm)
         _load_at(unit, block, (x_mm + BEYOND_MM, 0.0, z_mm))
-        shown = seen(unit, 0x0801).handles[0]
-        withheld = seen(unit, 0x0001).handles[0]
+        shown = read_frame(unit, 0x0801).handles[0]
+        withheld = read_frame(unit, 0x0001).handles[0]
         if not shown.outside:
             raise NotShown("this unit cannot be shown a tool outside its volume")
         check(shown.pose is not None, "a pose with option 0800", shown)
@@ -64,19 +68,16 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         raise NotShown("no stray marker is in view")
 
 
-@case("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
-def unknown_parameter(dut: DeviceUnderTest) -> None:
-    with idle_unit(dut) as unit:
-        unit.refused("GET:No.Such Parameter", 0x34)
-        before = unit.ask("GET:Features.Firmware.Version")
-        unit.refused(f"SET:{READ_ONLY}", 0x39)
-        check(unit.ask("GET:Features.Firmware.Version") == before, "an unchanged value")
+@on_unit("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+def unknown_parameter(unit: PolarisLink) -> None:
+    unit.refused("GET:No.Such Parameter", 0x34)
+    before = unit.ask("GET:Features.Firmware.Version")
+    unit.refused(f"SET:{READ_ONLY}", 0x39)
+    check(unit.ask("GET:Features.Firmware.Version") == before, "an unchanged value")
 
 
 @case(
-    "P45",
-    "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers",
-    needs=NEEDS,
+    "P45", "SFLIST 03 returns each volume in 74 characters, those of a Spectra with its numbers", needs=NEEDS
 )
 def volumes_are_reported(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
@@ -99,12 +100,12 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
         judged = set()
         for target_mm in _places(volume):
             markers_mm = _load_at(unit, block, target_mm)
-            reading = seen(unit, 0x0801).handles[0]
+            reading = read_frame(unit, 0x0801).handles[0]
             unit.okay("TSTOP:")
             unit.okay(f"PHF:{reading.handle}")
             if reading.pose is None:
                 continue
-            clearances = [volume.clearance_mm(marker) for marker in placed(markers_mm, reading.pose)]
+            clearances = [volume.clearance_mm(marker) for marker in place_markers(markers_mm, reading.pose)]
             if min(abs(clearance) for clearance in clearances) < EDGE_MM:
                 continue
             inside = sum(clearance > 0 for clearance in clearances)
@@ -122,7 +123,7 @@ def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVol
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
     for _ in range(LOOKS):
-        frame = seen(unit, 0x1801)
+        frame = read_frame(unit, 0x1801)
         check(len(frame.strays_outside) <= MAXIMUM_STRAYS, "at most 50 strays", len(frame.strays_outside))
         clearances = [volume.clearance_mm(position) for position in frame.strays_mm]
         clear = [index for index, clearance_mm in enumerate(clearances) if abs(clearance_mm) > EDGE_MM]
@@ -152,21 +153,21 @@ def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vecto
     A simulated unit places the origin at the tool's fixed place; a real one finds the spheres where they are,
     so the cases check that position. Leaves the unit tracking; returns the markers of the definition.
     """
-    handle = unit.load(shifted(block))
+    handle = unit.load(shift_origin(block))
     unit.okay("TSTART:80")
-    pose = seen(unit, 0x0801).handles[0].pose
+    pose = read_frame(unit, 0x0801).handles[0].pose
     unit.okay("TSTOP:")
     if pose is None:
         raise NotShown("the tool is not in view")
     unit.okay(f"PHF:{handle}")
-    markers = placed(markers_of(block), pose)
+    markers = place_markers(markers_of(block), pose)
     way = [
         target - sum(axis) / len(axis)
         for target, axis in zip(target_mm, zip(*markers, strict=True), strict=True)
     ]
     # the same direction in the tool's own frame: the conjugate rotation
     back = (pose[0], -pose[1], -pose[2], -pose[3], 0.0, 0.0, 0.0, 0.0)
-    moved = shifted(block, placed(((way[0], way[1], way[2]),), back)[0])
+    moved = shift_origin(block, place_markers(((way[0], way[1], way[2]),), back)[0])
     unit.load(moved)
     unit.okay("TSTART:80")
     return markers_of(moved)

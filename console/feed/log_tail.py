@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json
-from ronna_hw.host.regular_file import open_regular
+from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE
 
 TAIL_BYTES = 16_384  # about eighty lines

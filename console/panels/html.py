@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 from procedures.operator.evidence import Evidence
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 
 def text(words: object) -> str:

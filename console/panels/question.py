@@ -18,7 +18,7 @@ from console.feed.view import CaseView
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.engine.events.shown import shown_digest
-from ronna_hw.text.typed_number import typed_number
+from ronna_hw.text import typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
 ARMED_S = 0.7  # host time after appearing before it can be given

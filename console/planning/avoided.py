@@ -21,7 +21,7 @@ from procedures.planning.head.structures import (
 )
 from procedures.planning.plan.units import structure_in_another_unit
 from procedures.strategies.trajectory import Point
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 
 STEP_MM = 1.0  # between two points of a stroke
 USUAL_MARGIN_MM = 3.0  # to a vessel

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from ronna_hw.text.typed_number import typed_number
+from ronna_hw.text import typed_number
 
 
 class NumberField:

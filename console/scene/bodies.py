@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.engine.events import Bodies, Pose
-from ronna_hw.arm.clearance.capsule import segment_distance_mm
+from ronna_hw.arm.clearance.bodies import segment_distance_mm
 
 Point = tuple[float, float, float]
 Rows = list[list[float]]

@@ -13,7 +13,7 @@ from console.scene.bodies import METRES, Point, ends
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
-from ronna_hw.arm.clearance.capsule import segment_distance_mm
+from ronna_hw.arm.clearance.bodies import segment_distance_mm
 from ronna_hw.frames import Transform
 
 SIGHT, HIDDEN, VOLUME, FRUSTUM = "#ffb020", "#ff5a4f", "#6f8798", "#42d392"

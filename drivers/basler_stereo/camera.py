@@ -31,7 +31,7 @@ from drivers.basler_stereo.stream.receiver import (
     point_stream_to,
 )
 from ronna_hw.clock import Clock
-from ronna_hw.devices.byte_sink import ByteSink, Direction
+from ronna_hw.devices.capabilities import ByteSink, Direction
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev

@@ -20,7 +20,7 @@ from drivers.basler_stereo.identity import CameraIdentity, identify
 from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.network_interfaces import Interface, interface_of, interfaces
+from ronna_hw.host.network import Interface, interface_of, interfaces
 from ronna_hw.host.port_users import PortUser, user_of_udp_port
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability

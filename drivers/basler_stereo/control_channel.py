@@ -14,7 +14,7 @@ from contextlib import ExitStack
 
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.errors import CameraLost, CommandRefused, ControlLost, ControlTaken, NoReply
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand

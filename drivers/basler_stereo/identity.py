@@ -13,7 +13,7 @@ from ipaddress import IPv4Address
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import MalformedReply, NoCamera, NoReply
-from ronna_hw.host.network_interfaces import Interface, interface_of
+from ronna_hw.host.network import Interface, interface_of
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 

@@ -15,8 +15,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from drivers.basler_stereo.errors import BadOptions
 from ronna_hw.calibration import Strict
-from ronna_hw.config import DeviceConfig, describe_mistakes
-from ronna_hw.text.counting import counted
+from ronna_hw.config import DeviceConfig
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 from ronna_hw.wire import gige_vision as gev
 
 LARGEST_PACKET_BYTES = 16_000  # cameras stop near 9000; a loopback link carries more

@@ -25,10 +25,8 @@ from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.byte_sink import ByteSink
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
-from ronna_hw.devices.readiness import Fact
+from ronna_hw.devices.capabilities import ByteSink, Fact
+from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, activated, require_person
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus

@@ -9,9 +9,8 @@ from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.readiness import counted_fact
+from ronna_hw.devices.capabilities import counted_fact
+from ronna_hw.devices.lifecycle import READABLE, Identity, LastKnown, Lifecycle, LifecycleGuard
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 

@@ -16,10 +16,19 @@ from drivers.basler_stereo.identity import CameraIdentity, discover_cameras
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.pair import BaslerStereoPair
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
-from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_and_leave, leave_alone
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    Inspection,
+    Option,
+    Progress,
+    Proposal,
+    Search,
+    connect_and_leave,
+    documented_options,
+    leave_alone,
+)
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.host.network_interfaces import Interface, interface_of
+from ronna_hw.host.network import Interface, interface_of
 from ronna_hw.wire import gige_vision as gev
 
 DRIVER = "basler_stereo"

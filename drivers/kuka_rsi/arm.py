@@ -18,25 +18,25 @@ from drivers.kuka_rsi.options import load_usable_context, read_options
 from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, standing_facts
 from drivers.kuka_rsi.realtime.link_health import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.byte_sink import ByteSink
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, LifecycleGuard, require_person
-from ronna_hw.devices.motion import JointMove, LineMove, Motion
-from ronna_hw.devices.readiness import Fact
-from ronna_hw.devices.readings import (
-    ArmReading,
-    JointVector,
-    LinkStatistics,
-    ToolIdentity,
+from ronna_hw.devices.capabilities import ByteSink, Fact
+from ronna_hw.devices.lifecycle import (
+    READABLE,
+    RUNNING,
+    Identity,
+    LastKnown,
+    Lifecycle,
+    LifecycleGuard,
+    activated,
+    require_person,
 )
-from ronna_hw.devices.robot import OperatingMode, StopKind
+from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode

@@ -17,10 +17,10 @@ from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, Fault, LinkSettings, Phase
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.byte_sink import ByteSink, Direction, Passed
+from ronna_hw.devices.capabilities import ByteSink, Direction, Passed
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError

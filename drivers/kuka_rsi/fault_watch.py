@@ -20,7 +20,7 @@ from drivers.kuka_rsi.fault_errors import attach_flight_record, error_of_fault
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
-from ronna_hw.arm.violation import ViolationKind
+from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode

@@ -13,17 +13,14 @@ from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.motion_plan import plan_motion
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.preview import PathPreview, preview_motion
-from ronna_hw.devices.motion import Motion
+from ronna_hw.arm.preview import PathPreview, plan_motion, preview_motion, with_speed_steps
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.devices.robot import Motion, OperatingMode
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second

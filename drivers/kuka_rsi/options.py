@@ -16,8 +16,8 @@ from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire

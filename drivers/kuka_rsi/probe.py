@@ -21,19 +21,22 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
 from ronna_hw.devices.probing import (
     CONNECT_LIMIT_S,
     Diagnostic,
     Inspection,
+    Option,
     Progress,
+    Proposal,
+    Search,
     connect_and_leave,
+    documented_options,
     endpoints_of,
     leave_alone,
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 from ronna_hw.host.port_users import user_of_udp_port
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT

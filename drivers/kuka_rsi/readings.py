@@ -10,9 +10,9 @@ from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import MailboxTorn
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import Clock
-from ronna_hw.devices.readiness import MESSAGES, Fact
+from ronna_hw.devices.capabilities import MESSAGES, Fact
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState

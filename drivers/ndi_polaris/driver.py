@@ -35,11 +35,16 @@ from drivers.ndi_polaris.unit import (
 )
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.byte_sink import ByteSink
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, LifecycleGuard, require_person
-from ronna_hw.devices.readiness import counted_fact
+from ronna_hw.devices.capabilities import ByteSink, counted_fact
+from ronna_hw.devices.lifecycle import (
+    RUNNING,
+    Identity,
+    LastKnown,
+    Lifecycle,
+    LifecycleGuard,
+    activated,
+    require_person,
+)
 from ronna_hw.devices.readings import TrackerFrame, Vector3
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError

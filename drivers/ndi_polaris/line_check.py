@@ -20,8 +20,7 @@ from drivers.ndi_polaris.errors import LinkLost, NotAPolaris, PortUnavailable
 from drivers.ndi_polaris.transport import open_transport
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import PortUser, clients_of_tcp_port, users_of_serial_port
-from ronna_hw.host.serial_ports import permission_advice
+from ronna_hw.host.port_users import PortUser, clients_of_tcp_port, permission_advice, users_of_serial_port
 from ronna_hw.wire.kuka_eki import STATE
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR, DEFAULT_BAUD
 

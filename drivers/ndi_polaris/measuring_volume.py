@@ -20,7 +20,7 @@ from ronna_hw.wire.polaris import (
 
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
-Section = tuple[float, float, float]  # of `ronna_hw.devices.tracker.BoundedTracker`
+Section = tuple[float, float, float]  # of `ronna_hw.devices.sensors.BoundedTracker`
 SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
 _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
 

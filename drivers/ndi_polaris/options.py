@@ -18,8 +18,9 @@ from drivers.ndi_polaris.shipped_tools import find_definition
 from drivers.ndi_polaris.tool_comparison import check_distinct
 from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash, read_definition
 from ronna_hw.calibration import Strict
-from ronna_hw.config import DeviceConfig, describe_mistakes
-from ronna_hw.text.counting import counted
+from ronna_hw.config import DeviceConfig
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 

@@ -10,13 +10,17 @@ from drivers.ndi_polaris.line_check import Opening, line_diagnostic, look_at_lin
 from drivers.ndi_polaris.options import PolarisOptions
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search, documented_options
 from ronna_hw.devices.probing import (
     CONNECT_LIMIT_S,
+    ONLY,
     Diagnostic,
     Inspection,
+    Option,
     Progress,
+    Proposal,
+    Search,
     connect_and_leave,
+    documented_options,
     endpoints_of,
     leave_alone,
 )

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import ronna_hw.command_line.early_interruption  # noqa: F401 - first of all: imports can be interrupted
-from ronna_hw.text.counting import counted
-
-# isort: split
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,8 +9,9 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.new_files import require_folder_of
+from ronna_hw.command_line.options import require_folder_of
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
+from ronna_hw.text import counted
 
 if TYPE_CHECKING:
     from drivers.ndi_polaris.tool_definition import ToolDefinition

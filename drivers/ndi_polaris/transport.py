@@ -14,7 +14,7 @@ from typing import Protocol
 import serial
 
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
-from ronna_hw.devices.byte_sink import ByteSink, Direction
+from ronna_hw.devices.capabilities import ByteSink, Direction
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import users_of_serial_port
 from ronna_hw.wire.polaris import DEFAULT_BAUD

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.links import Chain
+from ronna_hw.arm.kinematics import Chain
 
 Array = NDArray[np.float64]
 

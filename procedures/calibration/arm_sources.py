@@ -22,7 +22,7 @@ from procedures.calibration.arm_geometry import (
 from procedures.calibration.identified_arm import IdentifiedArm, by_deviation
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from ronna_hw.arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
-from ronna_hw.arm.links import Chain
+from ronna_hw.arm.kinematics import Chain
 
 if TYPE_CHECKING:
     from ronna_hw.calibration import ArmCalibration

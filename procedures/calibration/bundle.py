@@ -27,10 +27,10 @@ from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
 from procedures.calibration.observations import Observation
 from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
-from ronna_hw.arm.links import Chain
+from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from procedures.calibration.arm_geometry import (
     error_columns,
 )
 from ronna_hw.arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
-from ronna_hw.arm.links import Chain
+from ronna_hw.arm.kinematics import Chain
 
 if TYPE_CHECKING:
     from ronna_hw.calibration import ArmCalibration

@@ -13,9 +13,9 @@ from procedures.calibration.same_theatre import Measurements
 from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Dated, PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
-from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]

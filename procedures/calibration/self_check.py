@@ -30,7 +30,7 @@ from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies least
 

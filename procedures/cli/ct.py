@@ -15,8 +15,8 @@ import typer
 from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.new_files import require_folder_of
-from ronna_hw.text.counting import counted
+from ronna_hw.command_line.options import require_folder_of
+from ronna_hw.text import counted
 
 if TYPE_CHECKING:
     from procedures.imaging import Candidate, Localization, Marker, PatientIdentity

@@ -26,7 +26,7 @@ from procedures.cli.planning_inputs import (
     theatre_of,
 )
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.new_files import require_new
+from ronna_hw.command_line.options import require_new
 
 if TYPE_CHECKING:
     from procedures.planning.head.shape import HeadEllipsoid

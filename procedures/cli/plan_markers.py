@@ -14,7 +14,7 @@ from procedures.planning.markers.template_file import head_of_scene
 from procedures.planning.plan.file import read_plan
 from procedures.reporting.marker_picture import marker_picture
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.new_files import require_new
+from ronna_hw.command_line.options import require_new
 from ronna_hw.marker_template import TemplateMarker
 from ronna_hw.records import write_whole
 

@@ -9,7 +9,7 @@ import typer
 
 from procedures.cli.planning_inputs import read_ct
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.new_files import require_new
+from ronna_hw.command_line.options import require_new
 
 CT_FOLDER, PLAN_FILE = "ct", "plan.toml"  # side by side in the folder of a case
 

@@ -18,7 +18,7 @@ from procedures.cli.planning_inputs import (
     require_theatre_options,
 )
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.command_line.logging_options import VERBOSE_FLAG
+from ronna_hw.command_line.options import VERBOSE_FLAG
 
 MODULE = "console.planning.serving"
 

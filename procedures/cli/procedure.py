@@ -13,7 +13,7 @@ from procedures.cli.console.options import ConsoleOptions
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption, run
 
 app = typer.Typer(

@@ -24,12 +24,9 @@ from procedures.workcell.arm_history import UNMOVED
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Device
-from ronna_hw.evidence.seal import input_hashes, theatre_files
-from ronna_hw.evidence.truth_so_far import truth_so_far
-from ronna_hw.recording.byte_lines import BYTES_FOLDER
-from ronna_hw.recording.flight_recorder import FlightRecorder
-from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape
-from ronna_hw.recording.taped_device import taped
+from ronna_hw.evidence.manifest import input_hashes, theatre_files, truth_so_far
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
+from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, taped
 from ronna_hw.registry import make_device
 from ronna_hw.software import this_software
 from ronna_hw.theatre import Theatre

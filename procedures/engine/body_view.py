@@ -8,11 +8,9 @@ from procedures.engine.camera_view import camera_views
 from procedures.engine.events import Bodies as BodiesEvent
 from procedures.engine.events import Body, CameraView, EventStream, LinkHealth, Pose
 from procedures.workcell.mounted_tool import MountedTool
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Surroundings
 from ronna_hw.arm.clearance.live_watch import body_segments
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.links import COLUMN_NAME
+from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 

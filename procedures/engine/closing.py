@@ -9,9 +9,8 @@ from procedures.engine.context import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import held_to, not_vouched_for
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
-from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
+from ronna_hw.evidence.manifest import hashes_at_closing, hashes_outside, keep_earlier_hashes, not_vouched_for
 from ronna_hw.logs import logger
 
 _log = logger(part="engine")
@@ -48,7 +47,7 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
         expected = not_vouched_for(read_chain(folder / JOURNAL_FILE).lines)
-        hashes = held_to(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
+        hashes = keep_earlier_hashes(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
     except (OSError, RonnaError) as error:  # closing must go on; verify says that the files are not named
         _log.error("files not hashed", error=str(error))
         return {}

@@ -27,8 +27,7 @@ from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import PICTURES_FOLDER
-from ronna_hw.evidence.seal import input_hashes
+from ronna_hw.evidence.manifest import PICTURES_FOLDER, input_hashes
 from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:

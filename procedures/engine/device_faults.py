@@ -12,16 +12,15 @@ from procedures.engine.step import StepKey
 from procedures.journal.journal import Entry, Journal
 from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
+from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle, require_person
-from ronna_hw.devices.readiness import MESSAGES
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, require_person
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
     from procedures.workcell.device_views import DeviceView
-    from ronna_hw.devices.readiness import Fact
+    from ronna_hw.devices.capabilities import Fact
     from ronna_hw.errors import RonnaError
 
 ARM = "arm"  # role of the device that carries the tools

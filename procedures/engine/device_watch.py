@@ -19,7 +19,7 @@ from procedures.engine.events import (
 )
 from procedures.workcell.device_views import DeviceView
 from ronna_hw.devices.readings import ArmReading, StampedReading
-from ronna_hw.devices.tracker import BoundedTracker
+from ronna_hw.devices.sensors import BoundedTracker
 from ronna_hw.errors import RonnaError
 
 PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers

@@ -10,7 +10,7 @@ from ronna_hw.errors import (
     RefusedError,
     RonnaError,
 )
-from ronna_hw.host.interruption import describe_exit
+from ronna_hw.host.process import describe_exit
 
 
 class UnknownStep(RonnaError):

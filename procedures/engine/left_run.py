@@ -13,11 +13,9 @@ from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, history_left_by
-from ronna_hw.evidence.compared_files import Problem
-from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.journal_reading import Chain
-from ronna_hw.evidence.named_files import NOT_AS_LEFT, RECORDS_FOLDER
+from ronna_hw.evidence.inspection import Problem, inspected
+from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.evidence.manifest import NOT_AS_LEFT, RECORDS_FOLDER
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
 from ronna_hw.records import BadRecord, Record
 

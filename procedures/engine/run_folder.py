@@ -14,8 +14,8 @@ from procedures.engine.ancestry import without_ancestors
 from procedures.engine.case import Stored
 from procedures.journal.journal import Entry, Line
 from procedures.results.result import StepResult
-from ronna_hw.config import describe_mistakes
 from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import BadRecord, OtherVersion, Record
 from ronna_hw.wire.room_tasks import INSERT
 

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from procedures.engine.replay.sections import BEGINS
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.seal import RAW_FOLDER
+from ronna_hw.evidence.manifest import RAW_FOLDER
 
 EXTENT_FILE = "extent.json"
 WRITES_ALL = "ronna-procedure raw RUN --out DIR writes all"

@@ -22,7 +22,7 @@ from procedures.exchange.raw_extent import RawExtent, write_extent
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import chain_until_broken
-from ronna_hw.host.folder_walk import remove_folder
+from ronna_hw.host.files import remove_folder
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
 from ronna_hw.records import PARTIAL
 

@@ -6,7 +6,7 @@ import math
 from typing import Self
 
 from ronna_hw.errors import RefusedError
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 
 class BaseShifted(RefusedError):

@@ -23,7 +23,7 @@ from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_fr
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

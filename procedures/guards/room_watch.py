@@ -23,8 +23,7 @@ from procedures.guards.stability import (
 )
 from procedures.registration.shift import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
 from ronna_hw.frames import Transform
-from ronna_hw.text.beyond import beyond
-from ronna_hw.text.counting import counted
+from ronna_hw.text import beyond, counted
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from procedures.engine.case_memory import CaseMemory
 from procedures.guards.room_watch import RoomWatch
 from procedures.workcell.device_views import TrackerView
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.tracker import TimedTracker
+from ronna_hw.devices.sensors import TimedTracker
 from ronna_hw.errors import RonnaError
 
 # From request to reply without the transfer, so a slow serial line is not late: at 9600 baud a frame of 170

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging.errors import PatientMoved
 from procedures.imaging.volume import VoxelGeometry
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 Plane = NDArray[np.float32]

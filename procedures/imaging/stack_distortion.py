@@ -14,7 +14,7 @@ import numpy as np
 
 from procedures.imaging.errors import SlicesMisplaced
 from procedures.imaging.markers import Marker
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 FEWEST = 4  # markers
 SURE = 3.0  # standard errors

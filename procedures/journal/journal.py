@@ -29,7 +29,7 @@ from ronna_hw.evidence.journal_reading import (
     read_journal,
     theatre_time_s,
 )
-from ronna_hw.evidence.seal import ROOM_FILE
+from ronna_hw.evidence.manifest import ROOM_FILE
 
 __all__ = [
     "ENDS_OF_A_STEP",

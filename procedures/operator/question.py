@@ -12,7 +12,7 @@ from typing import Protocol
 
 from procedures.operator.evidence import Evidence
 from procedures.operator.topic import DELIBERATE, Topic
-from ronna_hw.text.typed_number import without_unit
+from ronna_hw.text import without_unit
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings

@@ -11,7 +11,7 @@ from procedures.planning.plan.model import Plan
 from procedures.postoperative.assignment import FoundKind
 from procedures.postoperative.comparison import Proof
 from ronna_hw.calibration import Numbers3, Numbers4, Strict
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 
 class FoundTrajectory(Strict):

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from pydantic import BaseModel
 
-from ronna_hw.text.counting import counted
+from ronna_hw.text import counted
 
 
 @dataclass

@@ -33,7 +33,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
-from ronna_hw.devices.readiness import MESSAGES
+from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted

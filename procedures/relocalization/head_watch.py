@@ -19,7 +19,7 @@ from statistics import median
 
 from procedures.relocalization.errors import HeadTurned
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM
-from ronna_hw.text.beyond import side_by_side
+from ronna_hw.text import side_by_side
 
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
 # to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.

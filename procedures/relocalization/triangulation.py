@@ -13,7 +13,7 @@ from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, Wron
 from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -23,7 +23,7 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
-from ronna_hw.evidence.inspection import PICTURES_FOLDER
+from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
 PLAN_PICTURE = "plan-"  # prefix of the pictures kept by the plan's check

@@ -9,7 +9,7 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
 from procedures.reporting.outcome import RunError
-from ronna_hw.text.counting import counted
+from ronna_hw.text import counted
 
 ARM = "arm"  # role of the device that an emergency stop stops
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ronna_hw.text.counting import counted
+from ronna_hw.text import counted
 
 ACTIVE = "active"  # the state that a device left
 CONNECTED = "connected"  # the event with which counters of the connection begin

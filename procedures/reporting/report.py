@@ -55,11 +55,9 @@ from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.link_health import LinkHealth
-from ronna_hw.evidence.inspection import PICTURES_FOLDER
-from ronna_hw.evidence.named_files import hashes_in
-from ronna_hw.evidence.seal import REPORT_FILE
+from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, hashes_in
 from ronna_hw.records import write_whole
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import without_controls
 
 NUMBERS_FILE = "numbers.txt"
 TEMPLATE = "page.html.j2"

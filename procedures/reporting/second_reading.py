@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.bounded_input import check_json, read_json_bytes, read_json_lines
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
 NOTHING = "–"  # unknown

@@ -28,10 +28,10 @@ from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.motion_facts import facts_from
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.devices import Motion
 from ronna_hw.devices.readings import JointVector

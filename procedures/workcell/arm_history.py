@@ -18,8 +18,7 @@ from procedures.workcell.cell_motion import MotionName
 from procedures.workcell.insertion import Insertion
 from ronna_hw.config import MASTER
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.journal_reading import Chain
+from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 
 # Joint angles that are kept to find the way back: without the first ones it could end where the way home is
 # not clear. A localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5

@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices import RobotArm
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
 from ronna_hw.devices.readings import ArmReading
 
 AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way

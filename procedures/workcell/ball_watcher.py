@@ -17,8 +17,7 @@ from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell.search import refusal, settled_around
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
+from ronna_hw.arm.clearance.bodies import ArmRadii, Capsule, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody

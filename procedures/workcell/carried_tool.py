@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from procedures.workcell.errors import AnotherArm
-from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.devices.readings import JointVector

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Protocol, Self
 
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Vector3
 
 

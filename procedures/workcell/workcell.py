@@ -31,7 +31,7 @@ from procedures.workcell.stereo_look import Look, look
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tool_records import ToolRecords
 from procedures.workcell.way_home import WayHome
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind

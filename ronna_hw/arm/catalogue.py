@@ -1,4 +1,4 @@
-"""The known arms, by their names in calibration records: those of this package, and others by entry point.
+"""Known arms by their names in calibration records: those of this package, and others by entry point.
 
 A driver's package that brings an arm of its own declares, for example::
 
@@ -32,7 +32,7 @@ def kinematics_named(name: str) -> Kinematics:
 
 
 def known_arm(name: str) -> str:
-    """The name itself; raises ValueError with the known names, for models."""
+    """Return the name; raises ValueError with the known names, for models."""
     try:
         kinematics_named(name)
     except UnknownArm as error:

@@ -1,18 +1,105 @@
-"""The neutral interface to an arm's kinematics, which assumes neither an axis order nor a spherical wrist."""
+"""The neutral interface to an arm: its chain of joints, its bodies, and its kinematics.
+
+It assumes neither an axis order nor a spherical wrist.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple, NewType, Protocol
 
-from ronna_hw.arm.links import ArmBodies
-from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.arm.pose import Pose, Rotation9
+from ronna_hw.devices.readings import JointVector, Vector3
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
     from ronna_hw.frames import Transform
+
+Segment = tuple[Vector3, Vector3]
+
+
+class ArmPart(StrEnum):
+    """Parts of an arm whose thickness a theatre file states (`[cell.arm]`)."""
+
+    COLUMN = "column"
+    UPPER_ARM = "upper_arm"
+    FOREARM = "forearm"
+    WRIST = "wrist"
+    HAND = "hand"
+
+
+class Joint(NamedTuple):
+    """A joint of a chain. With all joints at zero every frame is parallel to the base.
+
+    `axis` is a unit vector, about which angles are positive; `to_next_mm` leads to the next joint, or from
+    the last joint to the flange, in the frame that turns with this one.
+    """
+
+    axis: Vector3
+    to_next_mm: Vector3
+
+
+class Chain(NamedTuple):
+    """The nominal chain from the robot base through the joints to the flange.
+
+    `flange_rotation` rotates the frame of the last link into that of the flange.
+    """
+
+    base_mm: Vector3  # of the first joint
+    joints: tuple[Joint, ...]
+    flange_rotation: Rotation9
+
+
+class Link(NamedTuple):
+    """The body of a link: a capsule in the frame that turns with joint `joint`, counted from 0.
+
+    `touches` names the preceding bodies, possibly `COLUMN_NAME`, that it touches by construction.
+    """
+
+    name: str
+    part: ArmPart
+    joint: int
+    start_mm: Vector3
+    end_mm: Vector3
+    touches: tuple[str, ...]
+
+
+COLUMN_NAME = "base column"
+
+
+class ArmBodies(Protocol):
+    """Positions of an arm's bodies. A tool is mounted on the flange and touches the last link only."""
+
+    @property
+    def chain(self) -> Chain:
+        """The nominal chain; planning multiplies it out."""
+        ...
+
+    @property
+    def links(self) -> tuple[Link, ...]:
+        """The moving bodies, from the base outwards."""
+        ...
+
+    @property
+    def column_height_mm(self) -> float:
+        """Height of the first moving body's axis above the base: the fixed column ends below it."""
+        ...
+
+    def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
+        """Axes of all links in the robot base, and the pose of the flange.
+
+        The live monitor's own closed form, called in the real-time loop; shares no formula with the sweeps
+        that multiply out `chain`.
+        """
+        ...
+
+    def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
+        """Bound on the motion of any point of links or tool (flange frame), per radian of each joint."""
+        ...
+
 
 Branch = NewType("Branch", int)
 """An inverse configuration. Opaque outside the arm it belongs to; records store the number."""
@@ -40,12 +127,12 @@ class SingularMeasure(NamedTuple):
 
     @property
     def least(self) -> float:
-        """The smallest of the three."""
+        """Smallest of the three."""
         return min(self)
 
 
 class JointRanges(Protocol):
-    """The capabilities of an arm's joints. Vectors have one value per joint, from the base outwards."""
+    """Capabilities of the joints of an arm, one value per joint from the base outwards."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -70,12 +157,12 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
 
     @property
     def name(self) -> str:
-        """Identifies the arm, including in calibration records."""
+        """Name of the arm, also in calibration records."""
         ...
 
     @property
     def home_rad(self) -> JointVector:
-        """A posture from which to start work: clear of singularities, tool down and in front of the wrist."""
+        """Posture from which to start work: clear of singularities, tool down and in front of the wrist."""
         ...
 
     @property
@@ -88,7 +175,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """The same as a checked transform, ROBOT <- FLANGE."""
+        """Pose of the flange as a checked transform, ROBOT <- FLANGE."""
         ...
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
@@ -108,7 +195,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-        """The solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
+        """Solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
 
         Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """

@@ -10,10 +10,9 @@ from collections import deque
 from dataclasses import dataclass
 from math import radians
 
-from ronna_hw.arm.clearance.live_watch import LiveWatch
+from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation, ViolationKind
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.violation import Violation, ViolationKind
 from ronna_hw.devices.readings import JointVector
 
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
@@ -28,7 +27,7 @@ History = tuple[JointVector, JointVector, JointVector, JointVector]
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """What the monitor compares, per axis: differences are over one cycle of `cycle_s`, and include a margin.
+    """Limits per axis that the monitor compares: differences over one cycle of `cycle_s`, with a margin.
 
     The corrections limit the distance from the pose at RSI_ON. `following_cycles`: the arm has to be where a
     set-point of these last cycles was, within `FOLLOWING_RAD`.
@@ -49,9 +48,10 @@ class MonitorLimits:
 def monitor_limits(
     arm: JointRanges, limits: MotionLimits, cycle_s: float, start_rad: JointVector
 ) -> MonitorLimits:
-    """The limits of a stream that started at `start_rad`: those of the arm in its operating mode.
+    """Limits of a stream that started at `start_rad`: those of the arm in its operating mode.
 
-    The total correction is limited by the end switches minus the start pose, as in the controller's context.
+    The total correction is limited by the end switches minus the start pose, as in the context of the
+    controller.
     """
 
     def times(values: JointVector, factor: float) -> JointVector:
@@ -78,7 +78,10 @@ def monitor_limits(
 
 
 class Monitor:
-    """One per stream. `check` changes nothing; `sent` and the methods after it record what happened."""
+    """Monitor of one stream.
+
+    `check` changes nothing; `sent` and the methods after it record what happened.
+    """
 
     def __init__(self, limits: MonitorLimits, start_rad: JointVector) -> None:
         self.limits = limits
@@ -109,7 +112,7 @@ class Monitor:
         return self._held
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """The first limit a set-point would exceed if it were sent next, or None."""
+        """Return the first limit that a set-point would exceed if it were sent next, or None."""
         limits = self.limits
         one, two, three, _ = self._last
         for i in range(len(joints_rad)):
@@ -173,10 +176,11 @@ class Monitor:
             self._watch.sent(self._held)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
-        """Whether each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
+        """Check that each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
 
         An arm at rest has to be where it was sent, a moving one where it was sent a moment ago: one that is
-        clamped, sticks or was braked is noticed at every speed. The value is the distance from the nearest.
+        clamped, sticks or was braked is noticed at every speed. The value is the distance from the nearest
+        set-point.
         """
         oldest, newest = self._recent[0], self._recent[-1]
         for i in range(len(measured_rad)):

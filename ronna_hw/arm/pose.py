@@ -1,6 +1,6 @@
-"""Pose of the flange in the robot base, in plain floats.
+"""Poses and joint vectors in plain floats.
 
-The robot's real-time loop creates one of these per cycle, so it consists of tuples and imports neither NumPy
+The real-time loop of the robot creates a pose per cycle, so it consists of tuples and imports neither NumPy
 nor SciPy. `to_transform` and `from_transform` convert to the checked transforms used elsewhere.
 """
 
@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from math import degrees, radians
 from typing import TYPE_CHECKING, NamedTuple, Self
 
-from ronna_hw.devices.readings import Quaternion, Vector3
+from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Transform
@@ -29,7 +30,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_kuka(cls, X: float, Y: float, Z: float, A: float, B: float, C: float) -> Self:
-        """From mm and deg in KUKA's convention: R = Rz(A) Ry(B) Rx(C)."""
+        """Build from mm and deg in KUKA's convention: R = Rz(A) Ry(B) Rx(C)."""
         ca, sa = math.cos(math.radians(A)), math.sin(math.radians(A))
         cb, sb = math.cos(math.radians(B)), math.sin(math.radians(B))
         cc, sc = math.cos(math.radians(C)), math.sin(math.radians(C))
@@ -47,7 +48,7 @@ class Pose(NamedTuple):
         return cls((X, Y, Z), rotation)
 
     def to_kuka(self) -> tuple[float, float, float, float, float, float]:
-        """X, Y, Z in mm and A, B, C in deg, B within ±90. At B = ±90, C is 0 by convention."""
+        """Return X, Y, Z in mm and A, B, C in deg, B within ±90. At B = ±90, C is 0 by convention."""
         r = self.rotation
         cos_b = math.hypot(r[0], r[3])
         B = math.atan2(-r[6], cos_b)
@@ -59,7 +60,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_quaternion(cls, position_mm: Vector3, quaternion: Quaternion) -> Self:
-        """From mm and a scalar-first quaternion of any non-zero length."""
+        """Build from mm and a scalar-first quaternion of any non-zero length."""
         w, x, y, z = quaternion
         n = 2.0 / (w * w + x * x + y * y + z * z)
         rotation = (
@@ -95,7 +96,7 @@ class Pose(NamedTuple):
         return (raw[0] / n, raw[1] / n, raw[2] / n, raw[3] / n)
 
     def compose(self, other: Pose) -> Pose:
-        """`self` after `other`: (a <- b).compose(b <- c) is a <- c."""
+        """Apply `self` after `other`: (a <- b).compose(b <- c) is a <- c."""
         a, b = self.rotation, other.rotation
         rotation = (
             a[0] * b[0] + a[1] * b[3] + a[2] * b[6],
@@ -138,13 +139,13 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_matrix(cls, matrix: Sequence[Sequence[float]]) -> Self:
-        """From a 4x4 homogeneous matrix in mm that is known to be rigid."""
+        """Build from a 4x4 homogeneous matrix in mm that is known to be rigid."""
         a, b, c = (tuple(float(v) for v in row) for row in list(matrix)[:3])
         return cls((a[3], b[3], c[3]), (a[0], a[1], a[2], b[0], b[1], b[2], c[0], c[1], c[2]))
 
     @classmethod
     def from_transform(cls, transform: Transform) -> Self:
-        """From a checked transform; raises FRM-001 unless it is ROBOT <- FLANGE."""
+        """Convert a checked transform; raises FRM-001 unless it is ROBOT <- FLANGE."""
         from ronna_hw.frames import Frame, FrameMismatch
 
         if (transform.target, transform.source) != (Frame.ROBOT, Frame.FLANGE):
@@ -154,9 +155,20 @@ class Pose(NamedTuple):
         return cls.from_matrix(transform.as_matrix().tolist())
 
     def to_transform(self) -> Transform:
-        """The checked transform ROBOT <- FLANGE. Imports SciPy: not for the real-time loop."""
+        """Convert to the checked transform ROBOT <- FLANGE. Imports SciPy: not for the real-time loop."""
         from ronna_hw.frames import Frame, Transform
 
         return Transform.of(
             Frame.ROBOT, Frame.FLANGE, translation_mm=self.position_mm, quaternion_wxyz=self.quaternion()
         )
+
+
+def radians6(a: float, b: float, c: float, d: float, e: float, f: float) -> JointVector:
+    """Convert six angles from degrees."""
+    return (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
+
+
+def degrees6(joints_rad: JointVector) -> JointVector:
+    """Convert six angles to degrees."""
+    a, b, c, d, e, f = joints_rad
+    return (degrees(a), degrees(b), degrees(c), degrees(d), degrees(e), degrees(f))

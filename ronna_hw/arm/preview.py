@@ -1,25 +1,33 @@
-"""Predicts what a planned path will do, before it is driven: for people, records, and the path check."""
+"""A motion before it is driven: planned, slowed near the head, predicted for people and records.
+
+Where the arm must slow down, near the head and in some operating modes, the path parameter gets a few steps
+of speed. The generator follows them; the monitor does not know them and measures independently.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isinf
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import ARC_FACTOR, Closest, SweptPath, motion_mm, sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import ARC_FACTOR, Closest, SweptPath, motion_mm, sweep_path
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.motion_plan import plan_motion
-from ronna_hw.arm.motion.motion_profile import State
-from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import driven
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.devices.motion import Motion
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_states
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.devices.robot import JointMove, Motion
+from ronna_hw.frames import Frame, FrameMismatch, Transform
+
+Array = NDArray[np.float64]
+SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its sampling
+ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,7 @@ class PathPreview:
 
     @property
     def clear(self) -> bool:
-        """Whether no body comes too close to another one."""
+        """Whether every body keeps its distance from the others."""
         return self.refused is None
 
     def as_payload(self) -> dict[str, Any]:
@@ -62,6 +70,34 @@ class PathPreview:
         }
 
 
+def plan_motion(
+    kinematics: Kinematics, start_rad: JointVector, motion: Motion, limits: MotionLimits
+) -> MotionPlan:
+    """Plan a motion from `start_rad` at its fraction of the limits.
+
+    Frames are checked once; then the plan is plain floats. Raises FRM-001 for a line between other frames,
+    ARM-006 for an invalid fraction, and the errors of `plan_joint_move` and `plan_line`.
+    """
+    slowed = limits.slowed(motion.speed_fraction)
+    if isinstance(motion, JointMove):
+        return plan_joint_move(kinematics, start_rad, motion.target_rad, slowed)
+    tool = motion.flange_from_tool
+    if tool is None:
+        return plan_line(kinematics, start_rad, Pose.from_transform(motion.target), slowed)
+    flange = Pose.from_transform(motion.target @ _tool_in_flange(tool).inverse())
+    x, y, z = tool.translation_mm.tolist()
+    return plan_line(kinematics, start_rad, flange, slowed, (x, y, z))
+
+
+def _tool_in_flange(flange_from_tool: Transform) -> Transform:
+    """Return the transform; raises FRM-001 unless it is FLANGE <- TOOL."""
+    if (flange_from_tool.target, flange_from_tool.source) != (Frame.FLANGE, Frame.TOOL):
+        raise FrameMismatch(
+            "a tool needs flange <- tool", got=f"{flange_from_tool.target} <- {flange_from_tool.source}"
+        )
+    return flange_from_tool
+
+
 def preview_motion(
     kinematics: Kinematics,
     start_rad: JointVector,
@@ -83,7 +119,7 @@ def preview(
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
-    states = [] if plan.is_standstill else driven(slowed.limits, slowed.speed_steps, limits.cycle_s)
+    states = [] if plan.is_standstill else drive_states(slowed.limits, slowed.speed_steps, limits.cycle_s)
     speeds = _speeds(path, states)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]
@@ -106,13 +142,13 @@ def preview(
 
 
 def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> SingularMeasure:
-    """The least of each measure over a swept path."""
+    """Least of each measure over a swept path."""
     measures = [kinematics.singular_measure(tuple(row)) for row in path.joints_rad.tolist()]
     return SingularMeasure(*(min(kind) for kind in zip(*measures, strict=True)))
 
 
 def _speeds(path: SweptPath, states: Sequence[State]) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The largest speed of the path parameter in each interval, as driven: a short path stays slow."""
+    """Largest speed of the path parameter in each interval, as driven: a short path stays slow."""
     positions = np.array([0.0, *(state.position[0] for state in states)])
     velocities = np.array([0.0, *(state.velocity[0] for state in states)])
     at_ends = np.interp(path.fractions, positions, velocities)
@@ -120,3 +156,39 @@ def _speeds(path: SweptPath, states: Sequence[State]) -> np.ndarray[Any, np.dtyp
     intervals = np.searchsorted(path.fractions, positions, side="right") - 1
     np.maximum.at(speeds, np.clip(intervals, 0, len(speeds) - 1), velocities)
     return speeds
+
+
+def with_speed_steps(plan: MotionPlan, path: SweptPath, body_speed_mm_s: float) -> MotionPlan:
+    """Add speed steps to a plan, so that nothing that moves exceeds the cap at its position.
+
+    `body_speed_mm_s` is the limit of the operating mode, everywhere.
+    """
+    allowed = np.minimum(allowed_speed(path, body_speed_mm_s), plan.limits.velocity)
+    places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
+    begins, ends = path.fractions[:-1], path.fractions[1:]
+    steps: list[SpeedStep] = []
+    for low, high in zip(places[:-1].tolist(), places[1:].tolist(), strict=True):
+        velocity = float(allowed[(ends > low) & (begins < high)].min())
+        if steps and ALIKE < velocity / steps[-1].velocity < 1.0 / ALIKE:
+            steps[-1] = SpeedStep(steps[-1].start, min(velocity, steps[-1].velocity))
+        else:
+            steps.append(SpeedStep(low, velocity))
+    needed = any(step.velocity < plan.limits.velocity for step in steps)
+    return replace(plan, speed_steps=tuple(steps) if needed else ())
+
+
+def allowed_speed(path: SweptPath, body_speed_mm_s: float) -> Array:
+    """Largest speed of the path parameter in each interval of a swept path, (n - 1), per s."""
+    moved = motion_mm(path.swept).max(axis=1)
+    rates = moved / np.diff(path.fractions)
+    # Within an interval the rate may exceed its average; the neighbours show by how much.
+    padded = np.concatenate([rates[:1], rates, rates[-1:]])
+    rates = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
+    to_head = path.swept.to_head_mm
+    with np.errstate(invalid="ignore"):
+        nearest = np.where(np.isinf(to_head[:-1]), np.inf, (to_head[:-1] + to_head[1:] - moved) / 2.0)
+    nearest = np.maximum(np.minimum(nearest, np.minimum(to_head[:-1], to_head[1:])), 0.0)
+    caps = np.array([path.bodies.surroundings.cap_mm_s(distance) for distance in nearest.tolist()])
+    caps = np.minimum(caps, body_speed_mm_s)
+    with np.errstate(divide="ignore"):
+        return np.asarray(np.where(rates > 0.0, SHARE_OF_CAP * caps / rates, np.inf))

@@ -1,4 +1,4 @@
-"""An interruption during a command's imports prints one word, not a traceback. Import this module first."""
+"""An interruption during the imports of a command prints one word, no traceback. Import this module first."""
 
 from __future__ import annotations
 

@@ -1,9 +1,17 @@
-"""Errors around a command: usage, disk, paths, ports, and program faults."""
+"""Errors around a command: usage, disk, paths, ports, memory, and program faults.
+
+Typer says half of what is wrong with a command line. The other half, such as the closest valid word, is in
+the option and in its validation error.
+"""
 
 from __future__ import annotations
 
 import errno
 import os
+import re
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from typing import Any
 
 from ronna_hw.errors import EXIT_USAGE, RonnaError
 
@@ -86,7 +94,7 @@ _BY_ERRNO: dict[int, type[RonnaError]] = {
 
 
 def as_ronna_error(problem: BaseException) -> RonnaError:
-    """Any exception as a RonnaError: itself, or an operating-system or internal error with a code."""
+    """Return any exception as a RonnaError: itself, or an error of the system or the program with a code."""
     if isinstance(problem, RonnaError):
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
@@ -101,10 +109,111 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
 
 
 def _first_with_number(problem: BaseException) -> BaseException:
-    """The operating-system error wrapped by a library."""
+    """The operating-system error that a library has wrapped."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:
             return inner
         inner = inner.__cause__ or inner.__context__
     return problem
+
+
+MOST_ALIKE = 3  # suggestions
+_EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
+
+
+def selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
+    """Name and parameters of the command that the arguments select."""
+    names = [str(command.name)]
+    for word in arguments:
+        inner = getattr(command, "commands", {}).get(word)
+        if inner is None:
+            break
+        command = inner
+        names.append(word)
+    return " ".join(names), command.params
+
+
+def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
+    """Turn typer's refusal of a command line into an error of ours: option, value, expectation, help."""
+    context = getattr(mistake, "ctx", None)
+    help_of = f"{command if context is None else context.command_path} --help"
+    see = f"See {help_of}."
+    if hasattr(mistake, "option_name") and hasattr(mistake, "possibilities"):
+        return _unknown_option(str(mistake.option_name), context, help_of)
+    parameter = getattr(mistake, "param", None)
+    reason = _validation(mistake.__cause__)
+    if parameter is not None and reason is not None:
+        expected, got = reason
+        meaning = _meaning(parameter, context)
+        return UsageMistake(
+            f"{_hint(parameter, context)} cannot be {got}",
+            expected=expected,
+            action=f"{meaning} {see}".lstrip(),
+        )
+    if type(mistake).__name__ == "BadOptionUsage":  # too few values
+        text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
+        named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
+        meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
+        return UsageMistake(text, action=f"{meant}{see}")
+    message = getattr(mistake, "message", "") or _formatted(mistake)
+    if found := _EXTRA.match(message):
+        if any(map(os.path.exists, found[1].split())):
+            repeat = "A pattern such as * may stand for several files or folders: name one. "
+            return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
+        repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
+        repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
+        return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
+    if parameter is not None and type(mistake).__name__ == "MissingParameter":
+        return UsageMistake(
+            f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()
+        )
+    hint = getattr(mistake, "param_hint", None)
+    text = f"{hint}: {message}" if hint else message
+    return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
+    known = [] if context is None else [option for one in context.command.params for option in one.opts]
+    words = [option.removeprefix("--") for option in known if option.startswith("--")]
+    alike = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
+    meant = f"Did you mean {' or '.join(f'--{word}' for word in alike)}? " if alike else ""
+    return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
+
+
+def _validation(cause: BaseException | None) -> tuple[str, str] | None:
+    """What a validator expected and what was given instead; None if the value was not validated."""
+    errors = getattr(cause, "errors", None)
+    if errors is None:
+        return None
+    first: Mapping[str, Any] = errors()[0]
+    limits: Mapping[str, Any] = first.get("ctx", {})
+    match first["type"]:
+        case "greater_than_equal":
+            expected = f"at least {limits['ge']:g}"
+        case "less_than_equal":
+            expected = f"at most {limits['le']:g}"
+        case "int_parsing" | "int_from_float" | "int_parsing_size":
+            expected = "a whole number"
+        case "float_parsing":
+            expected = "a number"
+        case _:  # one of several words, or something else a type refuses
+            expected = str(first["msg"]).removeprefix("Value error, ").rstrip(".")
+            expected = expected.partition(" is not ")[2] or expected
+    return expected, repr(first["input"])
+
+
+def _hint(parameter: Any, context: Any) -> str:
+    """Option or argument as typed."""
+    return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
+
+
+def _meaning(parameter: Any, context: Any) -> str:
+    """Help of an option or argument, with its limits."""
+    record = parameter.get_help_record(context)
+    text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
+    return text if not text or text.endswith((".", "]")) else f"{text}."
+
+
+def _formatted(mistake: Exception) -> str:
+    return str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)

@@ -1,18 +1,26 @@
-"""Messages on standard error: coloured and wrapped on a terminal, one unwrapped line elsewhere."""
+"""Messages, tables and progress of a command.
+
+Messages go to standard error: coloured and wrapped on a terminal, one unwrapped line elsewhere. Tables go to
+standard output: framed on a wide enough terminal, tab-separated lines elsewhere.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 import sys
-from collections.abc import Callable, Mapping
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, TextIO
 
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.printable import printable, printable_lines
+from ronna_hw.text import printable, printable_lines
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.progress import Progress as Bar
 
 
 def on_terminal(stream: TextIO) -> bool:
@@ -31,14 +39,14 @@ def tell(line: str) -> None:
 
 
 def tell_address(addresses: Mapping[str, str], tell: Callable[[str], None] = tell) -> None:
-    """Print where a page is served: one line for scripts; on a terminal also its address, to click."""
+    """Print where a page is served: one line for scripts; on a terminal also the address, to click."""
     tell(f"CONSOLE {json.dumps(addresses)}")
     if on_terminal(sys.stderr):
         tell(f"open {addresses['url']}")
 
 
 def say(line: str = "") -> None:
-    """Print one or more lines for a person on standard output."""
+    """Print lines for a person on standard output."""
     sys.stdout.write(printable_lines(line) + "\n")
     sys.stdout.flush()
 
@@ -46,7 +54,7 @@ def say(line: str = "") -> None:
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
     """Print an error as `run` does, for commands that continue after it.
 
-    `advice` replaces the error's own, if the caller knows better what to do.
+    `advice` replaces the error's own if the caller knows better what to do.
     """
     line = " ".join(str(error).split())
     if advice is not None:
@@ -66,7 +74,133 @@ def fail_with(error: RonnaError, advice: str | None = None) -> None:
 
 
 def message_console() -> Console:
-    """The rich console for messages (standard error)."""
+    """The rich console for standard error."""
     from rich.console import Console
 
     return Console(stderr=True, soft_wrap=not on_terminal(sys.stderr))
+
+
+FRAME_WIDTH = 3  # of a table's frame, per column
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Print a table on standard output: framed if it fits on the terminal, else tab-separated lines.
+
+    Cells and headings wrap only between words; a frame that would split a word or a number is not drawn.
+    """
+    table_rows = [list(columns), *([printable_lines(str(cell)) for cell in row] for row in rows)]
+    widths = (
+        _column_widths(table_rows, shutil.get_terminal_size().columns) if on_terminal(sys.stdout) else None
+    )
+    if widths is None:
+        for row in table_rows:
+            sys.stdout.write("\t".join(row) + "\n")
+        return
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table()
+    for column, width in zip(columns, widths, strict=True):
+        table.add_column(Text(column), width=width, overflow="fold")
+    for row in table_rows[1:]:
+        table.add_row(*(Text(cell) for cell in row))
+    sys.stdout.write(f"{printable(title)}\n")  # a table's own title would wrap at the table's width
+    sys.stdout.flush()
+    Console().print(table)
+
+
+def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
+    """Widths that fill the terminal without splitting a word; None if there are none."""
+    by_column = list(zip(*rows, strict=True))
+    widths = [_least_width(cells) for cells in by_column]
+    wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
+    spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
+    if spare < 0:
+        return None
+    for _ in range(spare):  # to the column that needs it most
+        lacking = [want - width for want, width in zip(wanted, widths, strict=True)]
+        if max(lacking, default=0) <= 0:
+            break
+        widths[lacking.index(max(lacking))] += 1
+    return widths
+
+
+def _least_width(cells: Sequence[str]) -> int:
+    """Smallest width of a column that splits no word."""
+    return max((len(word) for cell in cells for word in cell.split()), default=0)
+
+
+PROGRESS_DELAY_S = 2.0  # no bar for shorter work
+Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
+
+
+@contextlib.contextmanager
+def progress_bar(description: str) -> Iterator[ProgressBar]:
+    """Show a progress bar on standard error after two seconds of work; none off a terminal."""
+    bar = ProgressBar(description, shown=on_terminal(sys.stderr))
+    try:
+        yield bar
+    finally:
+        bar.close()
+
+
+class ProgressBar:
+    """A bar that is called with the fraction done. Bar and timer pause while `hidden`.
+
+    Never shown unless `shown`, which is False when nobody is watching.
+    """
+
+    def __init__(self, description: str, *, shown: bool) -> None:
+        self._began_s, self._hidden_s = time.monotonic(), 0.0
+        self._writing = threading.RLock()  # one thread asks a question, another reports progress
+        self._is_hidden = False
+        self._bar = self._create_bar() if shown else None
+        self._task = None if self._bar is None else self._bar.add_task(description, total=1.0)
+        self._started = False
+
+    def __call__(self, share: float) -> None:
+        """Report the fraction done, 0 to 1."""
+        if self._bar is None or self._task is None:
+            return
+        with self._writing:
+            self._bar.update(self._task, completed=share)
+            if not self._started and not self._is_hidden and self._now_s() > self._began_s + PROGRESS_DELAY_S:
+                self._started = True
+                self._bar.start()
+
+    @contextlib.contextmanager
+    def hidden(self) -> Iterator[None]:
+        """Hide the bar during the block, in which the user is prompted."""
+        with self._writing:
+            since_s = time.monotonic()
+            self.close()
+            self._is_hidden = True
+            try:
+                yield
+            finally:
+                self._is_hidden = False
+                self._hidden_s += time.monotonic() - since_s
+                if self._bar is not None and self._started:
+                    self._bar.start()
+
+    def close(self) -> None:
+        """Remove the bar."""
+        if self._bar is not None and self._started:
+            self._bar.stop()
+
+    def _now_s(self) -> float:
+        return time.monotonic() - self._hidden_s
+
+    def _create_bar(self) -> Bar:
+        from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+        from rich.progress import Progress as Bar
+
+        return Bar(
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            TimeElapsedColumn(),
+            console=message_console(),
+            transient=True,
+            get_time=self._now_s,
+        )

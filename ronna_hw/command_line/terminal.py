@@ -20,23 +20,27 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from ronna_hw.command_line.common_options import with_common_options
-from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
-from ronna_hw.command_line.logging_options import (
+from ronna_hw.command_line.errors import UsageMistake, as_ronna_error, selected_command, usage_mistake
+from ronna_hw.command_line.messages import (
+    Progress,
+    fail_with,
+    message_console,
+    on_terminal,
+    print_table,
+    progress_bar,
+    say,
+    tell,
+)
+from ronna_hw.command_line.options import (
     VERBOSE_FLAG,
     command_logger,
     log_failure,
     set_log_levels_from_environment,
+    with_common_options,
 )
-from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
-from ronna_hw.command_line.progress import Progress, progress_bar
-from ronna_hw.command_line.tables import print_table
-from ronna_hw.command_line.usage import asked_for, usage_mistake
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
-from ronna_hw.host.file_access import own_files
-from ronna_hw.host.interruption import ENDING_SIGNALS
-from ronna_hw.host.linear_algebra import single_threaded
-from ronna_hw.host.own_packages import require_own_packages
+from ronna_hw.host.files import own_files
+from ronna_hw.host.process import ENDING_SIGNALS, require_own_packages, single_threaded
 
 __all__ = [
     "JsonOption",
@@ -124,15 +128,15 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
         if isinstance(mistake, _NOTHING_ASKED):
             sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        raise usage_mistake(mistake, *asked_for(command, arguments)) from mistake
+        raise usage_mistake(mistake, *selected_command(command, arguments)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 
 def _command_of(app: typer.Typer, asked: str) -> Any:
-    """The command; of a group only the one that is asked for: typer takes two milliseconds for each."""
+    """The command; of a group only the selected one: typer takes two milliseconds for each."""
     named = next((one for one in app.registered_commands if _name_of(one) == asked), None)
     alone = len(app.registered_commands) + len(app.registered_groups) == 1
-    return _made(app, None if alone else named)
+    return _build_command(app, None if alone else named)
 
 
 def _name_of(command: typer.models.CommandInfo) -> str:
@@ -141,7 +145,7 @@ def _name_of(command: typer.models.CommandInfo) -> str:
 
 
 @cache
-def _made(app: typer.Typer, only: typer.models.CommandInfo | None) -> Any:
+def _build_command(app: typer.Typer, only: typer.models.CommandInfo | None) -> Any:
     if only is None:
         return with_common_options(typer.main.get_command(app))
     group = copy.copy(app)
@@ -178,7 +182,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop output refused by a full disk or a closed pipe, so that the interpreter exits quietly."""
+    """Drop output that a full disk or a closed pipe refuses, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -1,12 +1,16 @@
 """Typed device interfaces, their lifecycle, and their readings."""
 
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
-from ronna_hw.devices.motion import JointMove, LineMove, Motion
-from ronna_hw.devices.new_frames import new_frames
-from ronna_hw.devices.robot import ConfirmedStart, OperatingMode, RobotArm, StopKind
-from ronna_hw.devices.stereo import StereoPair
-from ronna_hw.devices.tracker import OpticalTracker
+from ronna_hw.devices.lifecycle import Device, Identity, LastKnown, Lifecycle, LifecycleGuard
+from ronna_hw.devices.robot import (
+    ConfirmedStart,
+    JointMove,
+    LineMove,
+    Motion,
+    OperatingMode,
+    RobotArm,
+    StopKind,
+)
+from ronna_hw.devices.sensors import OpticalTracker, StereoPair, new_frames
 
 __all__ = [
     "ConfirmedStart",

@@ -1,4 +1,4 @@
-"""Device lifecycle: the states of every device, and the calls allowed in each.
+"""The interface of every device, its lifecycle, and its activation for a block.
 
 DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD; FAULT is latched
 and cleared only by an explicit `recover`, which re-reads the device; CLOSED is final. Reading is allowed from
@@ -8,21 +8,20 @@ CONNECTED, motion only in ACTIVE.
 from __future__ import annotations
 
 import threading
-from collections.abc import Iterable
-from contextlib import AbstractContextManager
+from collections.abc import Iterable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol, Self, TypeVar, runtime_checkable
+from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
-from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.errors import RonnaError
+from ronna_hw.host.process import interruption_deferred
 from ronna_hw.logs import logger
 
-if TYPE_CHECKING:
-    from ronna_hw.devices.readiness import Fact
-
 R = TypeVar("R")
+R_co = TypeVar("R_co", covariant=True)
 
 
 class Lifecycle(StrEnum):
@@ -37,14 +36,13 @@ class Lifecycle(StrEnum):
     CLOSED = "closed"
 
 
+RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
+READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
 _NEXT = {  # the call that leads on; from the others there is a choice, or none
     Lifecycle.DISCONNECTED: "connect",
     Lifecycle.CONNECTED: "configure",
     Lifecycle.CONFIGURED: "activate",
 }
-RUNNING = frozenset({Lifecycle.ACTIVE, Lifecycle.HOLD})
-READABLE = frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE, Lifecycle.HOLD})
-
 _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
     Lifecycle.DISCONNECTED: frozenset({Lifecycle.CONNECTED, Lifecycle.CLOSED}),
     Lifecycle.CONNECTED: frozenset({Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}),
@@ -65,13 +63,23 @@ _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
 
 @dataclass(frozen=True)
 class Identity:
-    """The device's own identity: read at connect, never taken from the configuration."""
+    """Identity of the device itself: read at connect, never taken from the configuration."""
 
     vendor: str
     model: str
     serial: str
     firmware: str
     details: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class LastKnown(Generic[R_co]):
+    """State, latched fault and latest reading as last seen; the stamp of the reading gives its age."""
+
+    state: Lifecycle
+    fault: RonnaError | None
+    reading: R_co | None
+    says: tuple[Fact, ...] = ()  # what the device reported unsolicited
 
 
 @runtime_checkable
@@ -117,7 +125,7 @@ class Device(Protocol):
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
 
-        `ronna_hw.devices.activation.activated` implements this for every driver.
+        `activated` implements this for every driver.
         """
         ...
 
@@ -152,6 +160,51 @@ class Device(Protocol):
         ...
 
 
+D = TypeVar("D", bound=Device)
+
+
+@contextmanager
+def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
+    """Connect and configure as needed, activate, and deactivate on leaving the block.
+
+    `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is used
+    as it is and left active. An error in the block is never masked: a failure to deactivate is added to it as
+    a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a device in FAULT or
+    CLOSED.
+    """
+    if device.state is Lifecycle.ACTIVE:  # activated by someone else, who also deactivates it
+        yield device
+        return
+    _activate(device, timeout_s)
+    try:
+        yield device
+    except BaseException as problem:  # including interruptions: the device stops whatever ended the block
+        with interruption_deferred():
+            try:
+                _deactivate(device, timeout_s)
+            except Exception as error:
+                problem.add_note(f"{device.name} could not be deactivated: {error}")
+        raise
+    with interruption_deferred():
+        _deactivate(device, timeout_s)
+
+
+def _activate(device: Device, timeout_s: float) -> None:
+    if device.state is Lifecycle.HOLD:
+        device.deactivate(timeout_s)
+    if device.state is Lifecycle.DISCONNECTED:
+        device.connect(timeout_s)
+    if device.state is Lifecycle.CONNECTED:
+        device.configure(timeout_s)
+    device.activate(timeout_s)
+
+
+def _deactivate(device: Device, timeout_s: float) -> None:
+    """Deactivate, except in FAULT: the device has stopped, and only `recover` clears that."""
+    if device.state in RUNNING:
+        device.deactivate(timeout_s)
+
+
 def require_person(name: str) -> str:
     """Return the name of the person who acknowledges or confirms; raises DEV-006 if it has no letters."""
     if not any(map(str.isalpha, name)):
@@ -164,7 +217,7 @@ def require_person(name: str) -> str:
 
 
 class LifecycleGuard:
-    """State machine of one driver object: refuses calls that the state forbids, latches faults, logs."""
+    """State machine of a driver: refuses calls that the state forbids, latches faults, logs."""
 
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
@@ -187,7 +240,7 @@ class LifecycleGuard:
         return LastKnown(*self._now, reading, says)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
-        """Raise DEV-001 unless the current state is one of `allowed`; a latched fault names its cause."""
+        """Raise DEV-001 unless the state is one of `allowed`; a latched fault names its cause."""
         states = tuple(allowed)
         state, fault = self._now
         if state in states:
@@ -201,7 +254,7 @@ class LifecycleGuard:
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
-        """Move to `state` and log it with `facts`; raise DEV-001 if there is no such transition."""
+        """Move to `state` and log it with `facts`; raises DEV-001 if there is no such transition."""
         with self._changing:
             before = self.state
             if state is before:

@@ -1,25 +1,33 @@
-"""Probes find out why a device does not answer; `ronna-procedure doctor` shows the findings.
+"""Probes: why a device does not answer, and which devices there are.
 
-A driver's package declares its probe under the name of the driver::
+`ronna-procedure doctor` and `new-theatre` show the findings. A driver's package declares its probe under the
+name of the driver::
 
     [project.entry-points."ronna_hw.probes"]
     my_tracker = "my_package.probe:probe"
 
-A driver without one gets the default: connect, read the identity, close.
+A driver without one gets the default: connect, read the identity, close. A probe may also be a `Finder`,
+which searches lines and networks and proposes entries of a theatre file.
 """
 
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
+from pydantic import BaseModel
+
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
+from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConnectError, RonnaError
+from ronna_hw.host.network import Interface
 
 CONNECT_LIMIT_S = 3.0  # host time
 REACH_LIMIT_S = 1.0
@@ -31,11 +39,11 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One line: what was checked, whether it is OK, what was observed, what to do.
+    """A line of the doctor: what was checked, whether it is OK, what was observed, what to do.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
-    JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied,
-    by endpoint; None where nothing did.
+    JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
+    endpoint; None where nothing did.
     """
 
     subject: str
@@ -48,25 +56,31 @@ class Diagnostic:
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:
-    """A device's refusal as a diagnostic."""
+    """Report a device's refusal as a diagnostic."""
     return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
+
+
+def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
+    """Report each fact as a line of the doctor, with its advice if a case cannot begin."""
+    for fact in device.readiness():
+        yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
 
 Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
 
 
 def leave_alone(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
-    """No further checks."""
+    """Make no further checks."""
     return ()
 
 
 class Probe(Protocol):
-    """Checks one device of a theatre file."""
+    """Checks a device of a theatre file."""
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        """The findings, in reading order; never raises, whatever the device does.
+        """Return the findings in reading order; never raises, whatever the device does.
 
         Talks only to the endpoints of `config`, in bounded time; nothing moves and no setting stays changed.
         The findings of `inspect` on the connected device are appended: a device accepts one client at a time.
@@ -84,7 +98,7 @@ class EndpointProbe(Probe, Protocol):
         ...
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        """Like a call, but without the driver itself: what is at each endpoint?"""
+        """Find out what is at each endpoint, without the driver itself."""
         ...
 
 
@@ -125,7 +139,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 
 def why_unreachable(endpoint: Endpoint) -> str:
-    """Why a TCP endpoint accepts no connection, as advice; empty if it does, and for other endpoints."""
+    """Say why a TCP endpoint accepts no connection; empty if it does, and for other endpoints."""
     if endpoint.scheme != "tcp":
         return ""
     try:
@@ -135,3 +149,111 @@ def why_unreachable(endpoint: Endpoint) -> str:
     except OSError as error:
         return f"{endpoint} is unreachable ({error.strerror or error}): check cable and subnet."
     return ""
+
+
+ONLY = ""  # role of the endpoint of a device with only one
+
+
+@dataclass(frozen=True)
+class Search:
+    """Places to search. Nothing is sent to any other line, network or address."""
+
+    interfaces: tuple[Interface, ...] = ()
+    lines: tuple[Endpoint, ...] = ()  # of trackers, serial or TCP
+    controllers: tuple[Endpoint, ...] = ()  # of robots; without any, the networks of `interfaces`
+    stream: Endpoint | None = None  # where a robot's telegrams should arrive, if already decided
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of a driver: its value if it differs from the default, and its purpose."""
+
+    key: str
+    value: Any  # as in TOML; None if it has no default
+    chosen: bool
+    meaning: str
+    model: type[BaseModel] | None = None  # of all options of that driver, for validating a value
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A device as an entry of a theatre file."""
+
+    driver: str
+    what: str  # what was found, in words; empty for an example
+    endpoints: Mapping[str, str]
+    options: tuple[Option, ...] = ()
+    remarks: tuple[str, ...] = ()  # what a person should check or complete
+    absent: str = ""  # why there is no such device at the given address, if there is none
+
+
+@runtime_checkable
+class Finder(Protocol):
+    """A probe that can also search. `table` is the theatre file's: `tracker`, `robot` or `stereo`."""
+
+    table: str
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        """Find everything that answers as such a device, and say why each other given address does not.
+
+        Nothing moves and no setting is changed.
+        """
+        ...
+
+    def example(self, search: Search) -> Proposal:
+        """Example of the table for a device that was not found; its addresses are invented."""
+        ...
+
+
+def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
+    """Options of a driver with their descriptions, including the values of the chosen ones."""
+    return tuple(
+        Option(
+            name,
+            chosen.get(name, None if field.is_required() else field.get_default(call_default_factory=True)),
+            name in chosen,
+            field.description or "",
+            model,
+        )
+        for name, field in model.model_fields.items()
+    )
+
+
+LOOKS_OF_A_CASE = 200  # of five spheres for three trajectories, with some searching
+MOST_FAILED_LOOKS = 0.02  # in a case, expected: each ends it
+
+
+def picture_diagnostics(
+    subject: str,
+    stereo: StereoPair,
+    pairs: int,
+    tries: int,
+    judged: Callable[[StereoReading], Iterator[Diagnostic]],
+) -> Iterator[Diagnostic]:
+    """Take so many pairs with configured cameras and tell whether enough arrive complete for a case.
+
+    A case makes up for a lost pair: it takes one up to `tries` times. The last pair is `judged`. Nothing
+    moves.
+    """
+    whole = 0
+    last: StereoReading | None = None
+    found: tuple[Diagnostic, ...] = ()
+    try:
+        with stereo.active():
+            for _ in range(pairs):
+                last = stereo.grab_pair()
+                whole += int(last.validity is Validity.OK)
+            if isinstance(stereo, TellsReadiness):
+                found = tuple(fact_diagnostics(subject, stereo))  # about these images
+    except RonnaError as error:
+        yield refusal(f"{subject}pictures", error)
+    failed_looks = LOOKS_OF_A_CASE * (1.0 - whole / pairs) ** tries
+    yield Diagnostic(
+        f"{subject}pictures",
+        failed_looks <= MOST_FAILED_LOOKS,
+        f"{whole} of {pairs} pairs arrived complete",
+        "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+    )
+    yield from found
+    if last is not None:
+        yield from judged(last)

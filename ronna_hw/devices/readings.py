@@ -48,7 +48,7 @@ class Stamp:
 
 @runtime_checkable
 class StampedReading(Protocol):
-    """Any reading that tells when it was made and whether it can be used."""
+    """A reading that tells when it was made and whether it can be used."""
 
     @property
     def stamp(self) -> Stamp:
@@ -69,7 +69,7 @@ _TO_SEE = {
 
 @dataclass(frozen=True)
 class ToolReading:
-    """Pose of one loaded tool in the tracker frame; rotation and position are None if it has none."""
+    """Pose of a loaded tool in the tracker frame; rotation and position are None if it has none."""
 
     tool: str
     validity: Validity
@@ -103,7 +103,7 @@ class ToolReading:
 
 @dataclass(frozen=True)
 class StrayReading:
-    """One marker that belongs to no tool; it has no identity from frame to frame."""
+    """A marker that belongs to no tool; it has no identity from frame to frame."""
 
     position_mm: Vector3
     validity: Validity
@@ -111,7 +111,7 @@ class StrayReading:
 
 @dataclass(frozen=True)
 class TrackerFrame:
-    """Everything the tracker saw in one frame."""
+    """Tools and strays that the tracker saw in one frame."""
 
     stamp: Stamp
     validity: Validity
@@ -119,7 +119,7 @@ class TrackerFrame:
     strays: tuple[StrayReading, ...]
 
     def tool(self, name: str) -> ToolReading:
-        """The reading of one tool by name; raises DEV-003 if the tracker has no such tool."""
+        """Reading of a tool by name; raises DEV-003 if the tracker has no such tool."""
         for reading in self.tools:
             if reading.tool == name:
                 return reading
@@ -176,7 +176,7 @@ class AreaOfInterest:
 
 @dataclass(frozen=True)
 class CameraImage:
-    """One frame: a read-only 2-D array of grey values. (0, 0) is the centre of its top-left pixel."""
+    """A read-only 2-D array of grey values. (0, 0) is the centre of its top-left pixel."""
 
     __pydantic_config__: ClassVar = {"arbitrary_types_allowed": True}  # pixels, read back from a tape
 

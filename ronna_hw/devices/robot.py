@@ -1,25 +1,61 @@
-"""A six-axis arm that follows corrections in real time and can stop on its own."""
+"""A six-axis arm that follows corrections in real time and can stop on its own, and its motions as values."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Device
-from ronna_hw.devices.motion import Motion
+from ronna_hw.devices.lifecycle import Device, LastKnown
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
 
 if TYPE_CHECKING:
-    from ronna_hw.arm.clearance.surroundings import Surroundings
+    from ronna_hw.arm.clearance.bodies import Surroundings
     from ronna_hw.arm.kinematics import Kinematics
     from ronna_hw.arm.motion.limits import MotionLimits
     from ronna_hw.arm.preview import PathPreview
     from ronna_hw.frames import Transform
 
 
+@dataclass(frozen=True)
+class JointMove:
+    """A motion of all joints together, straight to `target_rad`.
+
+    `speed_fraction` is a fraction of the working speed of the driver, 0 < fraction <= 1. A motion is a value,
+    so that the motion previewed is the motion driven.
+    """
+
+    target_rad: JointVector
+    speed_fraction: float = 1.0
+
+    def drive(self, arm: RobotArm) -> ArmReading:
+        """Drive it with `RobotArm.move_joints`."""
+        return arm.move_joints(self.target_rad, speed_fraction=self.speed_fraction)
+
+
+@dataclass(frozen=True)
+class LineMove:
+    """A straight line of the flange to ROBOT <- FLANGE, or of the tool to ROBOT <- TOOL.
+
+    `flange_from_tool` (FLANGE <- TOOL) is given with the latter. `speed_fraction` as in `JointMove`.
+    """
+
+    target: Transform
+    flange_from_tool: Transform | None = None
+    speed_fraction: float = 1.0
+
+    def drive(self, arm: RobotArm) -> ArmReading:
+        """Drive it with `RobotArm.move_linear`."""
+        return arm.move_linear(
+            self.target, flange_from_tool=self.flange_from_tool, speed_fraction=self.speed_fraction
+        )
+
+
+Motion = JointMove | LineMove
+
+
 class StopKind(StrEnum):
-    """How to stop. None of them is an emergency stop: that is the controller's."""
+    """Ways to stop. None of them is an emergency stop: that is the controller's."""
 
     HOLD = "hold"  # along the path, to rest; the stream continues
     PROTECTIVE = "protective_stop"  # highest deceleration the limits allow; latched
@@ -40,14 +76,14 @@ class ConfirmedStart(Protocol):
 
     @property
     def to_confirm(self) -> str | None:
-        """What a person must confirm before the next `activate`, worded as a question; None for nothing.
+        """Question that a person must confirm before the next `activate`; None for nothing.
 
         Passive: uses only the controller's last report; allowed in every state.
         """
         ...
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Someone confirmed the last `to_confirm`: the next `activate`, and only that, may proceed.
+        """Confirm the last `to_confirm`: the next `activate`, and only that, may proceed.
 
         Raises DEV-006 without a name. Moves nothing.
         """
@@ -59,7 +95,7 @@ class RobotArm(Device, Protocol):
     """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
 
     def observe(self) -> LastKnown[ArmReading]:
-        """Like `Device.observe`; the reading contains the axes last reported by the controller."""
+        """Observe like `Device.observe`; the reading contains the axes last reported by the controller."""
         ...
 
     @property
@@ -83,22 +119,22 @@ class RobotArm(Device, Protocol):
         ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Measured axes; allowed from CONNECTED."""
+        """Read the measured axes; allowed from CONNECTED."""
         ...
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Number of the mounted tool, from the controller's inputs; allowed from CONNECTED."""
+        """Read the number of the mounted tool from the controller's inputs; allowed from CONNECTED."""
         ...
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
     ) -> ArmReading:
-        """Synchronised joint move to rest; returns the settled reading.
+        """Move all joints together to rest at the target; returns the settled reading.
 
-        `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre
-        time if that clocks the controller. Raises LimitError before motion if the path leaves the joint
-        ranges, StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault
-        when link or monitor trips.
+        `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre time
+        if that clocks the controller. Raises LimitError before motion if the path leaves the joint ranges,
+        StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault when link or
+        monitor trips.
         """
         ...
 
@@ -110,16 +146,16 @@ class RobotArm(Device, Protocol):
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
     ) -> ArmReading:
-        """Straight line of the flange to a pose ROBOT <- FLANGE, or of the tool to a pose ROBOT <- TOOL.
+        """Move the flange straight to a pose ROBOT <- FLANGE, or the tool to a pose ROBOT <- TOOL.
 
-        `flange_from_tool` (FLANGE <- TOOL) is given with the latter. Orientation by slerp; the arm
-        stays in the branch of its current pose. Raises FRM-001 before motion for other frames,
-        otherwise like `move_joints`.
+        `flange_from_tool` (FLANGE <- TOOL) is given with the latter. Orientation by slerp; the arm stays in
+        the branch of its current pose. Raises FRM-001 before motion for other frames, otherwise like
+        `move_joints`.
         """
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
-        """What a motion would do if driven from `start_rad`, by default from here; nothing moves.
+        """Predict a motion from `start_rad`, by default from here; nothing moves.
 
         Raises like `move_joints` and `move_linear` if there is no such path; one that is not clear is
         reported in `refused`.

@@ -23,7 +23,7 @@ LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be it
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """One sphere over the frames, in tracker coordinates.
+    """A sphere over the frames, in tracker coordinates.
 
     `mean_mm` (3,) excludes `outliers`; `spread_mm` is the rms distance of all readings from it, which reveals
     a moving sphere; `covariance_mm2` (3, 3) is that of one reading; `count` is the number of all readings.
@@ -59,18 +59,14 @@ class _Growing:
         self.total = self.total + reading
 
 
-def average_strays(frames: Iterable[TrackerFrame], *, least_share: float = LEAST_SHARE) -> StrayAverage:
-    """Average the strays inside the measuring volume, excluding repeated measurements (STALE).
-
-    Raises DEV-005 for an impossible share.
-    """
+def average_strays(frames: Iterable[TrackerFrame]) -> StrayAverage:
+    """Average the strays inside the measuring volume, excluding repeated measurements (STALE)."""
     measurements = [frame for frame in frames if frame.validity is not Validity.STALE]
     return group_strays(
         [
             [stray.position_mm for stray in frame.strays if stray.validity is Validity.OK]
             for frame in measurements
-        ],
-        least_share=least_share,
+        ]
     )
 
 
@@ -112,7 +108,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
 
 
 def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[int]:
-    """Assign each reading to the nearest group without one in this frame; returns the readings left."""
+    """Assign each reading to the nearest group without one in this frame; returns the unassigned readings."""
     free = list(range(len(readings)))
     if not groups or not free:
         return free

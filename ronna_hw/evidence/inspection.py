@@ -6,50 +6,81 @@ seal: it is checked as far as it goes, and what only its end could confirm is `u
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 from collections.abc import Collection, Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import NamedTuple, cast
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_json_lines
-from ronna_hw.evidence.compared_files import Problem, against, why_unread, wrong_name
-from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
-from ronna_hw.evidence.named_files import (
-    NOT_AS_LEFT,
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, RunChanged, chain_until_broken
+from ronna_hw.evidence.manifest import (
     RECORDS_FOLDER,
     REQUEST_FILE,
+    SEAL_FILE,
+    TRUTH_FILES,
+    Seal,
     closed_files,
+    count_names,
     exchanged_inputs,
+    files_of,
     hashes_in,
+    is_closed,
+    is_later,
+    is_made_anew,
+    last_end,
     lasting_files,
     made_from,
-    names_in,
-    superseded_in,
-)
-from ronna_hw.evidence.seal import (
-    SEAL_FILE,
-    Seal,
-    files_of,
-    is_later,
+    not_vouched_for,
+    picture_files,
     read_seal,
+    record_files,
+    sha256_of,
+    superseded_in,
+    truth_difference,
+    truth_problems,
 )
-from ronna_hw.evidence.truth_so_far import TRUTH_FILES, unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
+from ronna_hw.text import printable
 
-PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
+MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
+LARGEST_INPUTS_BYTES = 8_000_000_000  # four times the largest CT that is read
+SHOWN = 3  # problems named in an error; verify lists all
 FINISH_IT = (
     "What its journal names is unchanged, the rest unconfirmed: ronna-procedure resume RUN completes it, "
     "ronna-procedure report RUN its report."
 )
-MOST_NAMES = 100_000  # of files in a journal: a run and its CT have some thousands
-SHOWN = 3  # problems named in an error; verify lists all
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A file that differs from what the run left, and how.
+
+    `unfinished`: only because the run did not reach its end, or a report file is to be made anew. `beside`:
+    nothing written by the run is affected (its folder was renamed, or a file added). `out_of_reach`: an input
+    outside the run whose folder is missing or closed to us.
+    """
+
+    file: str
+    what: str
+    unfinished: bool = False
+    beside: bool = False
+    out_of_reach: bool = False
+
+    @property
+    def of_account(self) -> bool:
+        """Whether journal, request or records are not as written."""
+        of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
+        return of_it and not self.beside
+
+    def __str__(self) -> str:
+        return f"{printable(self.file)}: {self.what}"
 
 
 class KnownRecord(NamedTuple):
-    """What a line of the journal says about a record that others may be made from."""
+    """Hash and CT series of a record named by an earlier line of the journal."""
 
     sha256: str
     series: str | None
@@ -57,7 +88,7 @@ class KnownRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class Inspection:
-    """A run's journal, its records that are as the journal names them, and all problems."""
+    """The journal of a run, those of its records that match the journal, and all problems."""
 
     folder: Path
     chain: Chain
@@ -72,17 +103,17 @@ class Inspection:
 
     @property
     def changes(self) -> tuple[Problem, ...]:
-        """The problems beyond those of a run that did not reach its end."""
+        """Problems other than those of a run that did not reach its end."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
     @property
     def not_as_left(self) -> dict[str, str | None]:
-        """Changed, missing and added files, with their hash at the run's last end or beginning; None without.
+        """Changed, missing and added files, with their hash at the last end or beginning; None without one.
 
-        Files that every program continues, such as the log, are excluded unless added; so is a renamed
-        folder, which is found whenever it is read.
+        Excluded are files that every program continues, such as the log, unless added, and a renamed folder,
+        which is found whenever it is read.
         """
-        end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
+        end = last_end(self.chain.lines)
         known = hashes_in(end, "files") | hashes_in(end, "inputs") | lasting_files(self.chain.lines)
         return {
             one.file: known.get(one.file)
@@ -91,23 +122,23 @@ class Inspection:
         }
 
     def require_unchanged(self, action: str | None = None) -> Inspection:
-        """This, or PRO-033 if anything was changed; a run that did not reach its end passes."""
+        """Return itself, or raise PRO-033 on any change; an unfinished run passes."""
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """This, or PRO-033 if journal, request or records were changed: the way home depends on them."""
+        """Return itself, or raise PRO-033 if journal, request or records changed: homing depends on them."""
         return self._require(tuple(problem for problem in self.changes if problem.of_account))
 
     def require_whole(self) -> Inspection:
-        """This, or PRO-033 unless the folder is as left by a closed and sealed run."""
+        """Return itself, or raise PRO-033 unless the folder is as a closed and sealed run left it."""
         return self._require(self.problems, None if self.changes else FINISH_IT)
 
     def require_content(self, name: str, content: bytes) -> bytes:
-        """The content, read from a file of the run after the check, or PRO-033 if it was exchanged since."""
+        """Return content read after the check; raise PRO-033 if its file was exchanged since."""
         lines = self.chain.lines
         named = closed_files(lines) if is_closed(lines) else {}
         changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
-        if what := "changed" if changed else unlike_content(name, content, lines):
+        if what := "changed" if changed else truth_difference(name, content, lines):
             self._require((Problem(name, what),))
         return content
 
@@ -121,14 +152,14 @@ class Inspection:
 
 
 def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
-    """Check a run folder; raises nothing that its content can cause.
+    """Check a run folder; never raises because of its content.
 
-    Without `every_file` only journal and records are checked, the journal also against the seal, and so are
-    those of `files` that exist: this takes milliseconds.
+    Without `every_file` only the journal (also against the seal), the records, and those of `files` that
+    exist are checked, which takes milliseconds.
     """
     problems: list[Problem] = []
     chain = _chain(folder, problems)
-    if names_in(chain.lines) > MOST_NAMES:
+    if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
         return Inspection(folder, chain, (), tuple(problems))
     records = tuple(_records(folder, chain.lines, problems))
@@ -139,35 +170,6 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
     out_of_reach = dict.fromkeys(one.file for one in problems if one.out_of_reach)
     return Inspection(folder, chain, records, found, tuple(out_of_reach))
-
-
-def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
-    """Files that were not as left when the run was resumed after an end, as in `Inspection.not_as_left`.
-
-    Those of every program since then, up to the one that has just ended: one that was killed vouches for
-    nothing. What the first of them found says how a file was left.
-    """
-    expected: dict[str, str | None] = {}
-    for line in reversed(lines[:-1] if is_closed(lines) else lines):
-        if line["entry"] == Entry.CLOSED:
-            break
-        if line["entry"] == Entry.RESTARTED:
-            expected |= cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
-    return expected
-
-
-def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
-    """The hashes for the end of a run, in which files that were not as left keep their earlier ones.
-
-    A file that never had one is omitted: it remains an added file until it is removed.
-    """
-    held = {name: sha256 for name, sha256 in hashes.items() if name not in expected}
-    return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
-
-
-def is_closed(lines: Sequence[Line]) -> bool:
-    """Whether a journal ends like a closed run."""
-    return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
 
 
 def _chain(folder: Path, problems: list[Problem]) -> Chain:
@@ -198,7 +200,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
 
 
 def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
-    """The records that match their lines, with parents that came before them."""
+    """Records that match their lines and whose parents come before them."""
     known: dict[str, KnownRecord] = {}
     run = lines[0].get("run") if lines else None
     for line in lines:
@@ -243,18 +245,13 @@ def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRe
 
 
 def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
-    """Problems with the request, the pictures, and every file named by the journal's end and the seal."""
+    """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
     lines, closed, named = chain.lines, is_closed(chain.lines), closed_files(chain.lines)
     request = lines[0].get("request_sha256")
     if isinstance(request, str):
         yield from against(folder, {REQUEST_FILE: request})
-    pictures: dict[str, str] = {}
-    for line in lines:
-        for picture, of in hashes_in(line, "pictures").items():
-            name = f"{PICTURES_FOLDER}/{picture}"
-            pictures[name] = of if pictures.get(name, of) == of else "two hashes"
-    yield from against(folder, pictures)
-    yield from (Problem(name, what) for name, what in unlike_truth(folder, lines))
+    yield from against(folder, picture_files(lines))
+    yield from (Problem(name, what) for name, what in truth_problems(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:
@@ -269,7 +266,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         since = against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
         for one in since:
             yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
-        in_journal = {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
+        in_journal = record_files(lines)
         for name in there:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
@@ -290,20 +287,16 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 
 def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
-    """Files that a killed program had found changed or added, and that still are."""
+    """Files that a killed program found changed or added, and that still are."""
     expected = not_vouched_for(lines)
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
     yield from against(folder, known, inputs=True)
-    vouched = {
-        *TRUTH_FILES,
-        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
-    }
-    suspects = {*there} - vouched
+    suspects = {*there} - {*TRUTH_FILES, *picture_files(lines)}
     yield from _added([name for name in expected if expected[name] is None and name in suspects])
 
 
 def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
-    """Problems with files that only the seal covers, and with the journal that it covers too."""
+    """Problems with files that only the seal covers, and with the journal, which it also covers."""
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
         yield Problem(SEAL_FILE, "changed")
@@ -336,3 +329,49 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
             yield Problem(name, "incomplete: the program was killed while writing", unfinished=True)
         else:
             yield Problem(name, "added: not part of the run", beside=True)
+
+
+def against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
+    """Compare files of the folder with their hashes; with `inputs` also files elsewhere, by whole path."""
+    left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
+    for name, recorded in hashes.items():
+        if wrong := wrong_name(name.removeprefix("/") if inputs else name):
+            yield Problem(name, wrong)
+            continue
+        try:
+            if PurePosixPath(name).is_absolute():
+                left_bytes -= os.stat(name).st_size
+            if left_bytes < 0:
+                yield Problem(name, "not checked: too much lies outside the run", unfinished=True)
+                continue
+            if sha256_of(folder / name) != recorded:
+                yield Problem(name, "changed")
+        except (FileNotFoundError, ValueError):  # the second for a name that no file can have
+            gone = _is_out_of_reach(name)
+            yield Problem(name, "missing", unfinished=is_made_anew(name), out_of_reach=gone)
+        except OSError as error:
+            yield Problem(name, why_unread(error), out_of_reach=_is_out_of_reach(name))
+
+
+def wrong_name(name: str) -> str:
+    """Why a name is not that of a file in the folder: it leads elsewhere, or is not normalised."""
+    path = PurePosixPath(name)
+    leads_elsewhere = path.is_absolute() or ".." in path.parts
+    return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
+
+
+def why_unread(error: OSError | InputRefused) -> str:
+    """Why a file of a run cannot be read."""
+    if isinstance(error, InputRefused):
+        return error.summary
+    if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
+        return "replaced: not a regular file"
+    if error.errno == errno.EFBIG:
+        return "changed: larger than any file of a run"
+    return f"cannot be read: {error.strerror}"
+
+
+def _is_out_of_reach(name: str) -> bool:
+    """Whether a file elsewhere is in a folder that is missing or may not be entered."""
+    path = PurePosixPath(name)
+    return path.is_absolute() and not os.access(path.parent, os.X_OK)

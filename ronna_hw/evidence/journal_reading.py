@@ -13,7 +13,22 @@ from enum import StrEnum
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.errors import RefusedError, RonnaError
+
+
+class JournalCorrupt(RonnaError):
+    """A journal's chain is broken: a line was changed, lost or torn in the middle."""
+
+    code = "PRO-011"
+    action = "Do not rely on this run; keep the folder as it is for analysis."
+
+
+class RunChanged(RefusedError):
+    """The files of a run were changed after the run."""
+
+    code = "PRO-033"
+    action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."
+
 
 JOURNAL_FILE = "journal.jsonl"
 MOST_TORN_LINES = 1000  # in the block of zeros that a power loss leaves there are none or few
@@ -58,14 +73,14 @@ ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 def theatre_time_s(line: Line) -> float:
-    """When a line was written; 0 if it does not say."""
+    """Theatre time at which a line was written; 0 if it does not say."""
     value = line.get("theatre_time_s")
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """Content of a journal: its complete lines, their length in bytes, and the SHA-256 of the last one."""
+    """A journal's complete lines, their length in bytes, and the SHA-256 of the last one."""
 
     lines: tuple[Line, ...] = ()
     size: int = 0
@@ -74,7 +89,7 @@ class Chain:
 
 
 def read_chain(path: Path) -> Chain:
-    """A journal's lines in order, and the torn rest at its end; raises PRO-011 when the chain is broken."""
+    """Read a journal's lines in order, with the torn rest at its end; raises PRO-011 for a broken chain."""
     chain, broken = chain_until_broken(path)
     if broken is not None:
         raise broken
@@ -82,7 +97,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
-    """Like `read_chain`, with everything before a broken line, and the break. Raises INP-001, OSError."""
+    """Read the chain up to a broken line; returns it with the break, if any. Raises INP-001, OSError."""
     content = read_json_lines(path, linked=False)
     lines: list[Line] = []
     size, broken = 0, None
@@ -99,13 +114,13 @@ def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
 
 
 def read_journal(path: Path) -> Iterator[Line]:
-    """The lines of a journal, in order, without a torn end; raises PRO-011 where the chain is broken."""
+    """The lines of a journal in order, without a torn end; raises PRO-011 where the chain is broken."""
     for line, _ in _whole_lines(read_json_lines(path, linked=False), path.name):
         yield line
 
 
 def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
-    """Every line that follows its predecessor, and where it ends."""
+    """Each line that follows its predecessor, with the offset of its end."""
     number, begin, previous = 0, 0, FIRST
     while begin < len(content):
         end = content.find(b"\n", begin) + 1

@@ -1,7 +1,7 @@
 """Files of a killed run that had no seal when it was resumed: nothing vouches for them since the kill.
 
-A run that was killed has no seal, and may go on. The next seal covers its log too, and would hide that this
-could have been changed in between; so the journal says what lay there without one.
+The next seal also covers the log of the killed program, and would hide that it could have been changed in
+between. So the journal states what lay there without a seal.
 """
 
 from __future__ import annotations
@@ -9,33 +9,31 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from pathlib import PurePosixPath
 
-from ronna_hw.evidence.inspection import (
-    PICTURES_FOLDER,
-    Inspection,
-    is_closed,
-    not_vouched_for,
-)
+from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.named_files import (
-    RECORDS_FOLDER,
+from ronna_hw.evidence.manifest import (
     REQUEST_FILE,
     closed_files,
-    hashes_in,
+    files_of,
+    is_closed,
+    is_later,
+    is_sealed,
+    journalled_truth,
     lasting_files,
     made_from,
+    not_vouched_for,
+    picture_files,
+    record_files,
 )
-from ronna_hw.evidence.seal import files_of, is_later, is_sealed
-from ronna_hw.evidence.truth_so_far import journalled_truth
 from ronna_hw.records import PARTIAL
-from ronna_hw.text.counting import counted
-from ronna_hw.text.printable import printable
+from ronna_hw.text import counted, printable
 
 UNSEALED = "unsealed"  # in a `restarted` line: name -> bytes
 REPORT = "report"  # made anew at every end
 
 
 def unsealed(found: Inspection) -> dict[str, int]:
-    """Files that neither journal nor seal confirms, with their length; without those that are problems."""
+    """Files that neither journal nor seal confirms, with their length, except those reported as problems."""
     lines = found.chain.lines
     if not lines:
         return {}
@@ -53,7 +51,7 @@ def unsealed(found: Inspection) -> dict[str, int]:
 
 
 def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
-    """What the seal covers and does not vouch for, in sentences."""
+    """Say in sentences what the seal covers without vouching for it."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
@@ -64,19 +62,19 @@ def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
 
 
 def _confirmed(lines: tuple[Line, ...]) -> set[str]:
-    """What the journal names with its hash, or with its content."""
+    """Files that the journal confirms by hash or by content."""
     return {
         *(closed_files(lines) if is_closed(lines) else lasting_files(lines)),
         *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
-        *(f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines),
-        *(f"{PICTURES_FOLDER}/{name}" for line in lines for name in hashes_in(line, "pictures")),
+        *record_files(lines),
+        *picture_files(lines),
         *made_from(lines),
         *journalled_truth(lines),
     }
 
 
 def _named(files: Mapping[str, object]) -> Iterator[str]:
-    """Files with their length; those of a folder by their number."""
+    """Files with their length; several in one folder by their number."""
     folders: dict[str, list[str]] = {}
     for name in map(str, files):
         folders.setdefault(str(PurePosixPath(name).parent), []).append(name)

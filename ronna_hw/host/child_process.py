@@ -1,7 +1,8 @@
-"""Starts commands as child processes, waits for their READY line, and always ends them.
+"""Commands as child processes: with a READY line or to their end, always ended, and noticed when they hang.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
-dies. The end of its standard error is kept for the message if it fails.
+dies. The end of its standard error is kept for the message if it fails. Even on a busy computer a working
+process uses some processor time; one that uses none hangs.
 """
 
 from __future__ import annotations
@@ -15,20 +16,24 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.host.descendants import descendants_of, kill_all
-from ronna_hw.host.interruption import describe_exit
-from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
+from ronna_hw.host.process import children_uninterrupted, describe_exit
 from ronna_hw.logs import logger
 
-TOO_SLOW = "Close other programs if this computer is busy; else run the command alone to see why it hangs."
+if TYPE_CHECKING:
+    import psutil
+
+
 HANGS = "Run the command alone to see why it hangs."
+TOO_SLOW = "Close other programs if this computer is busy; else run the command alone to see why it hangs."
 READY_TIMEOUT_S = 60.0  # a busy computer takes many times the seconds that a start needs
 IDLE_TIMEOUT_S = 10.0  # without processor time: it is halted, or waits for what does not come
 STOP_TIMEOUT_S = 2.0  # the contract of every command that prints READY, for SIGTERM
 MESSAGE_LINES_KEPT = 5
+LOOK_S = 1.0  # between two readings, each of which lists the computer's processes
+LOOK_AGAIN_S = 0.1  # host time
 
 
 class ChildNotReady(LinkTimeout):
@@ -38,8 +43,13 @@ class ChildNotReady(LinkTimeout):
     action = "Run the command alone to see why it stops."
 
 
+def command(module: str, *arguments: str) -> list[str]:
+    """Command line of one of our modules, run by this Python, independent of the path."""
+    return [sys.executable, "-P", "-m", module, *arguments]
+
+
 class ChildProcess:
-    """One child. `ready` is the content of its READY line."""
+    """A child process. `ready` is the content of its READY line."""
 
     def __init__(
         self,
@@ -89,11 +99,10 @@ class ChildProcess:
         since: float | None = None,
         idle_s: float = IDLE_TIMEOUT_S,
     ) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the child's last messages, ending
-        it within `stop_s`.
+        """Wait for the READY line; raises PRC-001 with the child's last messages, ending it within `stop_s`.
 
-        `since` is the monotonic time from which the limit counts, for children that share one; else now. A
-        child that has used no processor time for `idle_s` is not waited for any longer.
+        `since` is the monotonic time from which the limit counts, for children that share one; by default
+        now. A child without processor time for `idle_s` has failed.
         """
         deadline = (time.monotonic() if since is None else since) + timeout_s
         use = ProcessorUse(self.process.pid)
@@ -125,16 +134,16 @@ class ChildProcess:
 
     @property
     def alive(self) -> bool:
-        """True while the process runs."""
+        """Whether the process runs."""
         return self.process.poll() is None
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The last lines that the child wrote to standard error."""
+        """Last lines of its standard error."""
         return tuple(self._messages)
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
-        """End the process: SIGTERM, then SIGKILL, descendants included. Never raises; may be called twice."""
+        """End the process and its descendants: SIGTERM, then SIGKILL. Never raises; may be called twice."""
         ended_before = not self.alive
         if not ended_before:
             self.process.terminate()
@@ -174,6 +183,99 @@ class ChildProcess:
                 self._on_message(line.rstrip())
 
 
-def command(module: str, *arguments: str) -> list[str]:
-    """The command line of one of our own commands, run by this same Python, independent of the path."""
-    return [sys.executable, "-P", "-m", module, *arguments]
+def finished_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, whatever its exit code. Raises PRC-001 like `await_end`."""
+    with children_uninterrupted():
+        process = subprocess.Popen(
+            arguments,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+    with process:
+        output, messages = await_end(name, process, limit_s)
+    return subprocess.CompletedProcess(arguments, process.returncode, output, messages)
+
+
+def await_end(
+    name: str, process: subprocess.Popen[str], limit_s: float, meanwhile: Callable[[], None] = lambda: None
+) -> tuple[str, str]:
+    """Wait for a command to end and return its output and messages.
+
+    `meanwhile` is called several times a second. Kills the command and raises PRC-001 when it takes longer
+    than `limit_s` or stops using the processor.
+    """
+    deadline_s, use = time.monotonic() + limit_s, ProcessorUse(process.pid)
+    try:
+        while True:
+            try:
+                return process.communicate(timeout=LOOK_AGAIN_S)
+            except subprocess.TimeoutExpired:
+                meanwhile()
+            late, idle = time.monotonic() >= deadline_s, use.idle_s() >= IDLE_TIMEOUT_S
+            if late or idle:
+                raise ChildNotReady(
+                    f"{name} did not finish",
+                    limit=f"{limit_s:g} s" if late else f"{IDLE_TIMEOUT_S:g} s without using the processor",
+                    action=TOO_SLOW if late else HANGS,
+                )
+    except BaseException:  # also an interruption: nothing is left running
+        process.kill()
+        process.wait()
+        raise
+
+
+class ProcessorUse:
+    """Processor time of a process and its descendants, observed from now on."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number  # of the process
+        self._used_s = 0.0
+        self._changed_s = self._next_s = time.monotonic()
+
+    def idle_s(self) -> float:
+        """Host time since the process or a descendant was last seen to use the processor."""
+        now_s = time.monotonic()
+        if now_s >= self._next_s:
+            self._next_s = now_s + LOOK_S
+            used_s = _used_s(self._number)
+            if used_s != self._used_s:
+                self._used_s, self._changed_s = used_s, now_s
+        return now_s - self._changed_s
+
+
+def _used_s(number: int) -> float:
+    import psutil  # imported late: device processes import little
+
+    used_s = 0.0
+    with contextlib.suppress(psutil.Error):
+        process = psutil.Process(number)
+        for one in (process, *process.children(recursive=True)):
+            with contextlib.suppress(psutil.Error):
+                used_s += sum(one.cpu_times())
+    return used_s
+
+
+def descendants_of(number: int) -> list[psutil.Process]:
+    """Descendants of a process; ask before it ends, afterwards they are orphans.
+
+    A halted process reacts only to SIGKILL, not even to the death of its parent.
+    """
+    import psutil  # imported late: device processes import little
+
+    try:
+        below: list[psutil.Process] = psutil.Process(number).children(recursive=True)
+    except psutil.Error:
+        return []
+    return below
+
+
+def kill_all(processes: list[psutil.Process]) -> None:
+    """Kill processes; never raises, not even for one that has ended."""
+    import psutil
+
+    for process in processes:
+        with contextlib.suppress(psutil.Error):
+            process.kill()

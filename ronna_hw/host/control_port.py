@@ -1,9 +1,9 @@
-"""The control port of a simulated theatre or device, as its callers use it.
+"""Client of the control port of a simulated theatre or device.
 
-JSON lines over TCP, one answer per line. The first shows the token given in the READY line with the endpoint,
-`{"token": "..."}`; then requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount", "number":
-2}`, `{"do": "work", "task": "insert", ...}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`.
-Drivers and steps do not know of it.
+The port speaks JSON lines over TCP, with one answer per line. The first line shows the token from the READY
+line, `{"token": "..."}`. Requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount",
+"number": 2}`, `{"do": "work", "task": "insert", ...}`, `{"do": "fault", "line": "now: ..."}`, `{"do":
+"clear_faults"}`. Drivers and steps do not know of it.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ class ControlRequestRefused(ConfigurationError):
 
 @dataclass(frozen=True)
 class ControlAddress:
-    """Where a control port is, and its token: `tcp://127.0.0.1:PORT?token=...`."""
+    """Address of a control port with its token: `tcp://127.0.0.1:PORT?token=...`."""
 
     endpoint: Endpoint
     token: str = field(repr=False)
 
     @classmethod
     def parse(cls, text: str) -> ControlAddress:
-        """Raises CFG-002 for anything but tcp://host:port?token=..., without quoting the token."""
+        """Parse an address; raises CFG-002 for any other form, without quoting the token."""
         where, _, token = text.partition(_TOKEN_MARK)
         endpoint = parse_endpoint(where).require("tcp")
         if not token:
@@ -60,15 +60,14 @@ class ControlAddress:
         return cls(endpoint, token)
 
     def text(self) -> str:
-        """The complete address, including the secret: for the READY line."""
+        """The complete address, including the secret, for the READY line."""
         return f"{self.endpoint}{_TOKEN_MARK}{self.token}"
 
 
 class ControlPortClient:
-    """One connection, which the port closes when there are no requests for a while.
+    """A connection, which the port closes after a while without requests.
 
-    Raises CTL-001 when no one answers, CTL-002 for a wrong token, CFG-002 for anything
-    but tcp://host:port?token=...
+    Raises CTL-001 when nothing answers, CTL-002 for a wrong token, CFG-002 for another form of address.
     """
 
     def __init__(self, address: str) -> None:
@@ -87,7 +86,7 @@ class ControlPortClient:
             raise
 
     def ask(self, action: str, **arguments: Any) -> dict[str, Any]:
-        """Request something; raises CTL-001 when no answer arrives, CTL-002 with the reason for a refusal."""
+        """Send a request; raises CTL-001 without an answer, CTL-002 with the reason for a refusal."""
         return self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
@@ -121,7 +120,7 @@ class ControlPortClient:
         return answer
 
     def _answer(self) -> bytes:
-        """One line, in time as a whole; less where the port hangs up."""
+        """Receive one line within the limit for all of it; less if the port hangs up."""
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
@@ -142,6 +141,6 @@ class ControlPortClient:
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
-    """The answer to one request on its own connection; raises CTL-001, CTL-002 or CFG-002."""
+    """Answer to a single request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
         return port.ask(action, **arguments)

@@ -1,10 +1,16 @@
-"""Which processes use a serial port, UDP port or lock of this computer, as far as this user may see."""
+"""Users of a serial port, network port or lock of this computer, as far as this user may see them.
+
+Who may use a serial port is stated in the words of its mode, owner and group.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import grp
 import os
+import pwd
 import socket
+import stat
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +26,7 @@ _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to eac
 
 @dataclass(frozen=True)
 class PortUser:
-    """A process that has it open."""
+    """A process that has a port or lock open."""
 
     pid: int
     name: str  # its command line
@@ -31,7 +37,7 @@ class PortUser:
 
 
 def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
-    """Other processes that have this port open, except the one on the master side of a pseudo-terminal."""
+    """Other processes with this port open, except the one on the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
     except OSError:
@@ -46,7 +52,7 @@ def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
 
 
 def user_of_udp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer bound to a UDP port; None if there is none, or it is hidden."""
+    """Process of this computer bound to a UDP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="udp4"):
         if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(each.pid, _name(each.pid))
@@ -54,7 +60,7 @@ def user_of_udp_port(address: str, port: int) -> PortUser | None:
 
 
 def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer listening on a TCP port; None if there is none, or it is hidden."""
+    """Process of this computer listening on a TCP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="tcp4"):
         listens = each.status == psutil.CONN_LISTEN and each.laddr.port == port
         if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
@@ -76,7 +82,7 @@ def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
 
 
 def holder_of_lock(file: int) -> PortUser | None:
-    """The process that holds the `flock` of an open file, with its terminal; None if it is hidden.
+    """Process that holds the `flock` of an open file, with its terminal; None if it is hidden.
 
     psutil does not know locks.
     """
@@ -133,3 +139,39 @@ def _name(pid: int) -> str:
         line = " ".join(words) or process.name()
         return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
     return "a program"
+
+
+def permissions(path: str) -> str:
+    """Mode, owner and group of a port, as `ls -l` shows them."""
+    try:
+        status = os.stat(path)
+    except OSError as error:
+        return str(error.strerror)
+    return f"{stat.filemode(status.st_mode)} {_owner(status.st_uid)} {_group(status.st_gid)}"
+
+
+def permission_advice(path: str) -> str:
+    """Say who may use a port, and how to become one of them."""
+    try:
+        status = os.stat(path)
+    except OSError:
+        return "Join the group that owns it (often dialout), then log in again."
+    group = _group(status.st_gid)
+    mode = stat.filemode(status.st_mode)
+    if status.st_mode & stat.S_IRGRP and status.st_mode & stat.S_IWGRP:
+        return f"It belongs to group {group} ({mode}): sudo usermod -aG {group} $USER, then log in again."
+    return f"Its mode {mode} excludes even its group {group}: have its udev rule corrected."
+
+
+def _owner(number: int) -> str:
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)
+
+
+def _group(number: int) -> str:
+    try:
+        return grp.getgrgid(number).gr_name
+    except KeyError:
+        return str(number)

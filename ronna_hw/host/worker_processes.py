@@ -1,4 +1,4 @@
-"""Worker processes of a computation: fresh ones, which end with this one; that they halt is noticed."""
+"""Worker processes of a computation: freshly started, ended with this process, and noticed when they hang."""
 
 from __future__ import annotations
 
@@ -11,17 +11,16 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import TypeVar
 
-from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, ChildNotReady
-from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
+from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, LOOK_S, ChildNotReady, ProcessorUse
 
 Result = TypeVar("Result")
 
 
 @contextmanager
 def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """This many worker processes, which end with this one. A fork would inherit locks of library threads.
+    """Start so many worker processes, which end with this one. A fork would inherit locks of library threads.
 
-    An error or interruption in the block kills them: what they run may never end by itself.
+    An error or interruption in the block kills them: their work may never end by itself.
     """
     others = active_children()
     with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
@@ -35,7 +34,7 @@ def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
-    """What workers that only compute return, in order; raises PRC-001 when none uses the processor."""
+    """Results of workers that only compute, in order; raises PRC-001 when none uses the processor."""
     uses = [ProcessorUse(process.pid) for process in active_children() if process.pid is not None]
     for future in waiting:
         while not wait([future], LOOK_S).done:
@@ -49,7 +48,7 @@ def results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
 
 
 def _end_with_parent() -> None:
-    """In a worker: exit if the parent is killed, instead of waiting for its next task forever."""
+    """Exit a worker when its parent is killed, instead of waiting forever for the next task."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the parent ends its workers
     parent = parent_process()
     if parent is None:

@@ -1,29 +1,47 @@
-"""The flight recorder: the bytes of all links, written by a separate thread.
+"""The flight recorder: the bytes of all links, written by a separate thread and read back.
 
 A caller only pays for one append to a queue. If the disk does not keep up, bytes are dropped and counted, and
-a note in the link's file says how many; no one ever waits.
+a note in the link's file says how many; nobody ever waits. Each link has two files, written alternately: disk
+use is bounded, and the latest part is always there. Each piece of traffic is a line of JSON::
+
+    {"host_time":"2026-11-20T23:58:31.000123+00:00","theatre_time_s":1.250000,"direction":"sent","hex":"4150"}
+
+Instead of direction and bytes a line may have a `note`. A torn last line, left by a crash, is skipped.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
+import json
+import os
 import threading
 import time
 from collections import defaultdict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
-from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.bounded_input import InputRefused, parse_json
+from ronna_hw.devices.capabilities import Direction, Passed
+from ronna_hw.host.files import open_regular
 from ronna_hw.logs import logger
-from ronna_hw.recording.alternating_files import AlternatingFiles
-from ronna_hw.recording.byte_lines import Facts, encode_bytes, encode_note
 
+BYTES_FOLDER = "bytes"
+FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written alternately
 # Each of a link's two files: one contains at least the last minute of a robot link's 4 ms telegrams.
 FILE_BYTES = 32_000_000
+LARGEST_FILE_BYTES = 64_000_000  # twice what the flight recorder writes into one
 QUEUE_LENGTH = 20_000  # entries that wait for the disk: seconds of traffic on all links
 WRITE_PERIOD_S = 0.05  # host time; lost if the process is killed
 CLOSE_LIMIT_S = 2.0  # for what is still queued
+_BEGINNING = '{"host_time"'
+_HEX = {direction: f',"direction":"{direction}","hex":"' for direction in Direction}
+Facts = Mapping[str, str | float]
 
 
 class _Entry(NamedTuple):
@@ -36,7 +54,7 @@ class _Entry(NamedTuple):
 
 
 class FlightRecorder:
-    """A `ByteSink` that stores the traffic of one run in a folder."""
+    """A `ByteSink` that stores the traffic of a run in a folder."""
 
     def __init__(
         self,
@@ -64,11 +82,11 @@ class FlightRecorder:
         self._writer.start()
 
     def passed(self, link: str, direction: Direction, data: bytes) -> None:
-        """As in `ByteSink`."""
+        """Record bytes that have just passed."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
 
     def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
-        """As in `ByteSink`; theatre time is interpolated between the last call for this link and this one."""
+        """Record earlier traffic; theatre time is interpolated since the last call for this link."""
         now_ns, now_s = time.monotonic_ns(), self._theatre_s()
         before_ns, before_s = self._looked.get(link, (now_ns, now_s))
         self._looked[link] = now_ns, now_s
@@ -78,7 +96,7 @@ class FlightRecorder:
             self._put(_Entry(link, host_ns, theatre_s, direction, data, {}))
 
     def note(self, link: str, **facts: str | float) -> None:
-        """As in `ByteSink`."""
+        """Record facts about a link."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), None, b"", facts))
 
     def close(self) -> None:
@@ -130,7 +148,7 @@ class FlightRecorder:
         return encode_bytes(epoch_ns, entry.theatre_time_s, entry.direction, entry.data)
 
     def _write(self, link: str, lines: bytes) -> bool:
-        """Whether the lines were written; a link that could not be is tried again each time."""
+        """Write lines; returns whether that worked. A failed link is tried again each time."""
         files = self._files.get(link)
         try:
             if files is None:
@@ -146,3 +164,117 @@ class FlightRecorder:
             return False
         self._files[link] = files
         return True
+
+
+class AlternatingFiles:
+    """The two files of a link. When one is full, the other is emptied and written."""
+
+    def __init__(self, folder: Path, link: str, limit_bytes: int) -> None:
+        """Continue the files that an earlier process of the same run has left. Raises OSError."""
+        self._paths = [folder / name.format(link=link) for name in FILE_NAMES]
+        self._limit_bytes = limit_bytes
+        newest = max(self._paths, key=lambda path: path.stat().st_mtime_ns if path.exists() else 0)
+        self._which = self._paths.index(newest)
+        self._file = self._open(os.O_APPEND)
+        self._size = os.fstat(self._file).st_size
+        if self._size:
+            try:
+                self.write(b"\n")  # terminates a torn line
+            except OSError:
+                self.close()
+                raise
+
+    def write(self, lines: bytes) -> None:
+        """Append complete lines. Raises OSError."""
+        if self._size and self._size + len(lines) > self._limit_bytes:
+            os.close(self._file)
+            self._which = 1 - self._which
+            self._file = self._open(os.O_TRUNC)
+            self._size = 0
+        written = os.write(self._file, lines)
+        self._size += written
+        if written != len(lines):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    def close(self) -> None:
+        """Close the file."""
+        os.close(self._file)
+
+    def _open(self, how: int) -> int:
+        return os.open(self._paths[self._which], os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | how, 0o666)
+
+
+def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
+    """Line for bytes that passed at `epoch_ns`."""
+    return f'{_moment(epoch_ns, theatre_time_s)}{_HEX[direction]}{data.hex()}"}}\n'
+
+
+def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
+    """Line for a note."""
+    return f'{_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
+
+
+def _moment(epoch_ns: int, theatre_time_s: float) -> str:
+    second, ns = divmod(epoch_ns, 1_000_000_000)
+    moment = f"{_to_the_second(second)}.{ns // 1000:06d}+00:00"
+    return f'{{"host_time":"{moment}","theatre_time_s":{theatre_time_s:.6f}'
+
+
+@lru_cache(maxsize=4)  # thousands of telegrams pass within a second
+def _to_the_second(second: int) -> str:
+    return datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+
+
+@dataclass(frozen=True)
+class LinkLine:
+    """Bytes or a note of a link."""
+
+    link: str
+    host_time: datetime
+    theatre_time_s: float
+    direction: Direction | None = None
+    data: bytes = b""
+    note: Facts = field(default_factory=dict)
+
+
+def links_of(folder: Path) -> tuple[str, ...]:
+    """Names of the links with bytes in a folder."""
+    names = {path.name.rsplit(".", 2)[0] for path in folder.glob("*.jsonl")}
+    return tuple(sorted(names))
+
+
+def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
+    """Read everything stored of a link, oldest first.
+
+    Raises INP-001 for a file that is too large, OSError.
+    """
+    files = [folder / name.format(link=link) for name in FILE_NAMES]
+    parts = [_read(link, path) for path in files if path.exists()]
+    begun = [(first, part) for part in parts if (first := next(part, None)) is not None]
+    for first, part in sorted(begun, key=lambda one: one[0].host_time):
+        yield first
+        yield from part
+
+
+def _read(link: str, path: Path) -> Iterator[LinkLine]:
+    with io.TextIOWrapper(open_regular(path), encoding="ascii", errors="replace") as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
+            raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
+        for text in file:
+            if not text.startswith(_BEGINNING):
+                continue  # torn
+            try:
+                content = parse_json(text)
+                host_time = datetime.fromisoformat(content["host_time"])
+                if host_time.tzinfo is None:
+                    continue  # not ours
+                yield LinkLine(
+                    link,
+                    host_time.astimezone(UTC),
+                    float(content["theatre_time_s"]),
+                    Direction(content["direction"]) if "direction" in content else None,
+                    bytes.fromhex(content.get("hex", "")),
+                    dict(content.get("note", {})),
+                )
+            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+                continue  # torn

@@ -1,24 +1,75 @@
-"""Device answers as plain JSON values and back: records, tuples, enumerations, numbers, pixels."""
+"""Coding of device answers: which calls are recorded, answers as plain JSON, and packed pixels.
+
+Pixels are coded without loss, small and cheap: each row as differences, entropy-coded. The noise of a camera
+leaves little for a search for repetitions, so there is none, and coding takes milliseconds. For wide pixels
+the low and the high bytes are coded separately.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import zlib
+from collections.abc import Callable, Mapping
 from functools import cache
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
-PIXELS = "kept pixels"  # the key of a reference to pixels stored elsewhere
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.preview import PathPreview
+from ronna_hw.bounded_input import inflate
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
+from ronna_hw.devices.robot import OperatingMode
 
+# By name, over all kinds of devices. For `None` only matters whether the call raised.
+ANSWERS: dict[str, Any] = {
+    "connect": Identity,
+    "read_frame": TrackerFrame,
+    "grab_pair": StereoReading,
+    "read_state": ArmReading,
+    "read_tool_identity": ToolIdentity,
+    "move_joints": ArmReading,
+    "move_linear": ArmReading,
+    "preview": PathPreview,
+    "limits": MotionLimits,
+    "link_statistics": LinkStatistics,
+    **dict.fromkeys(("configure", "activate", "deactivate", "resume"), None),
+    **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
+}
+# Properties that may change on their own; each access is an answer.
+LOOKS: dict[str, Any] = {"to_confirm": str | None}
+# What a device knows about itself once one of these calls is done; recorded with its answer.
+PROPERTIES: dict[str, Any] = {
+    "serials": tuple[str, str],
+    "notices": tuple[str, ...],
+    "operating_mode": OperatingMode,
+}
+TELLING = ("connect", "configure")
+
+
+@runtime_checkable
+class RecordsCalls(Protocol):
+    """A device of another kind: calls of its own that a replay repeats, with the type of each answer."""
+
+    @property
+    def recorded_calls(self) -> Mapping[str, Any]: ...
+
+
+def answers_of(device: object) -> Mapping[str, Any]:
+    """Recorded calls of a device, with the type of each answer."""
+    return {**device.recorded_calls, **ANSWERS} if isinstance(device, RecordsCalls) else ANSWERS
+
+
+PIXELS = "kept pixels"  # the key of a reference to pixels stored elsewhere
 PutPixels = Callable[[Any], dict[str, Any]]
 GetPixels = Callable[[dict[str, Any]], Any]
 
 
 def as_plain(value: Any, put: PutPixels) -> Any:
-    """A value in JSON form; `put` stores arrays of pixels and returns a reference.
+    """Convert a value to JSON form; `put` stores arrays of pixels and returns a reference.
 
     Raises ValueError or TypeError for values without such a form.
     """
@@ -34,7 +85,7 @@ def as_plain(value: Any, put: PutPixels) -> Any:
 
 
 def as_recorded(kind: Any, value: Any, get: GetPixels) -> Any:
-    """The value of a declared type back. Raises ValueError, KeyError or TypeError if it is not one."""
+    """Restore a value of a declared type. Raises ValueError, KeyError or TypeError if it is not one."""
     return _adapter(kind).validate_python(_with_pixels(value, get))
 
 
@@ -52,3 +103,34 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
     # Readings import NumPy for their annotations only; they are complete with these names.
     adapter.rebuild(raise_errors=False, _types_namespace={"np": np, "NDArray": NDArray})
     return adapter
+
+
+Pixels = NDArray[np.uint8] | NDArray[np.uint16]
+TYPES: dict[str, type[np.uint8 | np.uint16]] = {"uint8": np.uint8, "uint16": np.uint16}
+LARGEST_BYTES = 50_000_000  # ten times a full sensor of ours
+CENTRE = 0x80  # small differences of either sign around it: their high byte is then almost constant
+
+
+def pack_pixels(pixels: Pixels) -> bytes:
+    """Pack a 2-D array of 8 or 16 bits."""
+    rows = pixels.copy()
+    rows[:, 1:] -= pixels[:, :-1]  # wraps around, and back again
+    rows += rows.dtype.type(CENTRE)
+    planes = rows.view(np.uint8).reshape(-1, rows.itemsize)
+    coder = zlib.compressobj(1, zlib.DEFLATED, zlib.MAX_WBITS, zlib.DEF_MEM_LEVEL, zlib.Z_HUFFMAN_ONLY)
+    coded = [coder.compress(planes[:, byte].tobytes()) for byte in range(rows.itemsize)]
+    return b"".join(coded) + coder.flush()
+
+
+def unpack_pixels(packed: bytes, shape: tuple[int, int], kind: str) -> Pixels:
+    """Restore the array, read-only. Raises ValueError if the bytes do not form one."""
+    if kind not in TYPES:
+        raise ValueError(f"{kind} is not a pixel type")
+    wanted = np.dtype(TYPES[kind])
+    raw = np.frombuffer(inflate(packed, LARGEST_BYTES), dtype=np.uint8)
+    planes = raw.reshape(wanted.itemsize, *shape)
+    rows = np.moveaxis(planes, 0, -1).copy(order="C").view(wanted).reshape(shape)
+    rows -= rows.dtype.type(CENTRE)
+    pixels: Pixels = np.cumsum(rows, axis=1, dtype=wanted)
+    pixels.flags.writeable = False
+    return pixels

@@ -1,7 +1,7 @@
 """The tape: every device's answers to a procedure, in order, for replay.
 
-RUN/readings/readings.jsonl one line per answer, in sections RUN/readings/pixels.bin the pixels that these
-lines refer to, each packed separately
+    RUN/readings/readings.jsonl   one line per answer, in sections
+    RUN/readings/pixels.bin       the pixels that these lines refer to, each packed separately
 
 A section is what happens between two lines of the journal, and has the number of the first. Answers to other
 callers, a guard or another thread, are not on the tape. A separate thread packs and writes.
@@ -12,18 +12,17 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, suppress
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import Device, Lifecycle, activated
 from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
-from ronna_hw.recording.pixel_coding import pack_pixels
-from ronna_hw.recording.reading_coding import as_plain
+from ronna_hw.recording.reading_coding import LOOKS, PROPERTIES, TELLING, answers_of, as_plain, pack_pixels
 
 READINGS_FOLDER = "readings"
 READINGS_FILE, PIXELS_FILE = "readings.jsonl", "pixels.bin"
@@ -35,7 +34,7 @@ NO_SECTION = -1
 
 
 class RecordedCall(NamedTuple):
-    """Answer to a device call: a value, or the error raised; and the resulting state."""
+    """Answer to a device call: a value or the error raised, and the resulting state."""
 
     section: int
     device: str
@@ -48,7 +47,10 @@ class RecordedCall(NamedTuple):
 
 
 class ReadingTape:
-    """For one run. `opening` is the first line: what a replay needs in addition to the answers."""
+    """The tape of one run.
+
+    `opening` is the first line: what a replay needs in addition to the answers.
+    """
 
     def __init__(
         self,
@@ -58,7 +60,7 @@ class ReadingTape:
         *,
         most_bytes: int = MOST_BYTES,
     ) -> None:
-        """Continues what an earlier process of the run has left. Raises OSError."""
+        """Continue the tape that an earlier process of the run has left. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = (folder / READINGS_FILE).open("ab")
         self._pixels = (folder / PIXELS_FILE).open("ab")
@@ -80,7 +82,7 @@ class ReadingTape:
         self._writer.start()
 
     def begin(self, section: int) -> None:
-        """From here on this thread's answers belong to the section with that number."""
+        """Assign this thread's answers from now on to the section with that number."""
         self._section, self._thread = section, threading.get_ident()
 
     def end(self) -> None:
@@ -89,7 +91,7 @@ class ReadingTape:
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """Readings within the block are not part of the section."""
+        """Keep readings within the block out of the section."""
         self._beside += 1
         try:
             yield
@@ -118,7 +120,7 @@ class ReadingTape:
             self._queue.append(answer)
 
     def _count_waiting(self, more_bytes: int) -> int:
-        """Pixels that wait, after some have come or gone: engine and writer both count."""
+        """Bytes of waiting pixels after a change; engine and writer both count."""
         with self._counting:
             self._waiting_bytes += more_bytes
             return self._waiting_bytes
@@ -206,3 +208,52 @@ def _pixel_bytes(value: object) -> int:
     if not isinstance(value, StereoReading):
         return 0
     return sum(side.pixels.nbytes for side in (value.left, value.right) if side is not None)
+
+
+def taped(device: Device, tape: ReadingTape) -> Device:
+    """Wrap a device so that its answers are taped; the wrapper has exactly the public names of the device."""
+    names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
+    calls = answers_of(device)
+    members = {name: _member(name, calls) for name in names}
+    return cast("Device", type("Taped", (_Taped,), members)(device, tape))
+
+
+class _Taped:
+    """Wrapper with the members of the wrapped device."""
+
+    def __init__(self, device: Device, tape: ReadingTape) -> None:
+        self._device = device
+        self._tape = tape
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Any]:
+        return activated(cast("Device", self), timeout_s)
+
+
+def _member(name: str, calls: Collection[str]) -> Any:
+    if name in calls:
+        return _taped_call(name)
+    if name in LOOKS:
+        return property(lambda self: _ask_and_keep(self, name, lambda: getattr(self._device, name)))
+    return property(lambda self: getattr(self._device, name))
+
+
+def _taped_call(name: str) -> Callable[..., Any]:
+    def call(self: _Taped, *arguments: Any, **more: Any) -> Any:
+        return _ask_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+
+    return call
+
+
+def _ask_and_keep(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
+    device, tape = self._device, self._tape
+    if not tape.listening:
+        return ask()
+    try:
+        value = ask()
+    except RonnaError as error:
+        tape.keep(device.name, name, device.observe().state, None, error)
+        raise
+    kept = PROPERTIES if name in TELLING else ()
+    properties = {each: getattr(device, each) for each in kept if hasattr(device, each)}
+    tape.keep(device.name, name, device.observe().state, value, properties=properties)
+    return value

@@ -240,7 +240,7 @@ class GvspFormat(IntEnum):
 
 
 class PayloadType(IntEnum):
-    """What a block carries."""
+    """Content of a block."""
 
     IMAGE = 1
     RAW = 2

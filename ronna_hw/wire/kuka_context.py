@@ -57,7 +57,7 @@ class _Table(BaseModel):
 
 
 class SendElement(_Table):
-    """One ELEMENT the controller sends; `indx` is a channel or "INTERNAL" for a DEF_ keyword."""
+    """An ELEMENT that the controller sends; `indx` is a channel or "INTERNAL" for a DEF_ keyword."""
 
     tag: Annotated[str, Field(min_length=1)]
     type: ElementType
@@ -65,7 +65,7 @@ class SendElement(_Table):
 
 
 class ReceiveElement(_Table):
-    """One ELEMENT the controller receives; with `holdon` 1 a missing reply keeps the last value."""
+    """An ELEMENT that the controller receives; with `holdon` 1 a missing reply keeps the last value."""
 
     tag: Annotated[str, Field(min_length=1)]
     type: ElementType
@@ -90,7 +90,7 @@ class Feedback(_Table):
 
 
 class Program(_Table):
-    """What the KRL program requests from RSI_ON, and the arm it is written for."""
+    """Request of the KRL program to RSI_ON, and the arm it is written for."""
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]

@@ -110,14 +110,14 @@ class RsiState(IntEnum):
 
 
 class Reference(StrEnum):
-    """How corrections accumulate."""
+    """Way in which corrections accumulate."""
 
     ABSOLUTE = "ABS"
     RELATIVE = "REL"
 
 
 class Correction(StrEnum):
-    """Which object is corrected."""
+    """Object that is corrected."""
 
     AXIS = "AXIS"
     POSITION = "POS"

@@ -43,7 +43,7 @@ CRC16_TABLE: Final = _crc16_table()
 
 @cache
 def _crc16_word_table() -> tuple[int, ...]:
-    """For each 16-bit word, low byte first, the CRC of its two bytes; created on first use."""
+    """CRC of the two bytes of each 16-bit word, low byte first; created on first use."""
     table = CRC16_TABLE
     return tuple(
         (crc >> 8) ^ table[crc & 0xFF] for high in range(256) for crc in (low ^ high for low in table)

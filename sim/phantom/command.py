@@ -10,11 +10,10 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line.new_files import require_folder
+from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
-from ronna_hw.text.counting import counted
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import counted, without_controls
 from sim.world.options import Carrier
 
 SCANNER = "What the scanner does"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.new_files import require_folder
+from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
 from sim.world.options import Carrier, OnStand
 

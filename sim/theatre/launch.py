@@ -13,7 +13,7 @@ from uuid import uuid4
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.errors import BadCalibrationFile, BadDeviceParameter
 from sim.kuka.controller_parameters import changed_parameters

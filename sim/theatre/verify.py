@@ -15,7 +15,7 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
-from ronna_hw.text.counting import counted, some_of
+from ronna_hw.text import counted, some_of
 from sim.errors import NothingToVerify
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene

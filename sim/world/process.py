@@ -15,9 +15,8 @@ from pathlib import Path
 from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
-from ronna_hw.host.descendants import descendants_of, kill_all
-from ronna_hw.host.parent_process import PARENT
-from ronna_hw.host.starting_up import end_start
+from ronna_hw.host.child_process import descendants_of, kill_all
+from ronna_hw.host.process import PARENT, end_start
 from sim.errors import BadScene
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import DEVICES, read_faults

@@ -20,7 +20,7 @@ from pydantic import Field, ValidationError
 
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_whole
 from sim.errors import BadSavedWorld, TheatreRunning
 from sim.world.displacements import rolled_mm

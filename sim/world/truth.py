@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 from sim.errors import BadTruth
 from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_flange
 from sim.world.faults import Fault, FaultBoard, FaultKind

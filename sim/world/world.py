@@ -20,11 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.bounded_input import check_json
-from ronna_hw.clock import SharedClock
+from ronna_hw.clock import CLOCK, SharedClock
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.memory_map import MemoryMap
-from ronna_hw.host.shared_layout import text
-from ronna_hw.wire.theatre_clock import CLOCK
+from ronna_hw.host.shared_memory import MemoryMap, text
 from sim.errors import WorldUnavailable
 from sim.world.options import OnStand
 from sim.world.rigid import matrix_of

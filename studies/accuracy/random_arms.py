@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.deviations import FLANK_SHARE
+from ronna_hw.arm.kinematics import Chain
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.links import Chain
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM, draw_arm, draw_mount
 from sim.world.scene.model import ArmTruth
 from studies.accuracy.turning import Components, mapped, shifted, turned

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ronna_hw.arm.links import Chain, Joint
+from ronna_hw.arm.kinematics import Chain, Joint
 
 Array = NDArray[np.float64]
 Components = tuple[Array, Array, Array]

@@ -13,7 +13,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.linear_algebra import processes_single_threaded
+from ronna_hw.host.process import processes_single_threaded
 from ronna_hw.host.worker_processes import fresh_processes
 from studies.campaign.ledger import Ledger
 from studies.campaign.silence import Silence, Tell

@@ -21,12 +21,10 @@ from scipy.spatial.transform import Rotation
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.new_frames import new_frames
 from ronna_hw.devices.readings import Validity
-from ronna_hw.devices.tracker import OpticalTracker
-from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.devices.sensors import OpticalTracker, new_frames
+from ronna_hw.host.child_process import ChildProcess, command, finished_command
 from ronna_hw.host.control_port import ControlPortClient
-from ronna_hw.host.finite_command import finished_command
 from ronna_hw.records import write_whole
 from ronna_hw.registry import make_device
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, read_series
-from ronna_hw.host.child_process import command
-from ronna_hw.host.finite_command import finished_command
+from ronna_hw.host.child_process import command, finished_command
 from studies.errors import PhantomFailed
 
 Array = NDArray[np.float64]

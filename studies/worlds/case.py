@@ -10,9 +10,8 @@ from typing import Any
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, chain_until_broken
-from ronna_hw.evidence.named_files import RECORDS_FOLDER
-from ronna_hw.host.child_process import command
-from ronna_hw.host.finite_command import finished_command
+from ronna_hw.evidence.manifest import RECORDS_FOLDER
+from ronna_hw.host.child_process import command, finished_command
 from ronna_hw.records import read_record, write_whole
 from studies.errors import WorldNotRun
 from studies.worlds.verdict import RANKS, Judgement, Verdict, judge, limits_used_mm

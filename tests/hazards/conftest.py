@@ -13,7 +13,7 @@ from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from sim.world.process import load_scene
 from sim.world.world import World
 

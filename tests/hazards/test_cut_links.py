@@ -27,8 +27,7 @@ from procedures.steps.clinical import (
     tool_check,
 )
 from procedures.workcell import MountedTool
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import EXIT_LINK_LOST, LinkTimeout
 
 WORKING = (

@@ -15,7 +15,7 @@ from procedures.journal.journal import Entry, Journal
 from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.steps.clinical.registration import Prediction
-from ronna_hw.command_line import tables
+from ronna_hw.command_line import messages
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)
 SHOWN = ("0.000", "0.001", "10.000", "12345.679", "99999.999")
@@ -72,9 +72,9 @@ def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
 def test_every_number_is_complete_on_a_normal_and_on_a_narrow_terminal(
     columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", str(columns))
     head = ["target", "depth mm", "predicted mm", "error mm"]
-    tables.print_table("errors", head, [["T1", "123456.7", shown, shown] for shown in SHOWN])
+    messages.print_table("errors", head, [["T1", "123456.7", shown, shown] for shown in SHOWN])
     numbers = re.findall(r"\d+\.\d+", capsys.readouterr().out)
     assert numbers == [number for shown in SHOWN for number in ("123456.7", shown, shown)]

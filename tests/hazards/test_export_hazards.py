@@ -28,7 +28,7 @@ from procedures.results.result import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
-from ronna_hw.evidence.seal import hashes_at_closing, seal
+from ronna_hw.evidence.manifest import hashes_at_closing, seal
 
 SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
 WORDS = (

@@ -41,7 +41,7 @@ from ronna_hw.devices.errors import WrongState
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError, StateError
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from sim.polaris.unit.model import SPECTRA
 from sim.world.process import load_scene
 from sim.world.world import World

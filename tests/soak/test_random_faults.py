@@ -27,9 +27,9 @@ from user_commands import TOKEN, Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from sim.world.faults import parse_faults
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(14_400)]

@@ -19,9 +19,9 @@ from drivers.kuka_rsi import KukaRsiArm
 from drivers.ndi_polaris import PolarisTracker
 from procedures.exchange import raw_readings
 from procedures.strategies import strategy, trajectory
-from ronna_hw import frames, simulation, theatre
-from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, motion, readings
-from ronna_hw.devices.byte_sink import RecordsBytes
+from ronna_hw import frames, theatre
+from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings, robot
+from ronna_hw.devices.capabilities import RecordsBytes
 from studies.own import contracts
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def devices() -> str:
     """The theatre that opens them, the interfaces of devices, their readings, and the drivers."""
     interfaces = Part(
         "ronna_hw.devices",
-        [lifecycle.Device, OpticalTracker, RobotArm, motion.JointMove, motion.LineMove, StereoPair],
+        [lifecycle.Device, OpticalTracker, RobotArm, robot.JointMove, robot.LineMove, StereoPair],
     )
     own = [
         one for one in vars(readings).values() if inspect.isclass(one) and one.__module__ == readings.__name__
@@ -73,7 +73,7 @@ def devices() -> str:
     return _page(
         [
             _of(theatre, "open_theatre", "Theatre"),
-            _of(simulation, "simulated_theatre"),
+            _of(theatre, "simulated_theatre"),
             interfaces,
             Part(readings.__name__, own),
             _driver(PolarisTracker, OpticalTracker),

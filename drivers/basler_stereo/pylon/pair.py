@@ -24,11 +24,11 @@ from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_ident
 from drivers.basler_stereo.pylon.camera import PylonCamera, PylonFrame, load_pylon
 from drivers.basler_stereo.readings import PairClock, stereo_reading
 from ronna_hw.clock import Clock
-from ronna_hw.config import DeviceConfig, describe_mistakes
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, require_person
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import RUNNING, Identity, Lifecycle, activated, require_person
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
+from ronna_hw.mistakes import describe_mistakes
 
 T = TypeVar("T")
 

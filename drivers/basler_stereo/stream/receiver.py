@@ -28,7 +28,7 @@ from drivers.basler_stereo.stream.receiver_interface import (
     Order,
     send_order,
 )
-from ronna_hw.host.interruption import children_uninterrupted, describe_exit
+from ronna_hw.host.process import children_uninterrupted, describe_exit
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 

@@ -17,8 +17,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Annotated, NamedTuple
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
-from ronna_hw.host.memory_map import MemoryMap
-from ronna_hw.host.shared_layout import FieldCode, RowCodec
+from ronna_hw.host.shared_memory import FieldCode, MemoryMap, RowCodec
 
 LONGEST_ORDER_BYTES = 4096
 MOST_DESCRIPTORS = 4

@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from ronna_hw.arm.angles import degrees6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import degrees6
 from ronna_hw.command_line import terminal
 from ronna_hw.wire import kuka_eki
 from ronna_hw.wire.kuka_context import AXES, ContextInvalid, RsiContext, context_hash, load_context

@@ -27,7 +27,7 @@ from drivers.kuka_rsi.errors import (
     NoAnswer,
 )
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName

@@ -7,12 +7,12 @@ from dataclasses import asdict, dataclass
 from enum import IntEnum
 from typing import Annotated, NamedTuple
 
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.violation import ViolationKind
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.host.shared_layout import IPV4_HOST, one_of
+from ronna_hw.host.shared_memory import IPV4_HOST, one_of
 
 VIOLATIONS = ("", *ViolationKind)
 NOTHING_AROUND = Surroundings()

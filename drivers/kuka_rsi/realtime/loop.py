@@ -23,14 +23,8 @@ from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
 from drivers.kuka_rsi.realtime.set_points import PreparedReply
 from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received, Rehearsal, TelegramReceiver
-from drivers.kuka_rsi.realtime.telegram import (
-    REPLY_TAIL,
-    Found,
-    TelegramReader,
-    read_strictly,
-    telegram_of,
-)
-from ronna_hw.host.processor_affinity import ProcessorAffinity
+from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, Found, TelegramReader, read_strictly, telegram_of
+from ronna_hw.host.real_time import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.
 QUIET_AFTER_STOP_NS = 100_000_000  # the program was asked to end

@@ -21,16 +21,14 @@ from drivers.kuka_rsi.realtime.link_state import (
     Record,
     StopOrder,
 )
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.errors import SurroundingsTooLarge
 from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
 from ronna_hw.devices.readings import JointVector, Vector3
-from ronna_hw.host.byte_ring import ByteRing
-from ronna_hw.host.memory_map import MemoryMap
-from ronna_hw.host.shared_layout import RowCodec
+from ronna_hw.host.shared_memory import ByteRing, MemoryMap, RowCodec
 
 HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256

@@ -32,10 +32,10 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.set_points import PreparedReply, Replies, SetPoints
 from drivers.kuka_rsi.realtime.telegram import Telegram
+from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 

@@ -11,15 +11,13 @@ from typing import NamedTuple
 
 from drivers.kuka_rsi.realtime.link_state import Choice, LinkSettings
 from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, ReplyWriter
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.live_watch import LiveWatch
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
+from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.violation import Violation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 

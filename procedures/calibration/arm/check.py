@@ -17,11 +17,11 @@ from procedures.calibration.sufficiency import require_count
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
-from ronna_hw.arm.links import Chain
+from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import side_by_side
+from ronna_hw.text import side_by_side
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.frames import Transform
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

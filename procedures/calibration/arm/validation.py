@@ -17,7 +17,7 @@ from procedures.calibration.pose_set import centred_looks
 from procedures.calibration.sufficiency import require_count
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 

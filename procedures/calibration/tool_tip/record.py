@@ -23,7 +23,7 @@ from procedures.calibration.tool_tip.looks import TipLooks, TipPairs, pairs_of
 from procedures.calibration.tool_tip.tip import TipFit, fit_tip, tips_of
 from ronna_hw.calibration import ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 

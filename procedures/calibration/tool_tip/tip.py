@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.errors import BallAndDivotApart, DoesNotFit
 from procedures.calibration.sufficiency import require_count, require_spread
 from procedures.calibration.tool_tip.looks import TipPairs
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from scipy.special import chdtri
 from procedures.calibration.errors import DoesNotFit, FrameNotCarried
 from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from procedures.calibration.tracker_frame.looks import PosePairs
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, sl
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
 from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 

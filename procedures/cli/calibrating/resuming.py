@@ -22,7 +22,7 @@ from procedures.engine.order import order_of
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.seal import is_sealed
+from ronna_hw.evidence.manifest import is_sealed
 
 
 def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as_json: bool) -> None:

@@ -16,13 +16,13 @@ from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.cli.case.request_file import write_request
 from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.events import Event, Progress
-from ronna_hw.command_line.new_files import require_folder
+from ronna_hw.command_line.options import require_folder
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.order import Steps
     from procedures.steps.calibration.recipe import Recipe
-    from ronna_hw.command_line.progress import ProgressBar
+    from ronna_hw.command_line.messages import ProgressBar
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 

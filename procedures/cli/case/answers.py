@@ -24,7 +24,8 @@ from procedures.operator.question import Operator, Question, words
 from procedures.operator.topic import FOR_A_PERSON, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.config import describe_mistakes, read_theatre_file
+from ronna_hw.config import read_theatre_file
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.theatre_kind import is_simulated
 
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have

@@ -24,7 +24,7 @@ from procedures.engine.events import (
 )
 from procedures.engine.events.current_state import LAST_LINES
 from procedures.engine.machine import HELD
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 if TYPE_CHECKING:
     from rich.console import RenderableType

@@ -22,7 +22,7 @@ from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.errors import RefusedError
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import without_controls
 
 if TYPE_CHECKING:
     from procedures.cli.console.attaching import ConsoleRequest

@@ -18,12 +18,18 @@ from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import is_closed, not_vouched_for
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.named_files import REQUEST_FILE, closed_files
-from ronna_hw.evidence.seal import RAW_FOLDER, REPORT_FILE, seal
-from ronna_hw.host.folder_walk import remove_folder
-from ronna_hw.host.interruption import interruptible
+from ronna_hw.evidence.manifest import (
+    RAW_FOLDER,
+    REPORT_FILE,
+    REQUEST_FILE,
+    closed_files,
+    is_closed,
+    not_vouched_for,
+    seal,
+)
+from ronna_hw.host.files import remove_folder
+from ronna_hw.host.process import interruptible
 from ronna_hw.records import PARTIAL, write_whole
 
 if TYPE_CHECKING:

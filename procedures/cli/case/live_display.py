@@ -12,7 +12,7 @@ from rich.text import Text
 
 from procedures.cli.case.case_view import CaseView, entry_of
 from procedures.engine.events import Event
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 
 class LiveDisplay:

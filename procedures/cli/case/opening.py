@@ -30,8 +30,8 @@ from procedures.composition.procedure import Procedure, Resumption
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.interruption import ENDING_SIGNALS, interruption_deferred
-from ronna_hw.host.open_files import require_open_files
+from ronna_hw.host.files import require_open_files
+from ronna_hw.host.process import ENDING_SIGNALS, interruption_deferred
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
@@ -231,7 +231,7 @@ def _theatre_options(request: TheatreRequest) -> str:
 
 def request_hash(folder: Path) -> dict[str, str]:
     """Of the request that a run began with, for the first line of its journal."""
-    from ronna_hw.evidence.seal import sha256_of
+    from ronna_hw.evidence.manifest import sha256_of
 
     path = folder / REQUEST_FILE
     return {"request_sha256": sha256_of(path)} if path.exists() else {}

@@ -18,8 +18,7 @@ from procedures.operator.question import YES, Operator, Question, words
 from procedures.operator.room import Task, misread
 from procedures.operator.topic import Topic
 from ronna_hw.host.control_port import ask_control_port
-from ronna_hw.text.printable import printable, printable_lines
-from ronna_hw.text.typed_number import typed_number
+from ronna_hw.text import printable, printable_lines, typed_number
 
 AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none

@@ -17,10 +17,10 @@ from procedures.engine.errors import CommandRefused, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.command_line.new_files import require_folder
+from ronna_hw.command_line.options import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
-from ronna_hw.evidence.named_files import RECORDS_FOLDER
-from ronna_hw.host.folder_walk import walk
+from ronna_hw.evidence.manifest import RECORDS_FOLDER
+from ronna_hw.host.files import walk
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 from procedures.cli.case.scene_choice import FREE, SceneChoice
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:

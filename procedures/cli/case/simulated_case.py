@@ -12,12 +12,11 @@ from procedures.cli.case.request import TheatreRequest
 from procedures.engine.errors import CommandRefused
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.errors import EXIT_FAILED, EXIT_LINK_LOST
-from ronna_hw.evidence.named_files import WITH_PORTS
-from ronna_hw.host.child_process import ChildNotReady, command
+from ronna_hw.evidence.manifest import WITH_PORTS
+from ronna_hw.host.child_process import ChildNotReady, await_end, command
 from ronna_hw.host.control_port import ControlPortSilent
-from ronna_hw.host.finite_command import await_end
 from ronna_hw.records import write_whole
-from ronna_hw.simulation import NAME, TheatreProcess
+from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
 
@@ -83,7 +82,7 @@ class SimulatedCase:
             if not child.messages:
                 raise
             code = EXIT_FAILED if error.limit else child.process.returncode  # the former: ended by us
-            raise CommandRefused(NAME, child.messages[-1], code) from error
+            raise CommandRefused(SIMULATOR_NAME, child.messages[-1], code) from error
 
     def taken_up(self) -> None:
         """The run's journal names the theatre as it is now; without that it is left as it was."""
@@ -109,7 +108,7 @@ class SimulatedCase:
             write_whole(self._file, self._former)
         if gone and error is not None:  # what the procedure met is only the consequence
             words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
-            raise CommandRefused(NAME, words, EXIT_LINK_LOST) from error
+            raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error
 
 
 def _start_phantom(scene: list[str], folder: Path) -> subprocess.Popen[str]:

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.errors import CommandRefused
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
-from ronna_hw.host.child_process import ChildNotReady, command
-from ronna_hw.host.finite_command import finished_command
+from ronna_hw.host.child_process import ChildNotReady, command, finished_command
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import Truth

@@ -24,7 +24,7 @@ def computer_diagnostics() -> Iterator[Diagnostic]:
 
 
 def _packages() -> Diagnostic:
-    from ronna_hw.host.own_packages import foreign_packages
+    from ronna_hw.host.process import foreign_packages
 
     if foreign := foreign_packages():
         advice = "Use an environment in which no other package has these names."
@@ -67,8 +67,7 @@ def _serial_ports() -> Iterator[Diagnostic]:
 
 
 def _serial_port(path: str, description: str) -> Diagnostic:
-    from ronna_hw.host.port_users import users_of_serial_port
-    from ronna_hw.host.serial_ports import permission_advice, permissions
+    from ronna_hw.host.port_users import permission_advice, permissions, users_of_serial_port
 
     subject = f"serial port {path}"
     seen = f"{description}; {permissions(path)}"

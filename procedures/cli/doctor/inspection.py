@@ -20,14 +20,13 @@ from procedures.workcell.stereo_look import FURTHER_TRIES
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
-from ronna_hw.devices.interfaces import interface_of, require_interface
+from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
-from ronna_hw.devices.picture_check import picture_diagnostics
-from ronna_hw.devices.probing import Diagnostic, refusal
-from ronna_hw.devices.readiness import TellsReadiness, fact_diagnostics
+from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagnostics, refusal
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
+from ronna_hw.theatre import interface_of, require_interface
 
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures

@@ -18,7 +18,7 @@ from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diag
 from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
 from procedures.engine.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
-from ronna_hw.command_line.logging_options import log_failure
+from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal

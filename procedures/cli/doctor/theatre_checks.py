@@ -10,7 +10,7 @@ from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.open_files import require_open_files
+from ronna_hw.host.files import require_open_files
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires

@@ -10,8 +10,8 @@ from pathlib import Path
 from procedures.cli.case.left_away import instrument_left, left_away
 from procedures.cli.runs.left_runs import unfinished_on
 from procedures.engine.theatre_lock import last_moved, theatre_user, unwritable_note
+from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.probing import Diagnostic
-from ronna_hw.devices.readiness import MESSAGES
 
 RUN = "run"  # subject of a theatre that is in use
 INSTRUMENT = "instrument"  # subject of one that a run left in the head; shown before everything else

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from procedures.cli.calibrating.options import CalibrationOptions, finite_ball
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 
 app = typer.Typer(
     name="calibrate",

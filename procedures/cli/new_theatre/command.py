@@ -12,7 +12,7 @@ import typer
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.new_files import require_new
+from ronna_hw.command_line.options import require_new
 
 if TYPE_CHECKING:
     from procedures.cli.new_theatre.searching import Found
@@ -92,7 +92,7 @@ def new_theatre(
     require_new(out)
     from procedures.cli.new_theatre import searching, taken_over, writing
     from ronna_hw.config import parse_theatre
-    from ronna_hw.devices.discovery import Search
+    from ronna_hw.devices.probing import Search
     from ronna_hw.errors import EXIT_NOT_FOUND
     from ronna_hw.records import write_whole
     from ronna_hw.registry import finders
@@ -143,7 +143,7 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
 
 def _interfaces() -> list[str]:
     """Ask which networks may be searched, again after a typing error; none without a terminal."""
-    from ronna_hw.host.network_interfaces import interfaces
+    from ronna_hw.host.network import interfaces
 
     if not terminal.on_terminal(sys.stdin):
         terminal.tell("no --interface: no network is searched for cameras or controller")

@@ -14,8 +14,9 @@ from procedures.cli.new_theatre.searching import Found
 from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
 from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import BadTheatreFile, describe_mistakes, parse_theatre
-from ronna_hw.text.counting import counted
+from ronna_hw.config import BadTheatreFile, parse_theatre
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 
 TOOLS = "tools"  # option of a tracker: definitions of what it is to see
 # Only in a simulated theatre may records last longer than a year: judged when the devices are known.

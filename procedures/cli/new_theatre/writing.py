@@ -12,7 +12,7 @@ from typing import Any
 from procedures.calibration.validity import MADE_BY_COMMAND
 from procedures.cli.new_theatre.searching import Found
 from ronna_hw.config import Calibrations
-from ronna_hw.devices.discovery import ONLY, Option, Proposal
+from ronna_hw.devices.probing import ONLY, Option, Proposal
 
 WIDTH = 110
 TABLE_NAMES = {"robot": "robot.master"}  # the name under which the procedure uses an arm

@@ -11,10 +11,10 @@ from pathlib import Path
 
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.terminal import tell
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
-from ronna_hw.text.printable import printable
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, links_of, read_link
+from ronna_hw.text import printable
 
 ROW_BYTES = 16
 MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them

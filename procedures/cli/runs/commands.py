@@ -11,9 +11,9 @@ import typer
 
 from procedures.cli.console.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption
-from ronna_hw.text.printable import without_controls
+from ronna_hw.text import without_controls
 
 
 def _run_folder(folder: Path) -> Path:

@@ -7,10 +7,10 @@ from pathlib import Path
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import PathProblem
-from ronna_hw.evidence.named_files import RECORDS_FOLDER, REQUEST_FILE
+from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.log_output import LOG_FILE
-from ronna_hw.recording.byte_lines import BYTES_FOLDER
-from ronna_hw.text.counting import counted, some_of
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER
+from ronna_hw.text import counted, some_of
 
 # One of them makes a folder a run.
 RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)

@@ -24,7 +24,7 @@ from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.folder_walk import remove_folder, walk
+from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.records import PARTIAL
 
 PROBE_FILE = ".writable"

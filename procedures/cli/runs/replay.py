@@ -22,8 +22,9 @@ from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.terminal import print_json, print_table, progress_bar
-from ronna_hw.config import Calibrations, describe_mistakes, read_theatre_file
+from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.recording.reading_tape import READINGS_FILE
 
 CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)

@@ -12,10 +12,10 @@ from procedures.cli.runs.left_runs import close_again
 from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import tell
-from ronna_hw.evidence.inspection import inspected, is_closed
-from ronna_hw.evidence.seal import BESIDE, REPORT_FILE, SEAL_FILE, is_sealed
-from ronna_hw.host.folder_walk import remove_folder, walk
-from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.manifest import BESIDE, REPORT_FILE, SEAL_FILE, is_closed, is_sealed
+from ronna_hw.host.files import remove_folder, walk
+from ronna_hw.host.process import interruption_deferred
 
 if TYPE_CHECKING:
     from procedures.reporting.postoperative import AfterTheOperation

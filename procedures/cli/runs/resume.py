@@ -26,7 +26,7 @@ from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
-from ronna_hw.evidence.seal import REPORT_FILE, is_sealed
+from ronna_hw.evidence.manifest import REPORT_FILE, is_sealed
 
 if TYPE_CHECKING:
     from procedures.cli.console.attaching import ConsoleRequest

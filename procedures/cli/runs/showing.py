@@ -14,8 +14,7 @@ from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from ronna_hw.command_line.terminal import print_json, print_table, say
-from ronna_hw.text.counting import counted
-from ronna_hw.text.printable import printable
+from ronna_hw.text import counted, printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:

@@ -9,10 +9,9 @@ from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.seal import files_of, unchecked_folders
+from ronna_hw.evidence.manifest import files_of, unchecked_folders
 from ronna_hw.evidence.unsealed import unsealed_sentences
-from ronna_hw.text.counting import counted
-from ronna_hw.text.printable import printable
+from ronna_hw.text import counted, printable
 
 
 def verify(folder: Path, *, as_json: bool) -> None:

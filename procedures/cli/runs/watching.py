@@ -11,7 +11,7 @@ from procedures.engine.events import CaseState, Event, Questioned, Refusal, Sign
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.terminal import message_console, on_terminal, tell
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 
 def watch(run: Path, *, as_json: bool) -> None:

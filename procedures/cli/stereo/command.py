@@ -9,7 +9,7 @@ import typer
 
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, finite_ball
 from ronna_hw.command_line import terminal
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

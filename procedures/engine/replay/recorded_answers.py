@@ -15,13 +15,19 @@ from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, V
 
 from procedures.engine.errors import NotRecorded
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.config import describe_mistakes
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
-from ronna_hw.host.regular_file import open_regular
-from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES
-from ronna_hw.recording.pixel_coding import LARGEST_BYTES, unpack_pixels
-from ronna_hw.recording.reading_coding import GetPixels, as_recorded
+from ronna_hw.host.files import open_regular
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.recording.reading_coding import (
+    ANSWERS,
+    LARGEST_BYTES,
+    LOOKS,
+    PROPERTIES,
+    GetPixels,
+    as_recorded,
+    unpack_pixels,
+)
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
 
 Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]

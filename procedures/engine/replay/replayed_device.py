@@ -8,13 +8,11 @@ from typing import cast
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.byte_sink import ByteSink
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.capabilities import ByteSink
+from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, activated
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
-from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, answers_of
+from ronna_hw.recording.reading_coding import ANSWERS, LOOKS, PROPERTIES, answers_of
 
 KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
 KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}

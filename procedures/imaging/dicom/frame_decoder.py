@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.host.interruption import children_uninterrupted, describe_exit
+from ronna_hw.host.process import children_uninterrupted, describe_exit
 
 PROCESS = "procedures.imaging.dicom.decoder_process"
 LIMIT_S = (

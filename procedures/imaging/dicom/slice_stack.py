@@ -23,7 +23,7 @@ from procedures.imaging.errors import (
     SpacingUneven,
 )
 from procedures.imaging.volume import VoxelGeometry
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,8 @@ from procedures.planning.errors import PlaceUnfit
 from ronna_hw.arm.pose import Pose
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.mistakes import describe_mistakes
 
 LARGEST_FILE_BYTES = 4_000_000  # a map of maximum extent has some 18,000 squares and nodes
 MOST_VALUES = 400_000

@@ -6,8 +6,7 @@ from numpy.typing import ArrayLike
 
 from procedures.planning.plan.model import FiducialKind
 from procedures.registration.layout import find_layout
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Obstacle
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 
 COARSE_MM = 1.25  # around them: error of the coarse localization

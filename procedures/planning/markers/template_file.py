@@ -13,8 +13,8 @@ from procedures.planning.head.shape import HeadEllipsoid
 from procedures.planning.plan.model import Plan
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
-from ronna_hw.config import describe_mistakes
 from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import write_whole
 
 Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds

@@ -13,8 +13,8 @@ from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import Closest, sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.preview import PathPreview, preview

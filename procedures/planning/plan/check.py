@@ -31,7 +31,7 @@ from procedures.planning.plan.seal import other_voxels
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 

@@ -23,9 +23,9 @@ from procedures.planning.plan.model import Plan
 from procedures.planning.plan.seal import require_unaltered
 from procedures.planning.plan.units import in_another_unit
 from ronna_hw.bounded_input import read_toml, toml_of
-from ronna_hw.config import describe_mistakes, mistakes_in
+from ronna_hw.mistakes import describe_mistakes, mistakes_in
 from ronna_hw.records import write_whole
-from ronna_hw.text.printable import printable
+from ronna_hw.text import printable
 
 # What an item of a list is called, and the key with its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}

@@ -18,7 +18,7 @@ from procedures.planning.head.structures import MOST_POINTS_TOGETHER, MOST_STRUC
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
-from ronna_hw.trajectory_bounds import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
+from ronna_hw.plausible import LEAST_DEPTH_MM, MOST_DEPTH_MM, FreeAngle, Margin, TrajectoryName
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 SCHEMA_VERSION = 1

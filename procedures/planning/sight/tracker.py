@@ -10,10 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
-from ronna_hw.arm.links import ArmBodies
+from ronna_hw.arm.kinematics import ArmBodies
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 

@@ -16,9 +16,8 @@ from procedures.planning.theatre.scene import PlanningScene
 from procedures.registration.errors import LayoutNotFound
 from procedures.strategies.strategy import Strategy
 from procedures.workcell.tool_records import ToolRecords
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.motion.planning import require_in_range
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.clock import HostClock
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.command_line.errors import UsageMistake

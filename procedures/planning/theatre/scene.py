@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from procedures.planning.head.shape import HeadEllipsoid
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Surroundings
+from ronna_hw.arm.clearance.bodies import Corridor, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform

@@ -10,7 +10,8 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
 from procedures.steps.calibration.procedures import arm_looks, frame_looks, head_calibration, tip_readings
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.config import Calibrations, describe_mistakes
+from ronna_hw.config import Calibrations
+from ronna_hw.mistakes import describe_mistakes
 
 MOST_LOOKS = 1000  # no command takes half of it
 

@@ -28,7 +28,7 @@ from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkSt
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
 from procedures.steps.conditions import inserted
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held

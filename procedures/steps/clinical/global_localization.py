@@ -27,7 +27,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 

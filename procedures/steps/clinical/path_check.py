@@ -27,8 +27,8 @@ from procedures.steps.conditions import localizable
 from procedures.strategies.approach import arrival_signs
 from procedures.strategies.best import BestOfEach
 from procedures.workcell import MountedTool
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.pose import radians6
 
 
 class LocalizationPose(Values):

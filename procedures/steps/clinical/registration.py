@@ -59,7 +59,7 @@ from procedures.steps.clinical.validity.followed_move import FollowedMove, Measu
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 

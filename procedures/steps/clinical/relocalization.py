@@ -39,7 +39,7 @@ from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 

@@ -33,7 +33,7 @@ from procedures.steps.reading_age import require_recent
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.parking import park
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import Numbers3
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE

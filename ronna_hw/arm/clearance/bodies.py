@@ -1,14 +1,225 @@
-"""All bodies that can collide: the links of an arm, its tool, and its surroundings."""
+"""Bodies that can collide, as plain values: the links of an arm, its tool, and its surroundings.
+
+Capsules are the only shape. A capsule is the set of points within a radius of a segment, and everything else
+is covered by capsules, so that a single closed formula gives the distance. The real-time loop uses it: no
+NumPy.
+
+Lengths in mm. Parts of the tool are in the flange frame, obstacles in $ROBROOT. A `Surroundings` is created
+once per tool and patient position, and is constant while the arm moves.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from math import dist, hypot, inf, sqrt
+from typing import Any, NamedTuple
 
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.links import COLUMN_NAME, ArmBodies, ArmPart
+from ronna_hw.arm.kinematics import COLUMN_NAME, ArmBodies, ArmPart
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import Vector3
+
+POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
+
+
+class Capsule(NamedTuple):
+    """Segment and radius, mm. Equal ends make a ball."""
+
+    start_mm: Vector3
+    end_mm: Vector3
+    radius_mm: float
+
+    def moved(self, pose: Pose) -> Capsule:
+        """The capsule in the target frame of `pose`."""
+        return Capsule(pose.apply(self.start_mm), pose.apply(self.end_mm), self.radius_mm)
+
+
+def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float:
+    """Distance of segments a-b and c-d: closest points of the lines, clamped in turn to the segments."""
+    ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
+    wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    uw = ux * wx + uy * wy + uz * wz
+    vw = vx * wx + vy * wy + vz * wz
+    if vv <= POINT_MM2:
+        t = 0.0
+        s = -uw / uu if uu > POINT_MM2 else 0.0
+    elif uu <= POINT_MM2:
+        s, t = 0.0, vw / vv
+    else:
+        uv = ux * vx + uy * vy + uz * vz
+        across = uu * vv - uv * uv
+        s = (uv * vw - vv * uw) / across if across > POINT_MM2 * uu * vv else 0.0
+        s = 0.0 if s < 0.0 else 1.0 if s > 1.0 else s
+        t = (uv * s + vw) / vv
+        if not 0.0 <= t <= 1.0:
+            t = 0.0 if t < 0.0 else 1.0
+            s = (uv * t - uw) / uu
+    s = 0.0 if s < 0.0 else 1.0 if s > 1.0 else s
+    t = 0.0 if t < 0.0 else 1.0 if t > 1.0 else t
+    x, y, z = wx + s * ux - t * vx, wy + s * uy - t * vy, wz + s * uz - t * vz
+    return sqrt(x * x + y * y + z * z)
+
+
+def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Capsule]:
+    """Cover an ellipsoid by two capsules along its longest axis, side by side along the middle one.
+
+    The radius is the smallest for which the balls at the ends of the segments cover the ends of the ellipsoid
+    and the two capsules meet in its middle; they exceed its surface by some per cent of the differences
+    between the axes. `pose` maps from the frame of the ellipsoid (origin at its centre, along its axes) to
+    the wanted one.
+    """
+    order = sorted(range(3), key=lambda axis: semi_axes_mm[axis])
+    short, middle, long = (semi_axes_mm[axis] for axis in order)
+    aside = (middle * middle - short * short) / (2.0 * middle)
+    along = (long * long - short * short) / (2.0 * long)
+    radius = max(hypot(short, aside), hypot(aside, long - along), middle - aside)
+
+    def corner(side: float, end: float) -> Vector3:
+        place = [0.0, 0.0, 0.0]
+        place[order[1]], place[order[2]] = side * aside, end * along
+        return pose.apply((place[0], place[1], place[2]))
+
+    return (
+        Capsule(corner(-1.0, -1.0), corner(-1.0, 1.0), radius),
+        Capsule(corner(1.0, -1.0), corner(1.0, 1.0), radius),
+    )
+
+
+DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may shift
+
+
+class Part(NamedTuple):
+    """A body of the tool, fixed to the flange. `enters_head`: it may enter the head along a corridor."""
+
+    name: str
+    capsule: Capsule
+    enters_head: bool = False
+
+
+class Obstacle(NamedTuple):
+    """A fixed body in the room. `is_head`: speeds near it are capped, and corridors lead into it."""
+
+    name: str
+    capsule: Capsule
+    is_head: bool = False
+
+
+class Corridor(NamedTuple):
+    """Straight passage into the head: from outside through the entry to slightly beyond the target."""
+
+    entry_mm: Vector3
+    target_mm: Vector3
+    radius_mm: float
+
+    def holds(self, start_mm: Vector3, end_mm: Vector3) -> bool:
+        """Whether both ends of a segment, and therefore all of it, are inside."""
+        return self._holds(start_mm) and self._holds(end_mm)
+
+    def _holds(self, point_mm: Vector3) -> bool:
+        (ex, ey, ez), depth = self.entry_mm, dist(self.entry_mm, self.target_mm)
+        ax, ay, az = ((t - e) / depth for t, e in zip(self.target_mm, self.entry_mm, strict=True))
+        x, y, z = point_mm[0] - ex, point_mm[1] - ey, point_mm[2] - ez
+        along = x * ax + y * ay + z * az
+        aside = dist((x, y, z), (along * ax, along * ay, along * az))
+        return aside <= self.radius_mm and along <= depth + DEEPER_THAN_TARGET_MM
+
+
+class SpeedZone(NamedTuple):
+    """Speed limit for everything that moves, linear in the distance to the head between two points."""
+
+    near_mm: float
+    near_speed_mm_s: float
+    far_mm: float
+    far_speed_mm_s: float
+
+    def cap_mm_s(self, distance_mm: float) -> float:
+        """Speed limit at a distance; constant closer than `near_mm` and farther than `far_mm`."""
+        share = (distance_mm - self.near_mm) / (self.far_mm - self.near_mm)
+        share = min(max(share, 0.0), 1.0)
+        return self.near_speed_mm_s + share * (self.far_speed_mm_s - self.near_speed_mm_s)
+
+
+class ArmRadii(NamedTuple):
+    """Radii of the bodies of the arm about their axes; our own conservative estimates (U)."""
+
+    column_mm: float = 150.0
+    upper_arm_mm: float = 85.0
+    forearm_mm: float = 70.0
+    wrist_mm: float = 45.0
+    hand_mm: float = 45.0
+
+    def of(self, part: ArmPart) -> float:
+        """Radius of a part."""
+        return self[_PARTS.index(part)]
+
+
+_PARTS = (ArmPart.COLUMN, ArmPart.UPPER_ARM, ArmPart.FOREARM, ArmPart.WRIST, ArmPart.HAND)
+
+DEFAULT_RADII = ArmRadii()
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """All bodies, and the rules: least distance on a planned path, least distance live, speed zone."""
+
+    tool: tuple[Part, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    radii: ArmRadii = DEFAULT_RADII
+    margin_mm: float = 10.0
+    live_margin_mm: float = 5.0
+    zone: SpeedZone | None = None
+    corridor: Corridor | None = None
+
+    def moved(self, by: Pose) -> Surroundings:
+        """Move everything that is fixed in the room."""
+        corridor = self.corridor
+        return replace(
+            self,
+            obstacles=tuple(one._replace(capsule=one.capsule.moved(by)) for one in self.obstacles),
+            corridor=corridor
+            and corridor._replace(
+                entry_mm=by.apply(corridor.entry_mm), target_mm=by.apply(corridor.target_mm)
+            ),
+        )
+
+    def cap_mm_s(self, distance_mm: float) -> float:
+        """Speed limit of anything that moves at a distance from the head; infinite without a zone."""
+        return inf if self.zone is None else self.zone.cap_mm_s(distance_mm)
+
+    def to_json(self) -> str:
+        """Encode as one line, for the real-time process."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> Surroundings:
+        """Decode `to_json`; raises KeyError, TypeError or ValueError for any other line."""
+        values: dict[str, Any] = json.loads(line)
+        corridor, zone = values["corridor"], values["zone"]
+        return cls(
+            tool=tuple(Part(name, _capsule(body), enters) for name, body, enters in values["tool"]),
+            obstacles=tuple(Obstacle(name, _capsule(body), head) for name, body, head in values["obstacles"]),
+            radii=ArmRadii(*values["radii"]),
+            margin_mm=values["margin_mm"],
+            live_margin_mm=values["live_margin_mm"],
+            zone=None if zone is None else SpeedZone(*zone),
+            corridor=None
+            if corridor is None
+            else Corridor(_three(corridor[0]), _three(corridor[1]), corridor[2]),
+        )
+
+
+def _capsule(values: Any) -> Capsule:
+    start, end, radius = values
+    return Capsule(_three(start), _three(end), float(radius))
+
+
+def _three(values: Any) -> Vector3:
+    x, y, z = values
+    return (float(x), float(y), float(z))
 
 
 class Pair(NamedTuple):
@@ -25,7 +236,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """Moving bodies: the arm's links, then parts of the tool. Fixed ones: its column, then obstacles."""
+    """Moving bodies: the links, then parts of the tool. Fixed bodies: the column, then obstacles."""
 
     arm: ArmBodies
     surroundings: Surroundings

@@ -1,20 +1,78 @@
-"""Checks where set-points take the bodies: distances to everything, their speed, and that near the head.
+"""Live check of set-points: the distances of all bodies, their speed, and their speed near the head.
 
-Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
-are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring it to its
-limit, and the bodies are placed only if a bound from the joint angles alone does not already clear them.
+Part of the monitor, so it shares no formula with planning: links come from the closed form of the arm,
+distances are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring
+it to its limit, and the bodies are placed only if a bound from the joint angles alone does not already clear
+them.
 """
 
 from __future__ import annotations
 
+from enum import StrEnum
 from heapq import heapify, heappop, heappush
-from math import dist, inf
+from math import degrees, dist, inf
+from typing import NamedTuple
 
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import segment_distance_mm
-from ronna_hw.arm.links import Segment
-from ronna_hw.arm.violation import Violation, ViolationKind
+from ronna_hw.arm.clearance.bodies import Bodies, segment_distance_mm
+from ronna_hw.arm.kinematics import Segment
 from ronna_hw.devices.readings import JointVector
+
+
+class ViolationKind(StrEnum):
+    """Limit that was exceeded: of an axis, of a moving body, or, the last two, of a pair of bodies."""
+
+    RANGE = "range"
+    TOTAL_CORRECTION = "total correction"
+    SPEED = "speed"
+    ACCELERATION = "acceleration"
+    JERK = "jerk"
+    FOLLOWING_ERROR = "following error"  # a stop by the controller causes it too
+    BODY_SPEED = "body speed"  # the operating mode's limit, wherever the body is
+    CLEARANCE = "clearance"
+    ZONE_SPEED = "speed near the head"
+
+
+_ANGLE_UNITS = {
+    ViolationKind.SPEED: "deg/s",
+    ViolationKind.ACCELERATION: "deg/s2",
+    ViolationKind.JERK: "deg/s3",
+}
+_BODY_UNITS = {
+    ViolationKind.BODY_SPEED: "mm/s",
+    ViolationKind.CLEARANCE: "mm",
+    ViolationKind.ZONE_SPEED: "mm/s",
+}
+
+
+class Violation(NamedTuple):
+    """A limit that a set-point or a measured pose exceeds, with value and limit in rad, mm and seconds.
+
+    `axis` counts from 1. For `BODY_SPEED` it is the index in `Bodies.moving_names`, for `CLEARANCE` and
+    `ZONE_SPEED` that in `Bodies.pairs`.
+    """
+
+    kind: ViolationKind
+    axis: int
+    value: float
+    limit: float
+
+    @property
+    def of_axis(self) -> bool:
+        """Whether it concerns an axis rather than bodies."""
+        return self.kind not in _BODY_UNITS
+
+    def in_units(self, value: float) -> str:
+        """Format a value of this kind for people."""
+        if not self.of_axis:
+            return f"{value:.1f} {_BODY_UNITS[self.kind]}"
+        unit = _ANGLE_UNITS.get(self.kind)
+        return f"{degrees(value):.4f} deg" if unit is None else f"{degrees(value):.1f} {unit}"
+
+    def __str__(self) -> str:
+        what = "axis" if self.of_axis else "body" if self.kind is ViolationKind.BODY_SPEED else "pair"
+        value, limit = self.in_units(self.value), self.in_units(self.limit)
+        return f"{self.kind} of {what} {self.axis}: {value}, limit {limit}"
+
 
 SPEED_MARGIN = 1.05  # over the cap: planning stays below it, rounding is no violation
 LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning resolves less than this
@@ -30,7 +88,10 @@ def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
 
 
 class LiveWatch:
-    """One per stream and surroundings. `check` does not count a set-point as sent; `sent` does."""
+    """Watch over one stream in its surroundings.
+
+    `check` does not count a set-point as sent; `sent` does.
+    """
 
     def __init__(
         self,
@@ -75,7 +136,7 @@ class LiveWatch:
         self._bounds = [self._distance(number, segments) for number in self._head]
 
     def check(self, joints_rad: JointVector) -> Violation | None:
-        """The first violation if this set-point were sent next, or None."""
+        """Return the first violation if this set-point were sent next, or None."""
         most = self._at_most(joints_rad)
         if self._plainly_well(most):
             self._tried = (joints_rad, None, most)
@@ -86,7 +147,7 @@ class LiveWatch:
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """Record that this set-point was sent, or is the arm's current position."""
+        """Record a set-point that was sent, or is the current position of the arm."""
         if joints_rad is self._joints:
             return
         segments, moved = None, 0.0
@@ -161,7 +222,7 @@ class LiveWatch:
         return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
     def _moved(self, segments: list[Segment]) -> float:
-        """The largest motion of an end of any body since the last set-point."""
+        """Largest motion of an end of any body since the last set-point."""
         return max(self._ways_mm(segments))
 
     def _ways_mm(self, segments: list[Segment]) -> list[float]:
@@ -191,5 +252,5 @@ class LiveWatch:
         return segment_distance_mm(*segments[pair.moving], *other) - self._thick[number]
 
     def _share(self, number: int) -> float:
-        """The share of a pair's gap that one body may use up: both may move towards each other."""
+        """Share of a pair's gap that one body may use up: both may move towards each other."""
         return 0.5 if self._pairs[number].other < 0 else 1.0

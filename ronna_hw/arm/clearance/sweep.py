@@ -1,24 +1,47 @@
-"""Distances of all pairs of bodies over many joint vectors at once, with NumPy.
+"""Clearance of a planned path over its whole length: distances of all pairs of bodies, with NumPy.
 
-For planning. The real-time process' live monitoring has formulas of its own, so that one mistake cannot hide
-in both: here the chain is multiplied out joint by joint.
+The path is sampled. Between two samples a pair cannot come closer than half of the sum of both distances
+minus the motion in between; if that bound is not enough, the interval is halved, down to `FINEST_MM` of
+motion.
+
+The live monitoring of the real-time process has formulas of its own, so that one mistake cannot hide in both:
+here the chain is multiplied out joint by joint.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
+from math import ceil
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.surroundings import Corridor
-from ronna_hw.devices.readings import Vector3
+from ronna_hw.arm.clearance.bodies import Bodies, Corridor, Surroundings
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.motion.planning import JointPath, LinePath, MotionPlan
+from ronna_hw.devices.readings import JointVector, Vector3
 
 Array = NDArray[np.float64]
-
 POINT_MM2 = 1e-12
+FIRST_SAMPLES = 9
+STEP_MM = 12.0  # initial motion between two samples
+STEP_RAD = 0.1  # of any joint: within this, a path between two samples is straight to 0.05 %
+FINEST_MM = 0.5
+ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
+LEAVING_MM = 0.05  # a body that starts too close may stay or move away; this much does not count as approach
+ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
+
+
+@dataclass(frozen=True)
+class Closest:
+    """Smallest distance on a path: which two bodies, how far apart, where on the path (0..1)."""
+
+    first: str
+    second: str
+    distance_mm: float
+    fraction: float
 
 
 @dataclass(frozen=True)
@@ -32,6 +55,150 @@ class Swept:
     ends_mm: Array
     gaps_mm: Array
     to_head_mm: Array
+
+
+@dataclass(frozen=True)
+class SweptPath:
+    """Samples of a path and the distances there; fractions (n) from 0 to 1, joints (n, axes)."""
+
+    bodies: Bodies
+    fractions: Array
+    joints_rad: Array
+    swept: Swept
+
+    @property
+    def closest(self) -> Closest | None:
+        """Smallest distance of any pair; None if there is nothing to collide with."""
+        gaps = self.swept.gaps_mm
+        if not gaps.size or not np.isfinite(gaps).any():
+            return None
+        return self._at(_first_smallest(gaps))
+
+    @property
+    def refused(self) -> Closest | None:
+        """Pair that comes too close, at its closest; None if the path is clear.
+
+        A pair that is too close at the start must not come any closer.
+        """
+        lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
+        if not lacking.size or lacking.min() >= 0.0:
+            return None
+        return self._at(_first_smallest(lacking))
+
+    def require(self, what: str = "the path") -> None:
+        """Raise ARM-007 with the pair, the distance and the position if the path is not clear."""
+        bad = self.refused
+        if bad is None:
+            return
+        raise NotClear(
+            f"on {what} the {bad.first} would come too close to the {bad.second}, "
+            f"{bad.fraction:.0%} of the path",
+            limit=f"{self.bodies.surroundings.margin_mm:g} mm",
+            got=f"{bad.distance_mm:.1f} mm",
+        )
+
+    def _at(self, place: int) -> Closest:
+        row, column = np.unravel_index(place, self.swept.gaps_mm.shape)
+        first, second = self.bodies.names(self.bodies.pairs[column])
+        gap = float(self.swept.gaps_mm[row, column])
+        return Closest(first, second, gap, float(self.fractions[row]))
+
+
+def sweep_path(
+    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
+) -> SweptPath:
+    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 if the path has no solution.
+
+    A path that is not clear is searched for its closest point, for the message; without `to_the_worst` only
+    until the result is certain.
+    """
+    path = plan.path(kinematics)
+    bodies = Bodies(kinematics, surroundings)
+    fractions = np.linspace(0.0, 1.0, FIRST_SAMPLES)
+    joints = _joints(path, plan.start_rad, fractions)
+    found = sweep(bodies, joints)
+    count = max(
+        FIRST_SAMPLES,
+        ceil(float(_moved(found).max(axis=1).sum()) / STEP_MM) + 1,
+        ceil(float(np.abs(np.diff(joints, axis=0)).max(axis=1).sum()) / STEP_RAD) + 1,
+    )
+    if count > FIRST_SAMPLES:
+        fractions = np.linspace(0.0, 1.0, count)
+        joints = _joints(path, plan.start_rad, fractions)
+        found = sweep(bodies, joints)
+    floors = floors_mm(surroundings, found.gaps_mm[0])
+    while True:
+        if not to_the_worst and (found.gaps_mm < floors).any():
+            break
+        wanted = np.minimum(floors, found.gaps_mm.min(axis=0))
+        open_rows = np.flatnonzero(_unsettled(bodies, found, wanted))
+        if not len(open_rows):
+            break
+        middles = (fractions[open_rows] + fractions[open_rows + 1]) / 2.0
+        between = np.array(
+            [path.joints(float(s), _vector(joints[row])) for s, row in zip(middles, open_rows, strict=True)]
+        )
+        more = sweep(bodies, between)
+        fractions = np.insert(fractions, open_rows + 1, middles)
+        joints = np.insert(joints, open_rows + 1, between, axis=0)
+        found = Swept(
+            np.insert(found.ends_mm, open_rows + 1, more.ends_mm, axis=0),
+            np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
+            np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
+        )
+    return SweptPath(bodies, fractions, joints, found)
+
+
+def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
+    """Minimum distance of each pair (pairs,) on a path that starts with these distances."""
+    return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
+
+
+def motion_mm(swept: Swept) -> Array:
+    """Upper bound of each body's motion between neighbouring samples, (n - 1, bodies)."""
+    return _moved(swept) * ARC_FACTOR
+
+
+def _first_smallest(distances_mm: Array) -> int:
+    """Flat index of the first distance that is smallest up to rounding.
+
+    Bodies that rotate together keep their distance: the last digits must not decide the position on the path.
+    """
+    return int(np.argmax(distances_mm <= distances_mm.min() + ALIKE_MM))
+
+
+def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]:
+    """Mask of the intervals (n - 1) that may hide a distance below its minimum."""
+    moved = motion_mm(found)
+    pairs = bodies.pairs
+    own = np.array([pair.other < 0 for pair in pairs])
+    relative = moved[:, [pair.moving for pair in pairs]]
+    relative[:, own] += moved[:, [-1 - pair.other for pair in pairs if pair.other < 0]]
+    before, after = found.gaps_mm[:-1], found.gaps_mm[1:]
+    with np.errstate(invalid="ignore"):
+        bound = (before + after - relative) / 2.0
+    # If a corridor allows contact on one side of the interval only, just the other side is known.
+    half = np.isinf(before) ^ np.isinf(after)
+    bound = np.where(half, np.minimum(before, after) - relative, bound)
+    bound = np.where(np.isinf(before) & np.isinf(after), np.inf, bound)
+    return np.asarray(((bound < floors) & (relative > FINEST_MM)).any(axis=1))
+
+
+def _moved(swept: Swept) -> Array:
+    steps = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3)
+    return np.asarray(steps.max(axis=2))
+
+
+def _joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
+    found = [start_rad]
+    for s in fractions[1:].tolist():
+        found.append(path.joints(s, found[-1]))
+    return np.array(found)
+
+
+def _vector(row: Array) -> JointVector:
+    a, b, c, d, e, f = row.tolist()
+    return (a, b, c, d, e, f)
 
 
 def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
@@ -114,7 +281,7 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 
 def _in_corridor(corridor: Corridor, ends: Array) -> NDArray[np.bool_]:
-    """Which of (n, 2, 3) segments are entirely in the corridor."""
+    """Mask of the (n, 2, 3) segments that are entirely in the corridor."""
     return np.array([corridor.holds(tuple(start), tuple(end)) for start, end in ends])
 
 

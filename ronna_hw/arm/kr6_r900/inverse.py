@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
-from ronna_hw.arm.kr6_r900.dimensions import Dimensions
+from ronna_hw.arm.kr6_r900.geometry import Dimensions
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 

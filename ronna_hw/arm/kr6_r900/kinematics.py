@@ -6,12 +6,10 @@ from collections.abc import Sequence
 from math import cos, hypot, sin
 from typing import TYPE_CHECKING
 
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.kinematics import Branch, SingularMeasure, Solution
-from ronna_hw.arm.kr6_r900 import forward, inverse, links
-from ronna_hw.arm.kr6_r900.dimensions import DIMENSIONS, ArmVariant, Dimensions
-from ronna_hw.arm.links import Segment
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.kinematics import Branch, Segment, SingularMeasure, Solution
+from ronna_hw.arm.kr6_r900 import geometry, inverse
+from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, ArmVariant, Dimensions
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.devices.readings import JointVector, Vector3
 
 if TYPE_CHECKING:
@@ -25,7 +23,7 @@ HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 
 
 class Kr6R900:
-    """One variant. Its branches are KUKA's status S."""
+    """A variant of the arm. Its branches are KUKA's status S."""
 
     axis_names = AXIS_NAMES
     home_rad = HOME_RAD
@@ -38,18 +36,18 @@ class Kr6R900:
         self.upper_rad = dimensions.upper_rad
         self.full_speed_rad_s = dimensions.full_speed_rad_s
         self.acceleration_rad_s2 = dimensions.acceleration_rad_s2
-        self.chain = links.chain(dimensions)
-        self.links = links.links(dimensions)
+        self.chain = geometry.chain(dimensions)
+        self.links = geometry.links(dimensions)
         self.column_height_mm = dimensions.base_height_mm
 
     def forward(self, joints_rad: JointVector) -> Pose:
-        return forward.forward(self.dimensions, joints_rad)
+        return geometry.forward(self.dimensions, joints_rad)
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        return forward.forward(self.dimensions, joints_rad).to_transform()
+        return geometry.forward(self.dimensions, joints_rad).to_transform()
 
     def jacobian(self, joints_rad: JointVector) -> NDArray[np.float64]:
-        return forward.jacobian(self.dimensions, joints_rad)
+        return geometry.jacobian(self.dimensions, joints_rad)
 
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
         return inverse.solutions(self.dimensions, pose)
@@ -85,10 +83,10 @@ class Kr6R900:
         return joints_rad[3]
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
-        return links.link_segments(self.dimensions, joints_rad)
+        return geometry.link_segments(self.dimensions, joints_rad)
 
     def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
-        return links.levers_mm(self.dimensions, tool_points_mm)
+        return geometry.levers_mm(self.dimensions, tool_points_mm)
 
 
 _ARMS = {variant: Kr6R900(dimensions) for variant, dimensions in DIMENSIONS.items()}

@@ -28,7 +28,7 @@ LIMITS_NUMBERS = 26  # in a row of `MotionLimits.as_numbers`
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """What every motion respects in one operating mode: per joint, for lines, and for every moving body.
+    """Limits of every motion in one operating mode: per joint, for lines, and for every moving body.
 
     Planning, previews, the real-time loop and its monitor use the same record.
     """
@@ -57,7 +57,7 @@ class MotionLimits:
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None
     ) -> tuple[JointVector, JointVector]:
-        """Lowest and highest angles (rad) of a motion: the axes' ranges minus the margin.
+        """Lowest and highest angles (rad) of a motion: the ranges of the axes minus the margin.
 
         An axis that starts closer to an end may stay there or move away.
         """
@@ -78,7 +78,7 @@ class MotionLimits:
         )
 
     def slowed(self, fraction: float) -> MotionLimits:
-        """The same with the planned speeds times `fraction` (0 < fraction <= 1); raises ARM-006 otherwise."""
+        """Scale the planned speeds by `fraction` (0 < fraction <= 1); raises ARM-006 for any other."""
         try:
             is_fraction = 0.0 < fraction <= 1.0
         except TypeError:  # "10%"
@@ -93,7 +93,7 @@ class MotionLimits:
         )
 
     def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:
-        """The same for a person at the arm: 250 mm/s and a tenth of the full axis speed."""
+        """Reduce the speeds for a person at the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
             speed_rad_s=_vector(

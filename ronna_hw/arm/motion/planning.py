@@ -1,27 +1,107 @@
-"""Plans joint moves and straight lines, checked over the whole path: branch, joint ranges, joint speeds."""
+"""Joint moves and straight lines, planned and checked over the whole path: branch, ranges, joint speeds.
+
+A path is geometry over a parameter s from 0 to 1, independent of time.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cbrt, ceil, degrees, pi, radians, sqrt, tau
+from math import acos, cbrt, ceil, degrees, pi, radians, sin, sqrt, tau
+from typing import Protocol
 
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, TooFast
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.path import JointPath, LinePath
-from ronna_hw.arm.motion.progress import PathLimits as PathLimits
-from ronna_hw.arm.motion.progress import SpeedStep
+from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
 
+NEARLY_PARALLEL = 0.9999995  # cosine of half a mrad: beyond it slerp divides by almost nothing
 SAMPLE_MM = 0.5  # spacing of the checks along a line
 SAMPLE_RAD = radians(0.2)
 SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may move slightly faster
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
 PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
-IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.angles.radians6 converts them."
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
+IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
+
+
+class Path(Protocol):
+    """Geometry from the start of a motion to its target."""
+
+    def joints(self, s: float, near: JointVector) -> JointVector:
+        """Joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
+        ...
+
+
+class JointPath:
+    """A straight line in joint space: all axes start and end together."""
+
+    def __init__(self, start_rad: JointVector, target_rad: JointVector) -> None:
+        self.start_rad = start_rad
+        self.target_rad = target_rad
+
+    def joints(self, s: float, near: JointVector) -> JointVector:
+        a, b = self.start_rad, self.target_rad
+        r = 1.0 - s
+        return (
+            r * a[0] + s * b[0],
+            r * a[1] + s * b[1],
+            r * a[2] + s * b[2],
+            r * a[3] + s * b[3],
+            r * a[4] + s * b[4],
+            r * a[5] + s * b[5],
+        )
+
+
+class LinePath:
+    """A straight line of the tool centre point, orientation by slerp, in the branch of the start."""
+
+    def __init__(
+        self,
+        kinematics: Kinematics,
+        start_rad: JointVector,
+        target: Pose,
+        tool_in_flange_mm: Vector3 = (0.0, 0.0, 0.0),
+    ) -> None:
+        self.kinematics = kinematics
+        self.branch = kinematics.branch_of(start_rad)
+        begin = kinematics.forward(start_rad)
+        self._tool = tool_in_flange_mm
+        self._from_mm = begin.apply(tool_in_flange_mm)
+        self._to_mm = target.apply(tool_in_flange_mm)
+        self._from_q = begin.quaternion()
+        to = target.quaternion()
+        cosine = sum(a * b for a, b in zip(self._from_q, to, strict=True))
+        if cosine < 0.0:  # the shorter way round
+            to, cosine = (-to[0], -to[1], -to[2], -to[3]), -cosine
+        self._to_q: Quaternion = to
+        self._half_angle = acos(min(cosine, 1.0)) if cosine < NEARLY_PARALLEL else 0.0
+        self.length_mm = sum((a - b) ** 2 for a, b in zip(self._from_mm, self._to_mm, strict=True)) ** 0.5
+        self.angle_rad = begin.angle_rad(target)
+
+    def flange(self, s: float) -> Pose:
+        """Pose of the flange at `s`."""
+        a, b = self._from_mm, self._to_mm
+        r = 1.0 - s
+        if self._half_angle:
+            over = 1.0 / sin(self._half_angle)
+            u, v = sin(r * self._half_angle) * over, sin(s * self._half_angle) * over
+        else:
+            u, v = r, s
+        p, q = self._from_q, self._to_q
+        turned = Pose.from_quaternion(
+            (0.0, 0.0, 0.0),
+            (u * p[0] + v * q[0], u * p[1] + v * q[1], u * p[2] + v * q[2], u * p[3] + v * q[3]),
+        )
+        x, y, z = turned.apply(self._tool)
+        return Pose(
+            (r * a[0] + s * b[0] - x, r * a[1] + s * b[1] - y, r * a[2] + s * b[2] - z), turned.rotation
+        )
+
+    def joints(self, s: float, near: JointVector) -> JointVector:
+        return self.kinematics.solve_branch(self.flange(s), self.branch, near)
 
 
 @dataclass(frozen=True)
@@ -48,42 +128,6 @@ class MotionPlan:
     def is_standstill(self) -> bool:
         """Whether start and target are the same joint vector."""
         return max(abs(a - b) for a, b in zip(self.start_rad, self.target_rad, strict=True)) < STANDSTILL_RAD
-
-
-def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
-    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
-
-    With `limits`, a motion from anywhere may end there: their margin is kept too.
-    """
-    if limits is None:
-        _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
-    else:
-        _require_within(arm, limits.ranges(arm), joints_rad, limits.range_margin_rad)
-
-
-def _require_within(
-    arm: JointRanges,
-    ranges: tuple[JointVector, JointVector],
-    joints_rad: JointVector,
-    margin_rad: float = 0.0,
-) -> None:
-    lower_rad, upper_rad = ranges
-    if len(joints_rad) != len(lower_rad):
-        names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
-        raise MotionInvalid(
-            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
-        )
-    for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
-        if angle != angle:
-            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
-        if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
-            raise OutOfJointRange(
-                f"{arm.axis_names[axis]} would leave its range",
-                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
-                + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
-                got=f"{degrees(angle):.3f} deg",
-                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
-            )
 
 
 def plan_joint_move(
@@ -137,6 +181,42 @@ def plan_line(
             got=f"{allowed.velocity / asked.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
+
+
+def require_in_range(arm: JointRanges, joints_rad: JointVector, limits: MotionLimits | None = None) -> None:
+    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number.
+
+    With `limits`, a motion from anywhere may end there: their margin is kept too.
+    """
+    if limits is None:
+        _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
+    else:
+        _require_within(arm, limits.ranges(arm), joints_rad, limits.range_margin_rad)
+
+
+def _require_within(
+    arm: JointRanges,
+    ranges: tuple[JointVector, JointVector],
+    joints_rad: JointVector,
+    margin_rad: float = 0.0,
+) -> None:
+    lower_rad, upper_rad = ranges
+    if len(joints_rad) != len(lower_rad):
+        names = f"{arm.axis_names[0]} to {arm.axis_names[-1]}"
+        raise MotionInvalid(
+            f"a joint vector of {len(joints_rad)} values", expected=f"{len(lower_rad)}, {names} in rad"
+        )
+    for axis, (low, angle, high) in enumerate(zip(lower_rad, joints_rad, upper_rad, strict=True)):
+        if angle != angle:
+            raise MotionInvalid(f"{arm.axis_names[axis]} is not a number")
+        if not low - RANGE_SLACK_RAD <= angle <= high + RANGE_SLACK_RAD:
+            raise OutOfJointRange(
+                f"{arm.axis_names[axis]} would leave its range",
+                limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
+                + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
+                got=f"{degrees(angle):.3f} deg",
+                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
+            )
 
 
 def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:

@@ -2,14 +2,116 @@
 
 A path may be slower in places (`SpeedStep`): near the head, or where joints move fast. A lower speed is
 reached before its section begins; acceleration to a higher one starts once its section has begun.
+
+Profiles come from ruckig, in a typed wrapper that avoids its traps. Ruckig accepts lists of any length and
+fails later, raises its own exceptions, extrapolates before the start, and calls a network service when given
+waypoints. Here lengths are fixed, errors are ours, times are clamped and there are no waypoints.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import sqrt
 from typing import NamedTuple
 
-from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfile, MotionProfiler, State
+from ruckig import ControlInterface, InputParameter, Ruckig, RuckigError, Synchronization, Trajectory
+
+from ronna_hw.arm.errors import MotionInvalid
+
+Values = Sequence[float]
+
+
+class State(NamedTuple):
+    """Position, velocity and acceleration: one value per axis each."""
+
+    position: list[float]
+    velocity: list[float]
+    acceleration: list[float]
+
+    @classmethod
+    def resting(cls, position: Values) -> State:
+        """State of rest at a position."""
+        still = [0.0] * len(position)
+        return cls(list(position), still, list(still))
+
+
+class Bounds(NamedTuple):
+    """Largest speed, acceleration and jerk per axis; all above zero."""
+
+    velocity: list[float]
+    acceleration: list[float]
+    jerk: list[float]
+
+
+class MotionProfile:
+    """A computed profile. Sampling costs well below a microsecond."""
+
+    def __init__(self, axes: int) -> None:
+        self.raw = Trajectory(axes)
+        self.duration_s = 0.0
+
+    def at(self, time_s: float) -> State:
+        """State at a time; clamped to the profile's start and end."""
+        position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
+        return State(position, velocity, acceleration)
+
+
+class MotionProfiler:
+    """Computes profiles for a fixed number of axes."""
+
+    def __init__(self, axes: int) -> None:
+        self.axes = axes
+        self._generator = Ruckig(axes)
+        self._move = InputParameter(axes)
+        self._move.synchronization = Synchronization.Time
+        self._move.target_velocity = [0.0] * axes
+        self._move.target_acceleration = [0.0] * axes
+        self._stop = InputParameter(axes)
+        self._stop.control_interface = ControlInterface.Velocity
+        self._stop.synchronization = Synchronization.No
+        self._stop.target_velocity = [0.0] * axes
+        self._stop.target_acceleration = [0.0] * axes
+        self._slower = InputParameter(axes)
+        self._slower.control_interface = ControlInterface.Velocity
+        self._slower.synchronization = Synchronization.No
+        self._slower.target_acceleration = [0.0] * axes
+
+    def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
+        """Move all axes to rest at `target` simultaneously, from any state. Raises ARM-006.
+
+        The profile may overshoot start and target if it starts in motion.
+        """
+        self._check(target)
+        self._move.target_position = list(target)
+        return self._calculate(self._move, start, bounds)
+
+    def stop(self, start: State, bounds: Bounds) -> MotionProfile:
+        """Bring each axis to rest as fast as its bounds allow, from any state. Raises ARM-006."""
+        return self._calculate(self._stop, start, bounds)
+
+    def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
+        """Bring each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
+        self._check(velocity)
+        self._slower.target_velocity = list(velocity)
+        return self._calculate(self._slower, start, bounds)
+
+    def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> MotionProfile:
+        for values in (*start, *bounds):
+            self._check(values)
+        request.current_position, request.current_velocity, request.current_acceleration = start
+        request.max_velocity, request.max_acceleration, request.max_jerk = bounds
+        profile = MotionProfile(self.axes)
+        try:
+            self._generator.calculate(request, profile.raw)
+        except RuckigError as error:
+            raise MotionInvalid("this motion has no profile", got=" ".join(str(error).split())) from error
+        profile.duration_s = profile.raw.duration
+        return profile
+
+    def _check(self, values: Values) -> None:
+        if len(values) != self.axes:
+            raise MotionInvalid(f"a profile of {self.axes} axes got {len(values)} values")
+
 
 MOST_STEPS = 12  # per path; the block that carries a plan to the real-time process has room for this many
 ROUNDING = 1e-9  # relative: a speed reached by braking is exact only to the last digits
@@ -24,28 +126,28 @@ class PathLimits(NamedTuple):
 
 
 class SpeedStep(NamedTuple):
-    """From `start` (0..1) until the next step, the path parameter's speed is at most `velocity` per s."""
+    """Limit `velocity` per s of the path parameter, from `start` (0..1) to the next step."""
 
     start: float
     velocity: float
 
 
 class StopPrediction(NamedTuple):
-    """Where a stop that begins now would end: its duration and final path parameter."""
+    """Duration and final path parameter of a stop that begins now."""
 
     duration_s: float
     parameter: float
 
 
 class _Course(NamedTuple):
-    """A profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
+    """Profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
 
     profile: MotionProfile
     velocity: float
     to_end: bool
 
     def at(self, time_s: float) -> State:
-        """The state at a time; after braking it continues at the lower speed."""
+        """State at a time; after braking it continues at the lower speed."""
         if self.to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.at(time_s)
         return State(*self.profile.raw.at_time(time_s))
@@ -94,7 +196,7 @@ class PathProgress:
         return go, stop
 
     def take_go(self) -> None:
-        """The go state was used."""
+        """Record that the go state was used."""
         if self._next is None:
             return
         self._before = self.state
@@ -104,7 +206,7 @@ class PathProgress:
             self._ceiling = None
 
     def take_stop(self) -> None:
-        """The stop state was used; from now on only the stop continues."""
+        """Record that the stop state was used; from now on only the stop continues."""
         if self._halt is not None:
             self.take_go()
         elif self._next_halt is not None:
@@ -128,7 +230,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
-        """The arm was brought to rest elsewhere, at the last state or the one before it."""
+        """Continue from rest: the arm was stopped elsewhere, at the last state or the one before it."""
         at = self._before if one_back else self.state
         self.state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
@@ -232,8 +334,8 @@ def _peak(state: State, jerk: float) -> float:
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
-def driven(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
-    """The states of a path driven from rest to rest, one per cycle, found by stepping through it."""
+def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> list[State]:
+    """States of a path driven from rest to rest, one per cycle, found by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []
     while not progress.finished:

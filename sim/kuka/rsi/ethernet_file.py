@@ -14,8 +14,8 @@ from xml.etree import ElementTree
 from pydantic import ValidationError
 
 from ronna_hw.bounded_input import InputRefused, parse_xml, read_bounded
-from ronna_hw.config import describe_mistakes
-from ronna_hw.text.counting import counted
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.text import counted
 from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.errors import EthernetFileInvalid
 

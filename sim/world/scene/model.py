@@ -15,9 +15,9 @@ from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
-from ronna_hw.config import describe_mistakes
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.plausible import FocalPixels, Length
-from ronna_hw.text.counting import counted
+from ronna_hw.text import counted
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.world.scene.parts import (

@@ -11,15 +11,17 @@ from typing import Annotated, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
-from ronna_hw.plausible import FARTHEST_ON_TOOL_MM, SHORTEST_MM, farther_than
-from ronna_hw.trajectory_bounds import (
+from ronna_hw.plausible import (
+    FARTHEST_ON_TOOL_MM,
     LEAST_DEPTH_MM,
     LONGEST_NAME,
     MOST_DEPTH_MM,
     NAME_PATTERN,
+    SHORTEST_MM,
     FreeAngle,
     Margin,
     TrajectoryName,
+    farther_than,
 )
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap
 from ronna_hw.wire.polaris_rom import PART_NUMBER_BYTES, ROM_MARKERS, ROM_MINIMUM_MARKERS

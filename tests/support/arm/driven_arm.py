@@ -9,8 +9,8 @@ from typing import Any
 
 from waiting import eventually
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle
 
 CYCLE_S = 0.004

@@ -9,18 +9,16 @@ from typing import ClassVar
 from ideal_device import IdealDevice
 from ur5 import Ur5
 
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.motion_plan import plan_motion
-from ronna_hw.arm.preview import PathPreview, preview_motion
+from ronna_hw.arm.preview import PathPreview, plan_motion, preview_motion
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
-from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, Stamp, ToolIdentity, Validity
-from ronna_hw.devices.robot import OperatingMode, StopKind
+from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import ConnectError
 from ronna_hw.frames import Transform
 

@@ -11,19 +11,16 @@ from math import radians
 
 import numpy as np
 
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
-from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.clearance.sweep import moving_ends, sweep
-from ronna_hw.arm.clearance.swept_path import sweep_path
+from ronna_hw.arm.clearance.sweep import moving_ends, sweep, sweep_path
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
-from ronna_hw.arm.motion.speed_zones import with_speed_steps
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.preview import with_speed_steps
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError

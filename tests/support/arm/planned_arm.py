@@ -9,7 +9,7 @@ from recording_cell import RecordingArm
 
 from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import KukaOptions
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.preview import PathPreview

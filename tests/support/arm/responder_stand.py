@@ -20,10 +20,10 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.readings import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")

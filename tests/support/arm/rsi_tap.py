@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 
 LOOK_S = 0.05  # between two looks whether to end
 DATAGRAM_BYTES = 4096

@@ -12,8 +12,8 @@ from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, Transform
 
 HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)

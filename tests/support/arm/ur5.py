@@ -12,11 +12,20 @@ from math import acos, asin, atan2, cos, hypot, pi, sin, tau
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
-from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, SingularMeasure, Solution
-from ronna_hw.arm.links import COLUMN_NAME, ArmPart, Chain, Joint, Link, Segment
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.kinematics import (
+    COLUMN_NAME,
+    RANGE_SLACK_RAD,
+    ArmPart,
+    Branch,
+    Chain,
+    Joint,
+    Link,
+    Segment,
+    SingularMeasure,
+    Solution,
+)
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.frames import Transform
 

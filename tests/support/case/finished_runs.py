@@ -13,8 +13,7 @@ from procedures.engine.step import Outcome
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.results.result import StepResult
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.named_files import closed_files
-from ronna_hw.evidence.seal import seal
+from ronna_hw.evidence.manifest import closed_files, seal
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
 

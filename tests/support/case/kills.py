@@ -14,9 +14,9 @@ from user_commands import Commands
 from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 from sim.world.scene.as_built import REPEATABILITY_MM
 

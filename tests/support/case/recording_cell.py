@@ -33,8 +33,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
     ArmReading,

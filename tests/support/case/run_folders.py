@@ -7,7 +7,7 @@ from pathlib import Path
 from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from ronna_hw.evidence.seal import ROOM_FILE
+from ronna_hw.evidence.manifest import ROOM_FILE
 from ronna_hw.records import Record, read_record
 
 REACHED_S = 100.0

@@ -7,9 +7,7 @@ from typing import Any, Self
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, LifecycleGuard, activated
 from ronna_hw.errors import ConfigurationError, RonnaError
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.devices.capabilities import Direction, Passed
 
 
 class RecordedBytes:

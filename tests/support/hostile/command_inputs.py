@@ -35,10 +35,10 @@ from procedures.planning.markers.template import propose_template
 from procedures.planning.markers.template_file import head_of_scene
 from procedures.steps.calibration.recipe import Calibrated
 from ronna_hw.clock import open_clock
-from ronna_hw.command_line.logging_options import LEVELS_VARIABLE, set_log_levels_from_environment
+from ronna_hw.command_line.options import LEVELS_VARIABLE, set_log_levels_from_environment
 from ronna_hw.command_line.terminal import _own_files
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.file_access import ACCESS_VARIABLE
+from ronna_hw.host.files import ACCESS_VARIABLE
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

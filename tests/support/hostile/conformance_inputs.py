@@ -12,12 +12,10 @@ from typing import cast
 from good_inputs import DESCRIPTION, PACKET_BYTES, STATE, TELEGRAM, packets
 
 from conformance.case import Nonconformity, NotShown, check
-from conformance.gige.features import GigeFeatures
-from conformance.gige.link import GigeLink
+from conformance.gige.client import GigeFeatures, GigeLink
 from conformance.gige.stream import GigeStream, decode_leader, leader_of
-from conformance.kuka.eki_client import EkiLine
-from conformance.kuka.rsi_client import Telegram
-from conformance.polaris.link import PolarisLink
+from conformance.kuka.client import EkiLine, Telegram
+from conformance.polaris.client import PolarisLink
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus
 from ronna_hw.wire.polaris import BX_START, crc16

@@ -78,12 +78,12 @@ from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
 from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import Seal, read_seal
-from ronna_hw.recording.byte_lines import encode_bytes, encode_note, read_link
-from ronna_hw.recording.pixel_coding import pack_pixels, unpack_pixels
+from ronna_hw.evidence.manifest import Seal, read_seal
+from ronna_hw.recording.flight_recorder import encode_bytes, encode_note, read_link
+from ronna_hw.recording.reading_coding import pack_pixels, unpack_pixels
 from ronna_hw.records import Record, read_record, write_record
 from ronna_hw.wire import kuka_context, polaris
 from ronna_hw.wire.kuka_context import load_context

@@ -21,7 +21,7 @@ from good_inputs import JOURNAL_OF_A_RUN, PLACE, TEMPLATE
 from painted_ct import compress_slice, write_series
 
 from conformance.case import Nonconformity
-from conformance.polaris.bx_reply import read_body
+from conformance.polaris.client import read_body
 from drivers.basler_stereo.readings import pixels_of
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
@@ -58,7 +58,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
-from ronna_hw.recording.device_calls import ANSWERS, LOOKS
+from ronna_hw.recording.reading_coding import ANSWERS, LOOKS
 from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.world.control_port import Room

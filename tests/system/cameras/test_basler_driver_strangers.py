@@ -28,7 +28,7 @@ from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import camera_image
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.devices.readings import AreaOfInterest, Validity
-from ronna_hw.host.network_interfaces import interface_of
+from ronna_hw.host.network import interface_of
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 
 FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")

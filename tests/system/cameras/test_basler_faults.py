@@ -18,10 +18,10 @@ from drivers.basler_stereo.errors import (
     TriggerMissed,
 )
 from drivers.basler_stereo.identity import discover_cameras
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import AreaOfInterest, Validity
-from ronna_hw.host.network_interfaces import interface_of
+from ronna_hw.host.network import interface_of
 
 RAMP = np.add.outer(
     np.arange(AREA.offset_y, AREA.offset_y + AREA.height),

@@ -13,7 +13,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
-from ronna_hw.simulation import TheatreProcess
+from ronna_hw.theatre import TheatreProcess
 from sim.cli import app
 
 

@@ -1,5 +1,7 @@
 """The whole case on the mini scene, through real sockets and serial lines."""
 
+from __future__ import annotations
+
 import json
 import re
 import shutil
@@ -22,9 +24,9 @@ from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.results.result import FramedPose
 from procedures.workcell.tracker_look import FRAMES
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, matrix_of

@@ -20,7 +20,7 @@ from plan_toml import PLAN, VESSEL
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.clock import HostClock
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices import JointMove

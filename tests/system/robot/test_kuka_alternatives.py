@@ -12,7 +12,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 

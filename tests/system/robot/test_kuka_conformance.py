@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 
 SUITE = "conformance.cli"
 

@@ -15,7 +15,7 @@ import pytest
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import AXISCORR_DEFAULT_LIMIT_DEG
 
 STEPS, STEP_DEG = 100, 0.03  # of A1

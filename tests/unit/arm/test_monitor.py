@@ -4,11 +4,11 @@ import math
 
 import pytest
 
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.violation import Violation
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.readings import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)

@@ -10,11 +10,8 @@ import numpy as np
 import pytest
 from ur5 import Ur5
 
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
-from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -22,7 +19,7 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.arm.preview import preview
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame

@@ -28,10 +28,10 @@ from drivers.basler_stereo.errors import (
     NoReply,
 )
 from drivers.basler_stereo.features.description import fetch_description
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, Bootstrap, GevStatus
 

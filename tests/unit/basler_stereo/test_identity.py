@@ -13,7 +13,7 @@ import pytest
 
 from drivers.basler_stereo.errors import MalformedReply
 from drivers.basler_stereo.identity import decode_identity, discover_cameras
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 
 
 def memory(serial="21900001", model="acA2000-50gmNIR"):

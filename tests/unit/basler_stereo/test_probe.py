@@ -27,7 +27,7 @@ from drivers.basler_stereo.probe import probe
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.host.network import Interface
 from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.gige_vision import GVCP_PORT
 

@@ -21,9 +21,9 @@ from procedures.calibration.arm_sources import (
     displacements,
 )
 from procedures.registration.target_prediction import SharedErrors, predict_target_error
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.deviations import ArmDeviations, joint_errors
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 

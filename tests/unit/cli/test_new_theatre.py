@@ -15,8 +15,7 @@ from procedures.cli.new_theatre import command
 from procedures.cli.procedure import app
 from ronna_hw import registry
 from ronna_hw.config import parse_theatre, read_theatre_file
-from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search
-from ronna_hw.devices.probing import Progress
+from ronna_hw.devices.probing import ONLY, Option, Progress, Proposal, Search
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_USAGE
 
 

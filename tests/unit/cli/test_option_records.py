@@ -10,7 +10,7 @@ import pytest
 import typer
 from user_commands import in_this_process
 
-from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.options import with_option_records
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from rich.console import Console
 from procedures.cli.calibrating import running
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import TheatreRequest
-from ronna_hw.command_line import progress
+from ronna_hw.command_line import messages
 
 
 @pytest.fixture
@@ -27,9 +27,9 @@ def terminal(monkeypatch: pytest.MonkeyPatch, now: SimpleNamespace) -> StringIO:
     """What a terminal was sent."""
     sent = StringIO()
     console = Console(file=sent, force_terminal=True, width=100)
-    monkeypatch.setattr(progress, "message_console", lambda: console)
-    monkeypatch.setattr(progress, "on_terminal", lambda _stream: True)
-    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now.s))
+    monkeypatch.setattr(messages, "message_console", lambda: console)
+    monkeypatch.setattr(messages, "on_terminal", lambda _stream: True)
+    monkeypatch.setattr(messages, "time", SimpleNamespace(monotonic=lambda: now.s))
     return sent
 
 
@@ -50,7 +50,7 @@ def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
         yield SimpleNamespace(run_to=lambda: None)
 
     monkeypatch.setattr(running, "opened_steps", with_a_question)
-    with progress.progress_bar("looking") as bar:
+    with messages.progress_bar("looking") as bar:
         now.s += 3.0
         bar(0.1)
         running.run_steps(TheatreRequest(), tmp_path, (), bar, title="looks")
@@ -64,7 +64,7 @@ def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
 
 
 def test_a_bar_not_yet_shown_stays_hidden_during_a_question(terminal: StringIO, now: SimpleNamespace) -> None:
-    with progress.progress_bar("looking") as bar:
+    with messages.progress_bar("looking") as bar:
         with bar.hidden():
             now.s += 60.0
             bar(0.5)

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from ronna_hw.command_line import tables, terminal
+from ronna_hw.command_line import messages, terminal
 from ronna_hw.command_line.errors import (
     DiskFull,
     InternalFault,
@@ -28,7 +28,7 @@ from ronna_hw.command_line.errors import (
     UsageMistake,
 )
 from ronna_hw.errors import LimitError, RonnaError
-from ronna_hw.host.interruption import ENDING_SIGNALS
+from ronna_hw.host.process import ENDING_SIGNALS
 from ronna_hw.logs import PARTS, is_known
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -335,7 +335,7 @@ WORDY = [
 def test_a_table_on_a_terminal_cuts_neither_words_nor_headings(
     width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", str(width))
     headings = ["step", "what it does", "needs-everything"]
     terminal.print_table("title", headings, WORDY)
@@ -351,7 +351,7 @@ def test_a_table_on_a_terminal_cuts_neither_words_nor_headings(
 def test_the_title_of_a_narrow_table_stays_on_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", "80")
     title = "Run 20261121T045328-s3-07d9: error of the needle tip against truth"
     terminal.print_table(title, ["target", "error mm"], [["T1", "0.18"]])
@@ -361,7 +361,7 @@ def test_the_title_of_a_narrow_table_stays_on_one_line(
 def test_a_heading_too_wide_for_the_terminal_gives_tab_separated_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", "20")
     terminal.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
     assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"

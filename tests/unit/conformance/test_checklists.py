@@ -9,14 +9,13 @@ import pytest
 
 from conformance import robot, stereo, tracker
 from conformance.case import DESTRUCTIVE, Suite
-from conformance.checklist import Checklist
-from conformance.gige.checklist import GIGE_CHECKLIST
+from conformance.gige.protocol import GIGE_CHECKLIST
 from conformance.gige.protocol import PROTOCOL as GIGE
-from conformance.kuka.checklist import KUKA_CHECKLIST
+from conformance.kuka.protocol import KUKA_CHECKLIST
 from conformance.kuka.protocol import PROTOCOL as KUKA
-from conformance.polaris.checklist import POLARIS_CHECKLIST
+from conformance.polaris.protocol import POLARIS_CHECKLIST
 from conformance.polaris.protocol import PROTOCOL as POLARIS
-from conformance.protocol import composed
+from conformance.protocol import Checklist, composed
 
 ROOT = Path(__file__).parents[3]
 TRACKER = composed(tracker.SUITE, POLARIS)

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from conformance.choice import Choice, resolve
-from conformance.device_under_test import DeviceUnderTest, device_under_test
+from conformance.device_under_test import Choice, DeviceUnderTest, device_under_test, resolve
 from conformance.errors import DeviceNotInFile, NoSimulator
 from conformance.protocol import ProtocolCases
 from ronna_hw.host.child_process import ChildNotReady
@@ -100,7 +99,7 @@ def test_a_simulator_that_does_not_start_is_reported() -> None:
 
 
 def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("conformance.choice.protocol_of", lambda driver: ProtocolCases())
+    monkeypatch.setattr("conformance.device_under_test.protocol_of", lambda driver: ProtocolCases())
     with pytest.raises(NoSimulator) as caught:
         resolve("tracker", Choice(sim=True))
     assert caught.value.code == "CNF-006"

@@ -14,9 +14,7 @@ from conformance.case import Outcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.tracker import SUITE
-from ronna_hw.devices.activation import activated
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle, activated
 from ronna_hw.devices.readings import StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import ConnectError, StateError
 

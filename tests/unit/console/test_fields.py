@@ -14,7 +14,7 @@ from console.planning.desk import PlanDesk
 from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
 from console.sessions import Role, Session
-from ronna_hw.text.typed_number import typed_number
+from ronna_hw.text import typed_number
 
 
 @pytest.mark.parametrize(

@@ -15,8 +15,8 @@ from console import connection, listening
 from console.guard import SESSION, Guard, Receive, Scope, Send
 from console.listening import HOST, listen, server_of
 from console.sessions import Role, Sessions
-from ronna_hw.host import connection_account
-from ronna_hw.host.connection_account import account_at
+from ronna_hw.host import network
+from ronna_hw.host.network import account_at
 
 NOBODY = 65534  # an account without rights
 SENT_BYTES = 30_000_000  # more than all buffers between two sockets
@@ -337,7 +337,7 @@ def test_a_connection_whose_program_has_gone_belongs_to_no_account(
     monkeypatch: pytest.MonkeyPatch, diagnosed: bool
 ) -> None:
     if not diagnosed:
-        monkeypatch.setattr(connection_account, "_diagnosed", lambda _local, _remote: None)
+        monkeypatch.setattr(network, "_diagnosed", lambda _local, _remote: None)
     with listen(HOST, 0) as bound:
         with socket.create_connection(bound.getsockname()) as client:
             assert account_at(client.getsockname(), bound.getsockname()) == os.geteuid()
@@ -353,7 +353,7 @@ def test_the_account_of_a_connection_is_the_one_that_made_it(
     monkeypatch: pytest.MonkeyPatch, diagnosed: bool
 ) -> None:
     if not diagnosed:
-        monkeypatch.setattr(connection_account, "_diagnosed", lambda _local, _remote: None)
+        monkeypatch.setattr(network, "_diagnosed", lambda _local, _remote: None)
     with listen(HOST, 0) as bound, contextlib.ExitStack() as stack:
         os.seteuid(NOBODY)
         try:

@@ -28,9 +28,8 @@ from procedures.reporting.calibration.result_file import RESULT_FILE, figures_if
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.recording.byte_lines import read_link
+from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
+from ronna_hw.recording.flight_recorder import read_link
 from ronna_hw.records import BadRecord, read_record
 from ronna_hw.wire.kuka_context import ContextInvalid, load_context
 from sim.errors import BadScene

@@ -5,8 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from ronna_hw.clock import ClockUnavailable, SharedClock, open_clock
-from ronna_hw.wire.theatre_clock import CLOCK
+from ronna_hw.clock import CLOCK, ClockUnavailable, SharedClock, open_clock
 
 CYCLE_NS = 4_000_000
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 TESTS = Path(__file__).resolve().parents[2]
 

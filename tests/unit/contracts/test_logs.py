@@ -163,7 +163,7 @@ def test_a_warning_is_logged_with_its_location_but_without_its_text() -> None:
 
 def test_ignored_warnings_are_not_printed() -> None:
     done = run_script(
-        "import logging, warnings; from ronna_hw.command_line.logging_options import set_up_logging; "
+        "import logging, warnings; from ronna_hw.command_line.options import set_up_logging; "
         "set_up_logging(False); "
         "warnings.warn('x'); logging.getLogger('pydicom').warning('y')"
     )

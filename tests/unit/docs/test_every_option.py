@@ -11,7 +11,7 @@ import api_pages
 import pytest
 import typer
 
-from ronna_hw.command_line.common_options import with_common_options
+from ronna_hw.command_line.options import with_common_options
 
 COMMANDS = sorted(one.name for one in entry_points(group="console_scripts") if one.name.startswith("ronna-"))
 

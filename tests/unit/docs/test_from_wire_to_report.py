@@ -41,11 +41,10 @@ from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
-from ronna_hw.devices.byte_sink import Direction, Passed
+from ronna_hw.devices.capabilities import Direction, Passed
 from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.frames import Frame
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
-from ronna_hw.recording.taped_device import taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "explanation" / "from-wire-to-report.md"
@@ -54,7 +53,7 @@ SPHERE = 1  # whose number is followed
 LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
 # Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
-NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/tracker.py"}
+NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/sensors.py"}
 
 Array = NDArray[np.float64]
 

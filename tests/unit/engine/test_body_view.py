@@ -9,8 +9,7 @@ from procedures.engine.body_view import BodyView
 from procedures.engine.device_watch import DeviceWatch
 from procedures.engine.events import Bodies, EventStream, LinkHealth, Pose
 from procedures.workcell import MountedTool
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, Surroundings
 from ronna_hw.devices.lifecycle import Lifecycle
 
 AROUND = Surroundings(

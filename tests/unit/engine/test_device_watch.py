@@ -8,9 +8,8 @@ from waiting import eventually
 
 from procedures.engine.device_watch import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readiness import Fact
+from ronna_hw.devices.capabilities import Fact
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import Stamp, Validity
 from ronna_hw.errors import LinkTimeout
 

@@ -10,10 +10,9 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.workcell import Insertion, MountedTool
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readiness import Fact
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 

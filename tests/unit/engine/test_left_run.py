@@ -18,9 +18,8 @@ from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.named_files import RECORDS_FOLDER
+from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
+from ronna_hw.evidence.manifest import RECORDS_FOLDER
 
 BLOCK_BYTES = 512
 

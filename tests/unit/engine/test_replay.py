@@ -35,8 +35,7 @@ from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPai
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.reading_coding import PIXELS
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
-from ronna_hw.recording.taped_device import taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
 
 EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_RECORDED
 

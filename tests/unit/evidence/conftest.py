@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from finished_runs import finished_run, without_last_lines
 
-from ronna_hw.evidence.seal import SEAL_FILE
+from ronna_hw.evidence.manifest import SEAL_FILE
 
 
 @pytest.fixture(scope="module")

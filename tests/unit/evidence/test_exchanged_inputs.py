@@ -17,11 +17,9 @@ from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Outcome
 from procedures.journal.journal import Entry, Journal
 from procedures.results.result import StepResult
-from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
-from ronna_hw.evidence.named_files import WITH_PORTS
-from ronna_hw.evidence.seal import input_hashes, theatre_files
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, RunChanged, read_chain
+from ronna_hw.evidence.manifest import WITH_PORTS, input_hashes, theatre_files
 
 CT, TOOL = "case/ct/slice-1.dcm", "theatre/frame.rom"
 

@@ -14,8 +14,7 @@ from recording_cell import RecordingCell
 from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from ronna_hw.evidence.inspection import MOST_NAMES, inspected
-from ronna_hw.evidence.named_files import NOT_AS_LEFT
-from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal, sha256_of
+from ronna_hw.evidence.manifest import LARGEST_FILE_BYTES, NOT_AS_LEFT, SEAL_FILE, read_seal, sha256_of
 from ronna_hw.records import Record, write_record
 
 FRAMES = 400  # of the interpreter, which usually has 1,000: so deep a chain takes seconds to make and remove
@@ -79,7 +78,7 @@ def test_what_claims_to_be_empty_is_hashed_only_so_far() -> None:
 def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ronna_hw.evidence.compared_files.LARGEST_INPUTS_BYTES", 1000)
+    monkeypatch.setattr("ronna_hw.evidence.inspection.LARGEST_INPUTS_BYTES", 1000)
     files = [tmp_path / name for name in "abc"]
     for file in files:
         file.write_bytes(bytes(400))
@@ -91,7 +90,7 @@ def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
 
 def test_an_added_folder_that_may_not_be_read_is_named(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (run / "hidden").mkdir()  # root may read every folder
-    monkeypatch.setattr("ronna_hw.host.folder_walk.os.access", lambda path, _how: path.name != "hidden")
+    monkeypatch.setattr("ronna_hw.host.files.os.access", lambda path, _how: path.name != "hidden")
     assert changed_files(run) == {"hidden"}
 
 
@@ -148,7 +147,7 @@ def test_a_file_outside_the_run_that_a_journal_names_is_reported_and_not_opened(
     cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: sha256})
     cell.journal.write(Entry.CLOSED, 0.0, files={f"{name}.json": sha256})
     opened: list[Path] = []
-    for where in ("inspection.read_record", "compared_files.sha256_of"):
+    for where in ("inspection.read_record", "inspection.sha256_of"):
         monkeypatch.setattr(f"ronna_hw.evidence.{where}", opened.append)
     problems = {problem.file: problem.what for problem in inspected(cell.folder).changes}
     named = (f"records/../{name}.json", f"records/{name}.json", f"pictures/{name}", f"{name}.json")

@@ -23,9 +23,9 @@ from recording_cell import RecordingCell
 from spoilt_runs import files_in, with_another_byte
 
 from procedures.journal.journal import JOURNAL_FILE
-from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.seal import OWN_FOLDERS, SEAL_FILE
+from ronna_hw.evidence.journal_reading import RunChanged
+from ronna_hw.evidence.manifest import OWN_FOLDERS, SEAL_FILE
 from ronna_hw.records import canonical_json
 
 

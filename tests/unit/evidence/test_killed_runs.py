@@ -11,8 +11,7 @@ from finished_runs import changed_files
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import SEAL_FILE
-from ronna_hw.evidence.truth_so_far import truth_so_far
+from ronna_hw.evidence.manifest import SEAL_FILE, truth_so_far
 from ronna_hw.records import read_record, write_record
 
 

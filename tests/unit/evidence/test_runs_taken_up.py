@@ -14,12 +14,9 @@ from procedures.engine.closing import close_run
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
-from ronna_hw.evidence.compared_files import Problem
-from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.named_files import closed_files
-from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
+from ronna_hw.evidence.inspection import Problem, inspected
+from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.manifest import SEAL_FILE, closed_files, is_sealed
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed_sentences
 
 READINGS = "readings.jsonl"

@@ -35,10 +35,9 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
-from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal
+from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.manifest import RAW_FOLDER, hashes_at_closing, seal
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 
 STAMP = Stamp(7, 4242, 1.25)

@@ -23,8 +23,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
 from procedures.workcell import MountedTool
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import LinkTimeout
 

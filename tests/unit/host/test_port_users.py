@@ -1,16 +1,24 @@
-"""The processes that use a serial or UDP port are named."""
+"""Users of serial and network ports are named, and permissions come with the command that fixes them."""
 
 from __future__ import annotations
 
 import os
 import socket
+import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
 
-from ronna_hw.host.port_users import clients_of_tcp_port, user_of_udp_port, users_of_serial_port
+from ronna_hw.host.port_users import (
+    clients_of_tcp_port,
+    permission_advice,
+    permissions,
+    user_of_udp_port,
+    users_of_serial_port,
+)
 
 OPENS_OURS = (
     "import sys; port = open(sys.argv[1], 'r+b', buffering=0); print('open', flush=True); sys.stdin.read()"
@@ -91,3 +99,14 @@ def test_the_process_bound_to_a_udp_port_is_reported(bound: str) -> None:
         assert user.pid == os.getpid()
         assert (user_of_udp_port("127.0.0.2", port) is None) == (bound == "127.0.0.1")
     assert user_of_udp_port("127.0.0.1", port) is None
+
+
+def test_permission_advice_depends_on_the_group_access_to_the_port(tmp_path: Path) -> None:
+    port = tmp_path / "ttyUSB0"
+    port.touch()
+    port.chmod(stat.S_IRUSR | stat.S_IWUSR | stat.S_IRGRP | stat.S_IWGRP)
+    assert "sudo usermod -aG " in permission_advice(str(port))
+    assert permissions(str(port)).startswith("-rw-rw---- ")
+    port.chmod(stat.S_IRUSR)
+    assert "udev" in permission_advice(str(port))
+    assert "dialout" in permission_advice("/dev/no-such-port")

@@ -10,7 +10,7 @@ import sys
 import pytest
 
 from ronna_hw.host.child_process import ChildNotReady, ChildProcess
-from ronna_hw.host.interruption import describe_exit
+from ronna_hw.host.process import describe_exit
 
 GROUP = """
 import os, signal, subprocess, threading, time
@@ -33,7 +33,7 @@ from dataclasses import replace
 from drivers.kuka_rsi.link_client import LinkClient
 from responder_stand import SETTINGS
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 port = parse_endpoint(own_udp_endpoint()).port
 own = replace(SETTINGS, port=port, parent_pid=os.getpid(), heartbeat_limit_s=10.0)
 link = LinkClient(lambda memory, event: replace(own, mailbox_fd=memory, event_fd=event), 60.0)
@@ -61,11 +61,11 @@ with FrameDecoder() as decoder, tempfile.NamedTemporaryFile() as nothing:
         print("gave up" in str(refused))
 """
 COMMAND = """
-from ronna_hw.host.finite_command import finished_command
+from ronna_hw.host.child_process import finished_command
 print(finished_command("sleep", ["sleep", "0.1"], 60).returncode)
 """
 MANY_COMMANDS = """
-from ronna_hw.host.finite_command import finished_command
+from ronna_hw.host.child_process import finished_command
 threading.Thread(target=hammer, daemon=True).start()
 print({finished_command("true", ["true"], 60).returncode for _ in range(50)})
 """

@@ -7,9 +7,8 @@ import pytest
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import BLOCK_BYTES, JOURNAL_FILE, Entry, Journal, read_journal
-from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import ROOM_FILE
+from ronna_hw.evidence.journal_reading import JournalCorrupt, read_chain
+from ronna_hw.evidence.manifest import ROOM_FILE
 
 
 def _written(folder: Path) -> Path:

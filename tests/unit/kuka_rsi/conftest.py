@@ -12,7 +12,7 @@ from drivers.kuka_rsi.arm import KukaRsiArm
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 
 PATIENT = {"silence_limit_s": 1.0, "heartbeat_limit_s": 5.0}  # these machines stall for tens of milliseconds
 

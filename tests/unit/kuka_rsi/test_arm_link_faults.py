@@ -14,14 +14,8 @@ import pytest
 from driven_arm import THERE, largest_step, moving, state_of
 from waiting import eventually
 
-from drivers.kuka_rsi.errors import (
-    LinkNotStarted,
-    LinkSilent,
-    MotionTripped,
-    NoTelegram,
-    PoseDisagrees,
-)
-from ronna_hw.arm.angles import radians6
+from drivers.kuka_rsi.errors import LinkNotStarted, LinkSilent, MotionTripped, NoTelegram, PoseDisagrees
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle
 
 

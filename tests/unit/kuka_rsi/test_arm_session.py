@@ -19,7 +19,7 @@ from waiting import HANG_LIMIT_S
 from drivers.kuka_rsi.errors import MotionStopped, NoTelegram
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from ronna_hw.devices import LastKnown, Lifecycle, RobotArm
-from ronna_hw.devices.byte_sink import Direction, RecordsBytes
+from ronna_hw.devices.capabilities import Direction, RecordsBytes
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.readings import Validity
 from ronna_hw.frames import Frame, Transform

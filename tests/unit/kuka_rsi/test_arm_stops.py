@@ -10,16 +10,10 @@ import pytest
 from driven_arm import FAR, THERE, largest_step, moving, state_of
 from waiting import HANG_LIMIT_S, eventually
 
-from drivers.kuka_rsi.errors import (
-    DrivesOff,
-    LinkStopped,
-    MotionNotFinished,
-    MotionStopped,
-    ProtectiveStop,
-)
+from drivers.kuka_rsi.errors import DrivesOff, LinkStopped, MotionNotFinished, MotionStopped, ProtectiveStop
 from drivers.kuka_rsi.motion import MotionFollower
 from drivers.kuka_rsi.realtime.link_state import Fault, StopOrder
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle, StopKind
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LifecycleGuard

@@ -13,16 +13,14 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Command, CommandKind, Fault
 from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox
 from drivers.kuka_rsi.realtime.set_points import SetPoints
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
+from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
-from ronna_hw.arm.violation import ViolationKind
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.kuka_eki import OperationMode

@@ -19,8 +19,7 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     WrongController,
 )
-from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle

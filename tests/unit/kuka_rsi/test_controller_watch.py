@@ -21,8 +21,8 @@ from drivers.kuka_rsi.errors import (
     NoAnswer,
     Unverified,
 )
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.errors import RonnaError

@@ -17,11 +17,11 @@ from drivers.kuka_rsi.eki.telegrams import read_state
 from drivers.kuka_rsi.probe import stream_port_diagnostic
 from drivers.kuka_rsi.readings import standing_facts
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic
-from ronna_hw.devices.readiness import TellsReadiness
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from drivers.ndi_polaris.errors import (
     WrongMode,
 )
 from drivers.ndi_polaris.unit import read_parameter
-from ronna_hw.devices.byte_sink import RecordsBytes
+from ronna_hw.devices.capabilities import RecordsBytes
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import BX_START, crc16
 

@@ -13,9 +13,9 @@ from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.errors import LinkLost, NoReply
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import LastKnown, OpticalTracker
+from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readiness import Fact
 from ronna_hw.endpoints import BadEndpoint, parse_endpoint
 from ronna_hw.errors import EXIT_LINK_LOST, EXIT_SAFETY_STOP
 from ronna_hw.wire.polaris import ERROR_MEANINGS

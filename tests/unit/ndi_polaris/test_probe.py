@@ -26,7 +26,7 @@ from drivers.ndi_polaris.line_check import (
 )
 from drivers.ndi_polaris.probe import find_trackers, probe
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.discovery import ONLY, Search
+from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.port_users import PortUser
 from ronna_hw.wire.polaris import crc16

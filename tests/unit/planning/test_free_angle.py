@@ -14,9 +14,9 @@ from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.free_turns import OUTWARDS_RAD, between_rad
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, Transform
 
 HALF_ANGLE_RAD = math.radians(27.5)

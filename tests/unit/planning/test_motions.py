@@ -21,9 +21,9 @@ from procedures.planning.sight.stereo_head import StereoSight
 from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, RoomBody
 from ronna_hw.frames import Frame, Transform
 

@@ -15,7 +15,7 @@ from procedures.planning.path_check.posture import ranked_branches
 from procedures.planning.path_check.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
 from procedures.planning.path_check.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 FIDUCIALS = [[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]]

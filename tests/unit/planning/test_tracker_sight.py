@@ -5,7 +5,7 @@ from room_trials import TrackedCase
 from sight_trials import GuideSight
 
 from procedures.planning.sight.tracker import TrackerSight
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 

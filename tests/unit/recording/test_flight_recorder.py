@@ -15,9 +15,8 @@ from user_commands import in_this_process
 from waiting import eventually
 
 from procedures.cli.procedure import app as ronna_procedure
-from ronna_hw.devices.byte_sink import Direction, Passed
-from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
-from ronna_hw.recording.flight_recorder import FlightRecorder
+from ronna_hw.devices.capabilities import Direction, Passed
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder, LinkLine, links_of, read_link
 
 SENT, RECEIVED = Direction.SENT, Direction.RECEIVED
 PCAP_HEAD, PACKET_HEAD = 24, struct.Struct("<IIII")

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recording_cell import HOME, RecordingArm, RecordingDevice
 
-from ronna_hw.arm.clearance.swept_path import Closest
+from ronna_hw.arm.clearance.sweep import Closest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import SingularMeasure
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -34,10 +34,8 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
-from ronna_hw.recording.device_calls import ANSWERS
-from ronna_hw.recording.reading_coding import as_plain, as_recorded
-from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
-from ronna_hw.recording.taped_device import taped
+from ronna_hw.recording.reading_coding import ANSWERS, as_plain, as_recorded
+from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape, taped
 
 STAMP = Stamp(3, 17, 0.1 + 0.2, 0.3)
 PIXELS = np.arange(12, dtype=np.uint16).reshape(3, 4)

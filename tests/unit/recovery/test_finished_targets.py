@@ -62,8 +62,7 @@ from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.named_files import closed_files
-from ronna_hw.evidence.seal import seal
+from ronna_hw.evidence.manifest import closed_files, seal
 from ronna_hw.frames import Frame, Transform
 
 pytestmark = pytest.mark.hazard(50)

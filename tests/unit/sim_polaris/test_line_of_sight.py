@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.bodies import Capsule
 from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
 from sim.polaris.measurement.optics import eyes_mm

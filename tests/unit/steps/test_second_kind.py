@@ -47,8 +47,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, TheatreFile, parse_theatre
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
-from ronna_hw.recording.taped_device import taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
 from ronna_hw.registry import make_device
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import named_scene

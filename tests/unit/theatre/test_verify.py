@@ -13,11 +13,9 @@ from procedures.cli.case.truth import truth_of
 from procedures.engine.closing import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from ronna_hw.errors import EXIT_FAILED
-from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Inspection, inspected
-from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.named_files import RECORDS_FOLDER
-from ronna_hw.evidence.truth_so_far import truth_so_far
+from ronna_hw.evidence.journal_reading import RunChanged, read_chain
+from ronna_hw.evidence.manifest import RECORDS_FOLDER, truth_so_far
 from ronna_hw.records import Record, write_record
 from sim.cli import app as ronna_sim
 from sim.errors import NothingToVerify

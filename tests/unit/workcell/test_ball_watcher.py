@@ -15,8 +15,8 @@ from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arrivi
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
+from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
 HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)

@@ -11,8 +11,7 @@ from recording_cell import RecordingCell, theatre_of
 
 from procedures.workcell.carried_tool import CarriedTool, calibrated_arm, require_this_arm
 from procedures.workcell.errors import AnotherArm
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.config import parse_theatre
 from ronna_hw.frames import Frame

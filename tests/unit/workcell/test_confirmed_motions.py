@@ -18,9 +18,7 @@ from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.arm_place import ArmPlace, Where
 from procedures.workcell.errors import TipOffAxis
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule
-from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.motion.limits import WORKING_LINE_SPEED_MM_S
 from ronna_hw.arm.motion.planning import MotionPlan

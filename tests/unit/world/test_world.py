@@ -3,8 +3,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.clock import open_clock
-from ronna_hw.wire.theatre_clock import CLOCK
+from ronna_hw.clock import CLOCK, open_clock
 from sim.errors import WorldUnavailable
 from sim.world.rigid import matrix_from, rotation_from_vector
 from sim.world.scene.named_scenes import named_scene

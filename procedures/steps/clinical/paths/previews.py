@@ -8,8 +8,8 @@ from pydantic import Field
 
 from procedures.planning.path_check.motions import PreviewedMotion
 from procedures.results.result import Values
-from ronna_hw.arm.clearance.swept_path import Closest
-from ronna_hw.text.counting import counted
+from ronna_hw.arm.clearance.sweep import Closest
+from ronna_hw.text import counted
 
 SPHERE = "/fiducial "  # in the name of a pose, before its number
 

@@ -13,7 +13,7 @@ from procedures.engine.context import StepContext
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text import beyond
 from ronna_hw.tool_record import ToolFrame
 
 SEEN_LIMIT_MM = (

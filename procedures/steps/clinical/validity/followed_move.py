@@ -32,7 +32,7 @@ from procedures.workcell.tracker_look import FRAMES, frames_at_rest
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond, side_by_side
+from ronna_hw.text import beyond, side_by_side
 
 if TYPE_CHECKING:
     from procedures.steps.clinical.relocalization import Relocalization

@@ -22,8 +22,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
-from ronna_hw.evidence.named_files import made_from
-from ronna_hw.evidence.seal import input_hashes
+from ronna_hw.evidence.manifest import input_hashes, made_from
 from ronna_hw.records import Record
 
 Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change

@@ -22,7 +22,7 @@ from procedures.steps.clinical.validity.followed_move import (
     that_followed,
     watch_over,
 )
-from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.devices.readings import JointVector
 
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare

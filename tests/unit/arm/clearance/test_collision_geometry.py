@@ -9,10 +9,15 @@ import numpy as np
 import pytest
 from ur5 import Ur5
 
-from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.capsule import Capsule, covering_ellipsoid, segment_distance_mm
+from ronna_hw.arm.clearance.bodies import (
+    Bodies,
+    Capsule,
+    Corridor,
+    Surroundings,
+    covering_ellipsoid,
+    segment_distance_mm,
+)
 from ronna_hw.arm.clearance.live_watch import LiveWatch, body_segments
-from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
 from ronna_hw.arm.clearance.sweep import segment_distances, sweep
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900

@@ -4,11 +4,10 @@ import math
 
 import pytest
 
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.kr6_r900.inverse import branch
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 
 HOME = radians6(0, -90, 90, 0, 90, 0)
 USUAL = branch(overhead=False, elbow=True, flipped=False)

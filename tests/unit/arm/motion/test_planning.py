@@ -6,12 +6,11 @@ from typing import Any
 
 import pytest
 
-from ronna_hw.arm.angles import degrees6, radians6
 from ronna_hw.arm.errors import MotionInvalid, OutOfJointRange, Singular, TooFast, Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move, plan_line, require_in_range
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, degrees6, radians6
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)

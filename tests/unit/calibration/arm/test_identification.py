@@ -26,8 +26,7 @@ from procedures.calibration.errors import (
 )
 from procedures.calibration.validity import require_together
 from procedures.cli.arm.files import KIND, records_of
-from ronna_hw.arm.calibrated import CalibratedArm
-from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre
 from ronna_hw.frames import Frame

@@ -21,7 +21,7 @@ from procedures.reporting import report
 from procedures.results.errors import GateFailed
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.named_files import REQUEST_FILE
+from ronna_hw.evidence.manifest import REQUEST_FILE
 
 
 @pytest.mark.hazard(41)

@@ -19,8 +19,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 
 
 @pytest.fixture

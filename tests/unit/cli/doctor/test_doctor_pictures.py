@@ -14,8 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.workcell.stereo_look import FURTHER_TRIES
-from ronna_hw.devices.picture_check import picture_diagnostics
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.probing import Diagnostic, picture_diagnostics
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 
 SIZE_PX, RADIUS_PX = 700, 261

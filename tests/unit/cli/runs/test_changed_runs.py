@@ -30,15 +30,13 @@ from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import TargetTruth, Truth
-from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import (
     EXIT_REFUSED,
 )
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.named_files import RECORDS_FOLDER
-from ronna_hw.evidence.seal import SEAL_FILE
-from ronna_hw.recording.byte_lines import BYTES_FOLDER
-from ronna_hw.recording.flight_recorder import FlightRecorder
+from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from studies.cli import app as campaign
 
 

@@ -23,7 +23,7 @@ from procedures.engine.run_lock import held_run
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.files import keep_truth, kept_truth
 from procedures.reporting.outcome import Truth
-from ronna_hw.evidence.seal import is_sealed
+from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
 
 

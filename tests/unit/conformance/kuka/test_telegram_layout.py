@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from conformance.case import Nonconformity, NotShown
+from conformance.kuka.client import Telegram
+from conformance.kuka.controller_cases import layout_is_that_of_a_kr_c4
 from conformance.kuka.driver_cases import corrections
-from conformance.kuka.rsi_client import Telegram
-from conformance.kuka.stream_cases import layout_is_that_of_a_kr_c4
 
 RIGHT = b'<Rob Type="KUKA"><AIPos A1="0.0000" A2="1.5000"/><Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
 

@@ -8,11 +8,16 @@ from typing import IO
 import pytest
 
 from conformance.case import Nonconformity
-from conformance.polaris.bx_reply import placed, read_body
-from conformance.polaris.definitions import looking_away, markers_of, published, shifted
-from conformance.polaris.link import PolarisLink
-from conformance.polaris.tap import body_of, text_reply, with_body, with_system_status
-from conformance.polaris.volumes import SPECTRA_VOLUMES, MeasuringVolume
+from conformance.polaris.client import PolarisLink, place_markers, read_body, with_crc
+from conformance.polaris.fixtures import (
+    SPECTRA_VOLUMES,
+    MeasuringVolume,
+    markers_of,
+    published_definition,
+    reverse_normals,
+    shift_origin,
+)
+from conformance.polaris.tap import body_of, with_body, with_system_status
 from ronna_hw.wire.polaris import HandleStatus
 from sim.polaris.unit.tool_definition import parse_definition
 
@@ -38,20 +43,22 @@ def test_a_body_of_the_wrong_length_is_rejected() -> None:
 
 def test_a_reply_is_rebuilt_byte_for_byte() -> None:
     assert with_body(body_of(SEEN)) == SEEN
-    assert text_reply("OKAY") == b"OKAYA896\r"
+    assert with_crc("OKAY") == b"OKAYA896\r"
 
 
 def test_replacing_the_system_status_keeps_the_rest_of_the_reply() -> None:
     changed = with_system_status(SEEN, 0x0200)
     assert read_body(body_of(changed), 0x0001).system_status == 0x0200
     assert body_of(changed)[:-2] == body_of(SEEN)[:-2]
-    text = text_reply("0101MISSING000000310000012D\n0000")
-    assert with_system_status(text, 0x0100) == text_reply("0101MISSING000000310000012D\n0100")
+    text = with_crc("0101MISSING000000310000012D\n0000")
+    assert with_system_status(text, 0x0100) == with_crc("0101MISSING000000310000012D\n0100")
 
 
 def test_markers_are_placed_by_rotation_and_translation() -> None:
     half = 0.5**0.5
-    (moved,) = placed(((1.0, 2.0, 3.0),), (half, 0.0, 0.0, half, 10.0, 20.0, 30.0, 0.0))  # 90 deg about z
+    (moved,) = place_markers(
+        ((1.0, 2.0, 3.0),), (half, 0.0, 0.0, half, 10.0, 20.0, 30.0, 0.0)
+    )  # 90 deg about z
     assert moved == pytest.approx((8.0, 21.0, 33.0))
 
 
@@ -82,18 +89,18 @@ def test_the_clearance_of_a_point_is_negative_outside() -> None:
 
 
 def test_the_simulators_parser_reads_the_published_definition() -> None:
-    tool = parse_definition(published())
+    tool = parse_definition(published_definition())
     assert (tool.part_number, tool.manufacturer, tool.minimum_markers) == ("8700339", "NDI", 4)
     assert tool.markers_mm[1] == pytest.approx((28.59, 41.02, 0.0), abs=1e-5)
 
 
 def test_variants_of_a_definition_are_valid() -> None:
-    block = published()
-    away = parse_definition(looking_away(block))
+    block = published_definition()
+    away = parse_definition(reverse_normals(block))
     assert (away.normals[:, 2] == -1.0).all()
-    moved = parse_definition(shifted(block, (10.0, 0.0, -5.0)))
+    moved = parse_definition(shift_origin(block, (10.0, 0.0, -5.0)))
     assert moved.part_number != "8700339"
-    assert markers_of(shifted(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
+    assert markers_of(shift_origin(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
 
 
 class Flooded:

@@ -8,7 +8,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from conformance.polaris.tap import PolarisTap, text_reply
+from conformance.polaris.client import with_crc
+from conformance.polaris.tap import PolarisTap
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 
 BINARY = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")
@@ -38,7 +39,7 @@ class SlowUnit:
                     peer.sendall(BINARY[:9])
                     peer.sendall(BINARY[9:])
                 else:
-                    peer.sendall(text_reply("OKAY"))
+                    peer.sendall(with_crc("OKAY"))
                 said = b""
 
     def close(self) -> None:
@@ -74,14 +75,14 @@ def test_commands_in_both_formats_are_recorded(tap: PolarisTap, client: socket.s
     ask(client, b"TSTART 80\r", 9)
     assert tap.commands == ["PHSR:00", "TSTART:80"]
     assert tap.count("TSTART") == 1
-    assert tap.replies["PHSR"] == text_reply("OKAY")
+    assert tap.replies["PHSR"] == with_crc("OKAY")
 
 
 def test_the_next_reply_to_a_command_is_changed_once(tap: PolarisTap, client: socket.socket) -> None:
     tap.answer("PINIT", "WARNING05")
-    assert ask(client, b"PENA 01D\r", 9) == text_reply("OKAY")
-    assert ask(client, b"PINIT 01\r", 13) == text_reply("WARNING05")
-    assert ask(client, b"PINIT 01\r", 9) == text_reply("OKAY")
+    assert ask(client, b"PENA 01D\r", 9) == with_crc("OKAY")
+    assert ask(client, b"PINIT 01\r", 13) == with_crc("WARNING05")
+    assert ask(client, b"PINIT 01\r", 9) == with_crc("OKAY")
 
 
 def test_a_binary_reply_is_changed_as_a_whole(tap: PolarisTap, client: socket.socket) -> None:

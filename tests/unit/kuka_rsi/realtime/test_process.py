@@ -21,7 +21,7 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime import loop as link_loop
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.host.loopback import own_udp_endpoint
+from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
 MS = 1_000_000  # ns

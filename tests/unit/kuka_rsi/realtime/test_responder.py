@@ -21,11 +21,10 @@ from responder_stand import (
 
 from drivers.kuka_rsi.realtime.link_health import Losses
 from drivers.kuka_rsi.realtime.link_state import CommandKind, Fault, Orders, Phase, Result
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.motion.progress import PathLimits
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 
 CYCLE_S = SETTINGS.cycle_ms / 1000.0
 LONGEST_STOP_S = 0.5  # of a path stop, as the table of disturbances promises

@@ -29,10 +29,9 @@ from drivers.kuka_rsi.realtime.link_state import (
 )
 from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import PathLimits
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.pose import Pose, radians6
 
 
 def test_no_telegram_is_answered_before_a_session_is_open() -> None:

@@ -19,7 +19,7 @@ from procedures.recovery import bring_home, recover
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.evidence.compared_files import Problem
+from ronna_hw.evidence.inspection import Problem
 
 
 @pytest.mark.hazard(2)

@@ -24,9 +24,9 @@ from procedures.operator.topic import Topic
 from procedures.recovery import bring_home, recover
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical.at_target import ReachedTarget
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.devices.readiness import Fact
+from ronna_hw.arm.pose import radians6
+from ronna_hw.devices.capabilities import Fact
 
 
 @pytest.mark.hazard(2)

@@ -9,7 +9,7 @@ from painted_ct import write_series
 
 from procedures.imaging.errors import SeriesNotFound
 from procedures.steps.clinical.ct_import import STEP
-from ronna_hw.evidence.seal import ROOM_FILE
+from ronna_hw.evidence.manifest import ROOM_FILE
 from ronna_hw.log_output import LOG_FILE, keep_log
 
 PLAIN = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000

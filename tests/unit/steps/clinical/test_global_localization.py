@@ -16,8 +16,7 @@ from procedures.steps.clinical.global_localization import IN_CASE, STEP
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames
 from ronna_hw.devices.errors import WrongState
-from ronna_hw.devices.last_known import LastKnown
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import DeviceError, LinkTimeout
 

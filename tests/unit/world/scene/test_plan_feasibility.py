@@ -13,9 +13,9 @@ from procedures.planning.path_check.visits import ArmSetting
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.model import Scene

@@ -1,0 +1,318 @@
+"""External input, checked against bounds before use: size, depth, count, expansion.
+
+A file, a reply or a datagram may be damaged or malicious; a few bytes must not cost gigabytes or minutes.
+Everything here raises INP-001, which is also a ValueError, so that the reader of a specific format can refuse
+with its own code.
+
+- Files are read only up to their bound: the size reported by the file system may be wrong or missing.
+- JSON has a limited number of values, limited depth, and finite numbers. The limits are checked on the text:
+  a parsed document is up to thirty times as large.
+- TOML has keys of a limited number of parts and whole numbers of 64 bits. The standard library stores every
+  prefix of a key: its memory grows with the square of the parts.
+- Deflated data and ZIP files are unpacked only up to a limit.
+- XML has no document type, which could declare entities, and a limited number of elements and names.
+"""
+
+from __future__ import annotations
+
+import errno
+import io
+import json
+import math
+import re
+import struct
+import tomllib
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+from xml.parsers.expat import errors
+
+from ronna_hw.errors import DataError, RonnaError
+from ronna_hw.host.files import open_regular
+
+
+class InputRefused(DataError):
+    """A file or a message from outside is larger, deeper or denser than anything legitimate."""
+
+    code = "INP-001"
+    action = "Find out where it comes from; files written by these programs are far below the limit."
+
+
+GIVE_A_FILE = "Give a file: pipes, sockets and devices are not read."
+
+
+def read_bounded(path: Path, limit_bytes: int, *, linked: bool = True) -> bytes:
+    """Read a complete file. Raises INP-001 for more than `limit_bytes`, OSError.
+
+    Never blocks: a pipe, socket or device in its place is refused, and without `linked` also a link
+    (OSError).
+    """
+    try:
+        with open_regular(path, linked=linked) as file:
+            content = file.read(limit_bytes + 1)
+    except OSError as error:
+        if linked and error.errno in (errno.EINVAL, errno.ENXIO):  # the second for a socket
+            raise InputRefused(f"{path} is not a regular file", action=GIVE_A_FILE) from error
+        error.filename = error.filename or str(path)  # errors while reading do not name the file
+        raise
+    if len(content) > limit_bytes:
+        raise InputRefused(f"{path.name} is too large", limit=f"{limit_bytes} bytes")
+    return content
+
+
+LARGEST_JSON_BYTES = 100_000_000  # a case's journal has a hundredth of it
+MOST_VALUES = 2_000_000  # up to 120 bytes each in memory
+MOST_VALUES_OF_A_MODEL = 100_000  # two are an empty object, whose missing fields take four kilobytes
+MOST_VALUES_OF_LINES = 2_000_000  # of which a case's tape of readings has a tenth
+DEEPEST = 64  # records nest about ten deep
+MOST_DIGITS = 20  # of an integer: nanoseconds since 1970 have 19
+
+# An escaped quote begins no string; if it could, one without an end would be scanned from each quote in it.
+_STRING = re.compile(rb'(?<!\\)"(?:[^"\\]|\\.)*+"', re.DOTALL)
+_NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
+
+
+def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
+    """Parse a JSON text. Raises INP-001, and ValueError for invalid JSON."""
+    content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
+    if b"\0" in content:  # as in every other encoding, whose depth is not seen
+        raise ValueError("JSON that is not UTF-8")
+    try:
+        return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+    except RecursionError as error:  # from brackets that never close
+        raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
+
+
+def read_json_bytes(
+    path: Path,
+    limit_bytes: int = LARGEST_JSON_BYTES,
+    most_values: int = MOST_VALUES_OF_A_MODEL,
+    *,
+    linked: bool = True,
+) -> bytes:
+    """Read a JSON file as bytes for a model to validate; `linked` as in `read_bounded`.
+
+    Raises INP-001, OSError.
+    """
+    return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes, most_values)
+
+
+def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
+    """Read JSON lines, the last of which may be torn; `linked` as in `read_bounded`.
+
+    Raises INP-001, OSError.
+    """
+    return _check_count(read_bounded(path, limit_bytes, linked=linked), MOST_VALUES_OF_LINES)
+
+
+def check_json(
+    content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
+) -> bytes:
+    """Return the bytes if they are within limits, else raise INP-001. Numbers in them may be anything."""
+    if len(content) > limit_bytes:
+        raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
+    _check_count(content, most_values)
+    if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
+        raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")
+    return content
+
+
+def _check_count(content: bytes, most_values: int) -> bytes:
+    if values_in(content) > most_values:
+        raise InputRefused("too many values in JSON", limit=str(most_values))
+    return content
+
+
+def values_in(content: bytes) -> int:
+    """Upper bound for the number of values in a JSON text."""
+    return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
+
+
+def _deeper_than_allowed(content: bytes) -> bool:
+    """Whether brackets remain after removing the innermost ones once per level."""
+    brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
+    for _ in range(DEEPEST):
+        if not brackets:
+            return False
+        brackets = brackets.replace(b"[]", b"").replace(b"{}", b"")
+    return bool(brackets)
+
+
+def _whole(digits: str) -> int:
+    if len(digits) > MOST_DIGITS:
+        raise InputRefused("a whole number in JSON has too many digits", limit=f"{MOST_DIGITS} digits")
+    return int(digits)
+
+
+def _finite(number: str) -> float:
+    """Parse a fraction; refuse NaN and Infinity, which are not JSON."""
+    value = float(number)
+    if not math.isfinite(value):
+        raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])
+    return value
+
+
+LARGEST_TOML_BYTES = 300_000  # a plan with a hundred trajectories has twenty thousand
+WHOLE = range(-(2**63), 2**63)  # as TOML requires; a long hexadecimal number cannot even be printed
+MOST_TOML_VALUES = 30_000  # a plan with all the points that it may have has twelve thousand
+DEEPEST_TOML = 32  # nested tables and parts of a key; more parts than a DICOM identifier can have
+
+_PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
+# Not from an escaped quote: a string without an end would be scanned from each quote in it.
+_LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_\-\\]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST_TOML}}}")
+
+LONGEST_SHOWN = 80  # characters of a line with a mistake
+_LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")
+_DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$")
+_LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
+
+
+def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
+    """Read a TOML file; raises `refusal` with the reason if it is not TOML within limits, OSError."""
+    try:
+        content = read_bounded(path, LARGEST_TOML_BYTES)
+    except InputRefused as error:
+        raise refusal(f"{path.name} is refused: {error.summary}") from error
+    return toml_of(content, path.name, refusal)
+
+
+def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
+    """Parse the bytes of a file with this name; raises `refusal` like `read_toml`."""
+    try:
+        return parse_toml(content.decode("utf-8-sig"))
+    except InputRefused as error:
+        raise refusal(f"{name} is refused: {error.summary}") from error
+    except UnicodeDecodeError as error:
+        raise refusal(f"{name} is not TOML: it is not UTF-8 text") from error
+    except ValueError as error:
+        raise refusal(f"{name} is not TOML: {error}{_line_of(error, content)}") from error
+
+
+def _line_of(error: ValueError, content: bytes) -> str:
+    """The line that failed to parse, and how to write a date or a decimal if it looks like one."""
+    found = _LINE_NUMBER.search(str(error))
+    lines = content.decode("utf-8-sig").splitlines()
+    if found is None or not 0 < int(found[1]) <= len(lines):
+        return ""
+    line = lines[int(found[1]) - 1].strip()
+    written = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
+    written = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else written
+    return f": {line[:LONGEST_SHOWN]}{written}"
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Parse a TOML text. Raises INP-001, and ValueError for invalid TOML."""
+    if len(text) > LARGEST_TOML_BYTES:
+        raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
+    if sum(map(text.count, "[{,=")) > MOST_TOML_VALUES:  # a model may find several mistakes in each
+        raise InputRefused("too many values in TOML", limit=str(MOST_TOML_VALUES))
+    if _LONG_KEY.search(text):
+        raise InputRefused("a key with too many parts", limit=str(DEEPEST_TOML))
+    try:
+        content = tomllib.loads(text)
+    except RecursionError as error:
+        raise InputRefused("TOML nested too deep", limit=f"{DEEPEST_TOML} levels") from error
+    level: list[Any] = [content]
+    for _ in range(DEEPEST_TOML):
+        inside = [inner for outer in level for inner in _inside(outer)]
+        if any(isinstance(value, int) and value not in WHOLE for value in inside):
+            raise InputRefused("a whole number in TOML is too large", limit="64 bits, signed")
+        level = [inner for inner in inside if isinstance(inner, dict | list)]
+        if not level:
+            return content
+    raise InputRefused("TOML nested too deep", limit=f"{DEEPEST_TOML} levels")
+
+
+def _inside(value: Any) -> Iterator[Any]:
+    return iter(value.values() if isinstance(value, dict) else value)
+
+
+LARGEST_ZIP_BYTES = 2_000_000  # its table of contents is read entirely
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # only these can be unpacked incrementally
+
+
+def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
+    """Unpack the zlib format, or raw deflate with `raw`. Raises INP-001, also for damaged data."""
+    unpacker = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
+    try:
+        content = unpacker.decompress(packed, limit_bytes + 1)
+    except zlib.error as error:
+        raise InputRefused(f"deflated data are damaged: {error}") from error
+    if len(content) > limit_bytes:
+        raise InputRefused("deflated data expand beyond the limit", limit=f"{limit_bytes} bytes")
+    if not unpacker.eof:
+        raise InputRefused("deflated data are truncated")
+    return content
+
+
+def unzip(packed: bytes, limit_bytes: int) -> bytes:
+    """Unpack the first member of a ZIP file, stored or deflated. Raises INP-001, also for a damaged file."""
+    if len(packed) > LARGEST_ZIP_BYTES:
+        raise InputRefused("a ZIP file is too large", limit=f"{LARGEST_ZIP_BYTES} bytes")
+    try:
+        with zipfile.ZipFile(io.BytesIO(packed)) as archive:
+            member = archive.infolist()[0]
+            if member.compress_type not in _METHODS:
+                raise InputRefused("unsupported ZIP compression method", expected="stored or deflated")
+            with archive.open(member) as file:
+                content = file.read(limit_bytes + 1)
+    except InputRefused:
+        raise
+    except (
+        zipfile.BadZipFile, zlib.error, struct.error, ValueError, IndexError, OSError, EOFError,
+        RuntimeError,  # it wants a password, or a feature that is missing here
+        OverflowError,  # a 64-bit offset
+    ) as error:  # fmt: skip
+        raise InputRefused(f"a ZIP file cannot be read: {error}") from error
+    if len(content) > limit_bytes:
+        raise InputRefused("a packed file expands beyond the limit", limit=f"{limit_bytes} bytes")
+    return content
+
+
+OUT_OF_MEMORY = errors.codes[errors.XML_ERROR_NO_MEMORY]
+MOST_ELEMENTS = 100_000  # a camera's description has up to thirty thousand
+DEEPEST_XML = 64
+NAMES_BYTES = 20_000_000  # in total: a namespace name is repeated in that of every element
+
+
+def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
+    """Parse XML and return the root element. Raises INP-001, also for invalid XML."""
+    if len(data) > limit_bytes:
+        raise InputRefused("the XML is too large", limit=f"{limit_bytes} bytes", got=str(len(data)))
+    parser = ElementTree.XMLParser(target=_Builder())
+    try:
+        parser.feed(data)
+        root: ElementTree.Element = parser.close()
+    except InputRefused:
+        raise
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two from an encoding
+        if getattr(error, "code", None) == OUT_OF_MEMORY:
+            raise MemoryError from error  # which says nothing about the XML
+        raise InputRefused(f"not valid XML: {error}") from error
+    return root
+
+
+class _Builder(ElementTree.TreeBuilder):
+    def __init__(self) -> None:
+        super().__init__()
+        self._elements = self._depth = self._names = 0
+
+    def doctype(self, name: str, public: str | None, system: str | None) -> None:
+        raise InputRefused("XML declares a document type", got=name[:DEEPEST_XML])
+
+    def start(self, tag: str, attributes: dict[str, str]) -> ElementTree.Element:
+        self._elements += 1
+        self._depth += 1
+        self._names += len(tag) + sum(len(name) for name in attributes)
+        if self._elements > MOST_ELEMENTS or self._names > NAMES_BYTES:
+            raise InputRefused("XML with too many elements", limit=str(MOST_ELEMENTS))
+        if self._depth > DEEPEST_XML:
+            raise InputRefused("XML nested too deep", limit=f"{DEEPEST_XML} levels")
+        return super().start(tag, attributes)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)

@@ -1,0 +1,220 @@
+"""Options that commands share: log output and its levels, the version, records of options, files to write.
+
+Every command has `--verbose`, `--log-level` and `--version`; a group has only the last.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import logging
+import os
+import sys
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar, get_type_hints
+
+import typer
+
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.messages import say
+from ronna_hw.errors import RonnaError
+from ronna_hw.logs import Logger, is_known, known_loggers, logger, set_level
+
+LEVELS_VARIABLE = "RONNA_LOG"
+VERBOSE_FLAG = "--verbose"
+
+
+def with_common_options(command: Any) -> Any:
+    """Add the common options to typer's command and to all commands of a group; returns it."""
+    declared = _declared()
+    for one in _all(command):
+        is_group = bool(getattr(one, "commands", {}))
+        one.params.extend(declared[-1:] if is_group else declared)
+    return command
+
+
+def _all(command: Any) -> Iterator[Any]:
+    """A command and all commands below it."""
+    yield command
+    for one in getattr(command, "commands", {}).values():
+        yield from _all(one)
+
+
+def _declared() -> list[Any]:
+    """The options as typer creates them: their callbacks do the work, and commands receive no value."""
+    app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+    @app.command()
+    def declare(
+        verbose: Annotated[
+            bool,
+            typer.Option(
+                VERBOSE_FLAG,
+                expose_value=False,
+                callback=set_up_logging,
+                help="Show the log on standard error and, on an error, its traceback.",
+            ),
+        ] = False,
+        log_level: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--log-level",
+                metavar="[NAME=]LEVEL",
+                is_eager=True,  # before the first line that --verbose shows
+                expose_value=False,
+                callback=set_log_levels_by_option,
+                help="Level of the log, or of one logger such as tracker=debug; repeatable; also in "
+                "RONNA_LOG.",
+            ),
+        ] = None,
+        version: Annotated[
+            bool,
+            typer.Option(
+                "--version",
+                is_eager=True,
+                expose_value=False,
+                callback=_tell_version,
+                help="Show version, commit and lock of the packages, and exit.",
+            ),
+        ] = False,
+    ) -> None:
+        """Declare the options; never called."""
+
+    return list(typer.main.get_command(app).params)
+
+
+def _tell_version(wanted: bool) -> None:
+    if not wanted:
+        return
+    from ronna_hw.software import this_software
+
+    say(str(this_software()))
+    raise typer.Exit
+
+
+def set_up_logging(verbose: bool) -> None:
+    """Show the log on standard error with `--verbose`; otherwise silence warnings of libraries.
+
+    Python would print those among the messages of the command.
+    """
+    if not verbose:
+        logging.getLogger().addHandler(logging.NullHandler())
+        warnings.simplefilter("ignore")
+        return
+    from ronna_hw.log_output import about_this_computer, show_log
+
+    show_log(sys.stderr)
+    command_logger().info("started", **about_this_computer())
+
+
+def set_log_levels(levels: Sequence[str]) -> None:
+    """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
+    for entry in levels:
+        name, _, level = entry.strip().rpartition("=")
+        if name and not is_known(name):
+            raise UsageMistake(
+                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(known_loggers())
+            )
+        try:
+            set_level(level.lower(), name)
+        except ValueError as wrong:
+            raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
+
+
+def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
+    """Apply levels here and in every process that this command starts or becomes; raises CLI-001."""
+    if not levels:
+        return
+    set_log_levels(levels)
+    before = os.environ.get(LEVELS_VARIABLE)
+    os.environ[LEVELS_VARIABLE] = ",".join((*([before] if before else []), *levels))
+
+
+def set_log_levels_from_environment() -> None:
+    """Apply the comma-separated levels in RONNA_LOG; options come later and take precedence."""
+    given = os.environ.get(LEVELS_VARIABLE)
+    if given:
+        set_log_levels(given.split(","))
+
+
+def command_logger() -> Logger:
+    """Logger of the command of this process."""
+    return logger(command=Path(sys.argv[0]).name)
+
+
+def log_failure(problem: Exception, error: RonnaError) -> None:
+    """Log how a command failed: the error, and where it was raised, without any values."""
+    import traceback
+
+    frames = traceback.extract_tb(problem.__traceback__)
+    raised_at = [f"{Path(frame.filename).name}:{frame.lineno}" for frame in frames]
+    command_logger().error("failed", error=error, raised_by=type(problem).__name__, trace=raised_at)
+
+
+Returned = TypeVar("Returned")
+
+
+def with_option_records(command: Callable[..., Returned]) -> Callable[..., Returned]:
+    """Decorate a command for typer: each parameter of a dataclass type is replaced by its fields.
+
+    A field is declared like a parameter, `name: Annotated[type, typer.Option(...)] = default`. The command
+    itself receives the record.
+    """
+    parameters = inspect.signature(command, eval_str=True).parameters
+    records = {
+        name: one.annotation
+        for name, one in parameters.items()
+        if isinstance(one.annotation, type) and is_dataclass(one.annotation)
+    }
+
+    def expanded() -> Iterator[inspect.Parameter]:
+        for name, one in parameters.items():
+            if name not in records:
+                yield one.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+                continue
+            types = get_type_hints(records[name], include_extras=True)
+            for field in fields(records[name]):
+                yield inspect.Parameter(
+                    field.name,
+                    inspect.Parameter.KEYWORD_ONLY,
+                    default=field.default,
+                    annotation=types[field.name],
+                )
+
+    @functools.wraps(command)
+    def called(**given: Any) -> Returned:
+        for name, record in records.items():
+            given[name] = record(**{field.name: given.pop(field.name) for field in fields(record)})
+        return command(**given)
+
+    # What `inspect.signature`, and so typer, reads first; the type of a function does not declare it.
+    called.__signature__ = inspect.Signature(list(expanded()))  # type: ignore[attr-defined]
+    return called
+
+
+def require_folder(out: Path) -> None:
+    """Raise CLI-005 if `--out` names a file instead of a folder."""
+    if out.exists() and not out.is_dir():
+        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
+
+
+def require_folder_of(*files: Path) -> None:
+    """Raise CLI-005 for a file whose folder does not exist; called before the work that writes it."""
+    for file in files:
+        if not file.parent.is_dir():
+            raise PathProblem(
+                f"{file.parent} is not a folder",
+                expected=f"an existing folder for {file.name}",
+                action="Create the folder, or name another.",
+            )
+
+
+def require_new(*files: Path) -> None:
+    """Raise CLI-001 for a file that exists, CLI-005 for one whose folder does not."""
+    for file in files:
+        if file.exists():
+            raise UsageMistake(f"{file} exists and was not changed", action="Name a new file with --out.")
+    require_folder_of(*files)

@@ -1,0 +1,127 @@
+"""The measuring devices: an optical tracker with tools and strays, and two cameras triggered together."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Iterator, Mapping
+from typing import Protocol, runtime_checkable
+
+from ronna_hw.devices.errors import NoNewFrame
+from ronna_hw.devices.lifecycle import Device, LastKnown
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFrame, Validity, Vector3
+
+
+@runtime_checkable
+class OpticalTracker(Device, Protocol):
+    """A tracker.
+
+    `configure` loads and enables the tools of the theatre file; `activate` starts tracking.
+    """
+
+    @property
+    def tools(self) -> tuple[str, ...]:
+        """Names of the tools to load, in the order of the theatre file."""
+        ...
+
+    @property
+    def markers_mm(self) -> Mapping[str, tuple[Vector3, ...]]:
+        """Marker positions of each tool by name, in the tool's own frame."""
+        ...
+
+    def observe(self) -> LastKnown[TrackerFrame]:
+        """Observe like `Device.observe`; the reading is the last frame."""
+        ...
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        """Request the next measurement. Allowed in ACTIVE.
+
+        The frame counter of the device is in `stamp.device_clock`; a repeated number means that no new
+        measurement was made. Raises LinkTimeout, ProtocolError or DeviceError.
+        """
+        ...
+
+
+@runtime_checkable
+class BoundedTracker(Protocol):
+    """A tracker that reports its measuring volume."""
+
+    @property
+    def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
+        """Rectangles perpendicular to its axis, from near to far: z, half x, half y, tracker frame.
+
+        Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
+        """
+        ...
+
+
+@runtime_checkable
+class TimedTracker(Protocol):
+    """A tracker that reports how long its replies take: the least age of a frame on arrival."""
+
+    @property
+    def replies_s(self) -> tuple[float, ...]:
+        """Times from request to reply of the last frames, without the transfer of both, the newest last.
+
+        Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
+        runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.
+        """
+        ...
+
+
+@runtime_checkable
+class StereoPair(Device, Protocol):
+    """A pair of cameras.
+
+    `configure` takes control, binds serial numbers to sides and sets the cameras; `activate` arms them.
+    """
+
+    @property
+    def serials(self) -> tuple[str, str]:
+        """Serial numbers read from the cameras, left and right."""
+        ...
+
+    def observe(self) -> LastKnown[StereoReading]:
+        """Observe like `Device.observe`; the reading is the last pair."""
+        ...
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
+        """Set the area of interest of each sensor; a running stream is restarted."""
+        ...
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
+        """Set exposure and gain of both cameras; raises LimitError for values outside their limits."""
+        ...
+
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        """Multiply the exposure configured or set last by `share` on both cameras; 1.0 restores it."""
+        ...
+
+    def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
+        """Trigger both cameras once and return the pair of that trigger. Allowed in ACTIVE."""
+        ...
+
+
+ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms
+
+
+def new_frames(
+    tracker: OpticalTracker, count: int | None = None, *, timeout_s: float = 1.0
+) -> Iterator[TrackerFrame]:
+    """Yield `count` measurements, or endless ones; each is new, none is STALE.
+
+    `timeout_s` is host time for each. Raises DEV-009 when the tracker delivers no new measurement in time,
+    and the errors of `read_frame`.
+    """
+    for _ in itertools.count() if count is None else range(count):
+        yield _new_frame(tracker, timeout_s)
+
+
+def _new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
+    deadline_s = time.monotonic() + timeout_s
+    while (left_s := deadline_s - time.monotonic()) > 0:
+        frame = tracker.read_frame(left_s)
+        if frame.validity is not Validity.STALE:
+            return frame
+        time.sleep(ASK_AGAIN_S)
+    raise NoNewFrame(f"{tracker.name} delivers no new measurement", limit=f"{timeout_s:g} s")

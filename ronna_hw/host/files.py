@@ -1,0 +1,116 @@
+"""Files and folders that another user may have tampered with, and what this process may do with files.
+
+A run folder contains a patient's CT, plan, journal and report, so others may not read what a command writes.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import shutil
+import stat
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from ronna_hw.errors import RonnaError
+
+NOT_REGULAR = (errno.EINVAL, "not a regular file")
+
+
+def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
+    """Open a file for reading; never blocks. Raises OSError, also for a pipe or a device.
+
+    A link raises OSError too, unless `linked`.
+    """
+    follow = 0 if linked else os.O_NOFOLLOW
+    try:
+        file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError as error:  # a zero byte, which no name of a file has
+        raise OSError(errno.ENOENT, str(error), str(path)) from error
+    mode = os.fstat(file).st_mode
+    if not stat.S_ISREG(mode):
+        os.close(file)
+        number, reason = (errno.EISDIR, "is a directory") if stat.S_ISDIR(mode) else NOT_REGULAR
+        raise OSError(number, reason, str(path))
+    return os.fdopen(file, "rb")
+
+
+DEEPEST_LEVEL = 16  # of folders; a run has three
+
+
+class WalkedPath(NamedTuple):
+    """A path below the walked folder."""
+
+    path: Path
+    is_folder: bool  # not a link to one
+    entered: bool  # a folder whose content follows
+
+
+def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[WalkedPath]:
+    """Iterate without recursion over everything below a folder, except top-level folders named in `without`.
+
+    Links are not followed. Folders at `DEEPEST_LEVEL` and unreadable ones are listed but not entered.
+    """
+    waiting = [(folder, 0)]
+    while waiting:
+        at, level = waiting.pop()
+        entries: list[os.DirEntry[str]] = []
+        with suppress(OSError), os.scandir(at) as listed:
+            entries = sorted(listed, key=lambda entry: entry.name)
+        for entry in entries:
+            path, is_folder = at / entry.name, entry.is_dir(follow_symlinks=False)
+            if is_folder and level == 0 and entry.name in without:
+                continue
+            readable = is_folder and os.access(path, os.R_OK | os.X_OK)
+            entered = readable and level + 1 < DEEPEST_LEVEL
+            yield WalkedPath(path, is_folder, entered)
+            if entered:
+                waiting.append((path, level + 1))
+
+
+def remove_folder(folder: Path) -> bool:
+    """Remove a folder with its content; returns whether that succeeded."""
+    with suppress(OSError, RecursionError):  # the second for a chain of folders without end
+        shutil.rmtree(folder)
+    return not folder.exists()
+
+
+ACCESS_VARIABLE = "RONNA_ACCESS"
+_UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 0770 and 0660
+
+
+@contextmanager
+def own_files() -> Iterator[None]:
+    """Create files in the block, also in child processes, for this user only, whatever the umask.
+
+    `RONNA_ACCESS=group` also admits the folder's group, for a folder that a lab shares. Raises ValueError for
+    any other word.
+    """
+    access = os.environ.get(ACCESS_VARIABLE, "owner")
+    if access not in _UMASKS:
+        raise ValueError(f"{ACCESS_VARIABLE} is {access!r}; expected owner or group")
+    before = os.umask(_UMASKS[access])
+    try:
+        yield
+    finally:
+        os.umask(before)
+
+
+class TooFewOpenFiles(RonnaError):
+    """The system allows this program too few open files and sockets for its task."""
+
+    code = "PRC-002"
+    action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
+
+
+def require_open_files(needed: int) -> None:
+    """Raise PRC-002 if so many files may not be open; raises a soft limit as far as necessary."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= needed:
+        return
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise TooFewOpenFiles("the limit of open files is too low", expected=f"{needed}", got=f"{hard}")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

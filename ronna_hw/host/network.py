@@ -1,0 +1,144 @@
+"""The networks of this computer: interfaces, loopback addresses of one process, the other end of a link."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import struct
+import sys
+from dataclasses import dataclass
+from ipaddress import IPv4Address, IPv4Network
+from pathlib import Path
+
+import psutil
+
+
+@dataclass(frozen=True)
+class Interface:
+    """An IPv4 address of a network interface."""
+
+    name: str
+    address: str
+    prefix: int
+    mtu_bytes: int  # 0 if the system does not report it
+
+    @property
+    def loopback(self) -> bool:
+        """Whether it is the network inside this computer."""
+        return IPv4Address(self.address).is_loopback
+
+    def reaches(self, address: str) -> bool:
+        """Whether an address is in its subnet; False for a host name."""
+        try:
+            return IPv4Address(address) in IPv4Network(f"{self.address}/{self.prefix}", strict=False)
+        except ValueError:
+            return False
+
+
+def interfaces() -> tuple[Interface, ...]:
+    """All interfaces with an IPv4 address."""
+    states = psutil.net_if_stats()
+    return tuple(
+        Interface(name, each.address, _prefix(each.netmask), states[name].mtu if name in states else 0)
+        for name, addresses in psutil.net_if_addrs().items()
+        for each in addresses
+        if each.family == socket.AF_INET
+    )
+
+
+def interface_of(local_address: str) -> Interface | None:
+    """Interface with that address, or else the one whose subnet contains it; None if there is none."""
+    every = interfaces()
+    exact = (each for each in every if each.address == local_address)
+    return next(exact, next((each for each in every if each.reaches(local_address)), None))
+
+
+def _prefix(netmask: str | None) -> int:
+    return IPv4Network(f"0.0.0.0/{netmask or '255.255.255.255'}").prefixlen
+
+
+FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which start at 32768
+
+
+def own_udp_endpoint(number: int = 0) -> str:
+    """A `udp://` endpoint that no other running process gets, nor this one under another `number`.
+
+    For a device that must be configured with its client's address: no race for free ports. The process id, at
+    most 22 bits, determines the address: Linux answers on all of 127.0.0.0/8.
+    """
+    process = os.getpid()
+    return f"udp://127.{64 + (process >> 16)}.{process >> 8 & 255}.{process & 255}:{FIRST_PORT + number}"
+
+
+Place = tuple[str, int]  # IPv4 address and port
+ANSWERS_WITHIN_S = 0.1
+_NETLINK_SOCK_DIAG = 4
+_SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST = 20, 1
+_ALL_STATES = 0xFFFFFFFF
+_NO_COOKIE = b"\xff" * 8
+_HEADER = struct.Struct("=IHHII")  # nlmsghdr: length, type, flags, sequence, port
+_QUESTION = struct.Struct("=BBBxI")  # inet_diag_req_v2: family, protocol, extensions, states
+_SOCKET = struct.Struct("=2s2s16s16sI8s")  # inet_diag_sockid: ports, addresses, interface, cookie
+_ANSWER = struct.Struct("=4x48s12xII")  # inet_diag_msg: its socket, account, inode
+_ANSWER_BYTES = 4096
+_NOWHERE = ("0.0.0.0", 0)
+_ACCOUNT, _INODE = 7, 9  # columns of /proc/net/tcp
+_MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6, on a little-endian computer
+
+
+def account_at(peer: Place, here: Place) -> int | None:
+    """User id of the program at `peer` of a TCP connection to the listening socket `here`.
+
+    None if that end is closed, or on another computer. The kernel is asked for this one connection
+    (sock_diag(7)), at a cost that does not depend on how many there are: anybody can fill /proc/net/tcp with
+    thousands, which is read only where the kernel has no sock_diag. psutil reports no account, and only
+    processes of its own one.
+    """
+    with contextlib.suppress(OSError):
+        found = _diagnosed(peer, here)
+        if found is not None or _diagnosed(here, _NOWHERE) is not None:  # the second is always there
+            account, inode = found or (None, 0)
+            return account if inode else None  # without it its program has closed it, and its account is lost
+    return _listed(peer, here)
+
+
+def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
+    """Account and inode of the socket with these ends; None if there is none. Raises OSError."""
+    wanted = _SOCKET.pack(*_ports(local, remote), *_addresses(local, remote), 0, _NO_COOKIE)
+    question = _QUESTION.pack(socket.AF_INET, socket.IPPROTO_TCP, 0, _ALL_STATES) + wanted
+    head = _HEADER.pack(_HEADER.size + len(question), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST, 0, 0)
+    with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
+        kernel.settimeout(ANSWERS_WITHIN_S)
+        kernel.sendto(head + question, (0, 0))
+        answer = kernel.recv(_ANSWER_BYTES)
+    if _HEADER.unpack_from(answer)[1] != _SOCK_DIAG_BY_FAMILY:  # an error: no such socket
+        return None
+    found, account, inode = _ANSWER.unpack_from(answer, _HEADER.size)
+    if _SOCKET.unpack(found)[:2] != _ports(local, remote):  # a listening socket in place of a connection
+        return None
+    return account, inode
+
+
+def _ports(*places: Place) -> tuple[bytes, ...]:
+    return tuple(port.to_bytes(2, "big") for _, port in places)
+
+
+def _addresses(*places: Place) -> tuple[bytes, ...]:
+    return tuple(socket.inet_aton(address) for address, _ in places)
+
+
+def _listed(peer: Place, here: Place) -> int | None:
+    ends = [_in_list(peer), _in_list(here)]
+    for table, mapped in (("tcp", ""), ("tcp6", _MAPPED)):
+        with contextlib.suppress(OSError):
+            for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
+                fields = line.split()
+                if fields[1:3] == [mapped + end for end in ends]:
+                    return int(fields[_ACCOUNT]) if fields[_INODE] != "0" else None
+    return None
+
+
+def _in_list(place: Place) -> str:
+    address = int.from_bytes(socket.inet_aton(place[0]), sys.byteorder)
+    return f"{address:08X}:{place[1]:04X}"

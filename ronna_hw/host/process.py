@@ -1,0 +1,195 @@
+"""This process: its start, its parent, its packages and threads, and the signals that end it.
+
+Import it before anything heavy: an import may outlast the parent, whose number is noted here.
+
+Ctrl-C on a terminal reaches the whole foreground group. The program decides what it means, so the processes
+that it starts never see it.
+
+Linear algebra runs on one thread. Its rounding depends on how many threads share a product, and a fit turns a
+difference in the last digit into a micrometre: with one thread, a seed gives the same result on any computer.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from types import FrameType
+from typing import NamedTuple
+
+from ronna_hw.errors import ConfigurationError
+
+
+def begin_start() -> None:
+    """Suspend garbage collection until `end_start`.
+
+    Nearly all that a starting process allocates stays, and collecting would take a fifth of the start.
+    """
+    gc.disable()
+
+
+def end_start() -> None:
+    """Exclude all present objects from later collections, and collect again."""
+    gc.freeze()
+    gc.enable()
+
+
+INIT = 1
+
+
+class ParentProcess(NamedTuple):
+    """The parent at the start of this process."""
+
+    pid: int
+    gone_at_start: bool = False
+
+    @property
+    def gone(self) -> bool:
+        """Whether the parent has died, possibly before it was noted; an orphan is adopted by init."""
+        return self.gone_at_start or os.getppid() != self.pid
+
+
+def note_parent() -> ParentProcess:
+    """Note the current parent.
+
+    A service started by init leads its own process group or belongs to that of init. A child of init in any
+    other group is an orphan whose parent died before this call.
+    """
+    pid = os.getppid()
+    orphan = pid == INIT and os.getpgrp() not in (os.getpid(), os.getpgid(INIT))
+    return ParentProcess(pid, gone_at_start=orphan)
+
+
+PARENT = note_parent()
+OWN_PACKAGES = ("conformance", "drivers", "sim", "procedures", "studies")
+
+
+class ForeignPackage(ConfigurationError):
+    """One of our packages is shadowed by another of the same name on the path."""
+
+    code = "CFG-003"
+    action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
+
+
+def require_own_packages() -> None:
+    """Raise CFG-003 if another project on the path shadows one of our packages.
+
+    `sim`, `drivers` and `procedures` are common names: half of the program would be foreign code.
+    """
+    foreign = foreign_packages()
+    if foreign:
+        raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
+
+
+def foreign_packages() -> tuple[str, ...]:
+    """Our package names that Python would not load from the folder of `ronna_hw`."""
+    home = Path(__file__).resolve().parents[2]
+    foreign = []
+    for name in OWN_PACKAGES:
+        spec = find_spec(name)
+        places = (
+            [] if spec is None else [Path(place).resolve() for place in spec.submodule_search_locations or ()]
+        )
+        if places != [home / name]:
+            foreign.append(name)
+    return tuple(foreign)
+
+
+# read by OpenBLAS, OpenMP and MKL when they are loaded
+_THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def single_threaded() -> None:
+    """Keep this process and its children to one thread. Call before NumPy is imported."""
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+
+
+@contextmanager
+def processes_single_threaded() -> Iterator[None]:
+    """Keep processes started in the block to one thread."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    single_threaded()
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, an order, a closed terminal
+
+
+@contextmanager
+def interruption_deferred() -> Iterator[None]:
+    """Defer the signals that end a program to the end of the block; for work bounded in time.
+
+    Python delivers signals to the main thread only; in any other thread nothing is deferred.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    received: list[signal.Signals] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        received.append(signal.Signals(number))
+
+    with _handled_by(note):
+        yield
+    for number in dict.fromkeys(received):
+        signal.raise_signal(number)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let the ending signals raise KeyboardInterrupt in the block, even if they are ignored around it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    with _handled_by(interrupt):
+        yield
+
+
+@contextmanager
+def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Direct the ending signals to `handler` in the block; main thread only."""
+    before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
+    try:
+        yield
+    finally:
+        for number, former in before.items():
+            signal.signal(number, former)
+
+
+@contextmanager
+def children_uninterrupted() -> Iterator[None]:
+    """Start processes in the block that never receive SIGINT: they inherit it blocked.
+
+    Their own session, which hides the other signals of the terminal, begins only after the fork.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def describe_exit(code: int) -> str:
+    """Say how a process ended: the signal that killed it, or its exit code."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return f"killed by {signal.Signals(-code).name}"
+    except ValueError:  # a real-time signal
+        return f"killed by signal {-code}"

@@ -1,0 +1,338 @@
+"""A block of shared memory: its locations, tables of `NamedTuple` rows, and a ring of bytes.
+
+None of the locations overlap, and no offset is written by hand. Each has one writer. Single words are aligned
+and need nothing more. A checked row or text has a checksum: a reader that finds it half written retries, and
+nobody waits for the other side.
+
+The annotations of a row carry the struct code of each field::
+
+    class Sample(NamedTuple):
+        number: Annotated[int, "Q"]
+        phase: Annotated[Phase, "B"]
+        joints_rad: Annotated[JointVector, "6d"]
+        side: Annotated[str, one_of(("left", "right"))]
+
+Struct, pack and unpack follow from it. They are compiled once, as `NamedTuple` compiles itself, so that a
+control cycle pays for nothing but the packing.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Callable, Sequence
+from enum import Enum
+from socket import inet_aton, inet_ntoa
+from typing import Annotated, Any, Generic, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+
+ANY_HOST = "0.0.0.0"
+TEXT_PADDING = b"\0"
+ALIGNMENT_BYTES = 8
+_CHECKSUM = struct.Struct("<I")
+_LENGTH = struct.Struct("<I")
+RowT = TypeVar("RowT", bound=tuple[Any, ...])
+
+
+class MemoryMap:
+    """Assigns locations in a block, which begins with a mark that identifies its owner.
+
+    `size_bytes` grows with every location.
+    """
+
+    def __init__(self, mark: bytes) -> None:
+        self.mark = mark
+        self.size_bytes = _aligned(len(mark))
+
+    def mark_memory(self, memory: Any) -> None:
+        """Write our mark."""
+        memory[: len(self.mark)] = self.mark
+
+    def is_marked(self, memory: Any) -> bool:
+        """Whether the memory carries our mark."""
+        return bool(memory[: len(self.mark)] == self.mark)
+
+    def word(self, code: str = "Q") -> Word:
+        """Assign one aligned number of a struct code."""
+        return Word(code, self._take(ALIGNMENT_BYTES))
+
+    def rows(self, row: type[RowT], count: int = 1) -> Rows[RowT]:
+        """Assign `count` plain rows."""
+        place = Rows(row, self.size_bytes, count)
+        self._take(place.size_bytes)
+        return place
+
+    def checked(self, row: type[RowT]) -> CheckedRow[RowT]:
+        """Assign a row behind a checksum."""
+        place = CheckedRow(row, self.size_bytes)
+        self._take(place.size_bytes)
+        return place
+
+    def checked_bytes(self, capacity_bytes: int) -> CheckedBytes:
+        """Assign bytes of variable length behind a checksum."""
+        place = CheckedBytes(self.size_bytes, capacity_bytes)
+        self._take(place.size_bytes)
+        return place
+
+    def counters(self, count: int) -> Counters:
+        """Assign a row of unsigned 64-bit counters."""
+        place = Counters(self.size_bytes, count)
+        self._take(place.size_bytes)
+        return place
+
+    def plain_bytes(self, size_bytes: int) -> Bytes:
+        """Assign plain bytes."""
+        return Bytes(self._take(size_bytes), size_bytes)
+
+    def _take(self, size_bytes: int) -> int:
+        offset = self.size_bytes
+        self.size_bytes = _aligned(offset + size_bytes)
+        return offset
+
+
+def _aligned(size_bytes: int) -> int:
+    return -(-size_bytes // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
+
+
+class Word:
+    """An aligned number, which is never read half written."""
+
+    def __init__(self, code: str, offset: int) -> None:
+        self._struct = struct.Struct(f"<{code}")
+        self.offset = offset
+        self._place = slice(offset, offset + self._struct.size)
+
+    def read(self, memory: Any) -> int:
+        number: int = self._struct.unpack_from(memory, self.offset)[0]
+        return number
+
+    def write(self, memory: Any, number: int) -> None:
+        # One copy. `pack_into` first fills the place with zeros, which another process then reads.
+        memory[self._place] = self._struct.pack(number)
+
+
+class Rows(Generic[RowT]):
+    """Plain rows of one type, in sequence; `index` 0 for a single one."""
+
+    def __init__(self, row: type[RowT], offset: int, count: int) -> None:
+        self._codec = RowCodec(row)
+        self._stride = _aligned(self._codec.size_bytes)
+        self._offset = offset
+        self.count = count
+        self.size_bytes = self._stride * count
+
+    def read(self, memory: Any, index: int = 0) -> RowT:
+        return self._codec.unpack_from(memory, self._offset + index * self._stride)
+
+    def write(self, memory: Any, row: RowT, index: int = 0) -> None:
+        offset = self._offset + index * self._stride
+        memory[offset : offset + self._codec.size_bytes] = self._codec.pack(row)
+
+
+class CheckedRow(Generic[RowT]):
+    """A row behind a checksum."""
+
+    def __init__(self, row: type[RowT], offset: int) -> None:
+        self._codec = RowCodec(row)
+        self._block = _Checked(offset, self._codec.size_bytes)
+        self.size_bytes = _CHECKSUM.size + self._codec.size_bytes
+
+    def read(self, memory: Any) -> RowT | None:
+        """Read the row; None while it is being written."""
+        payload = self._block.read(memory)
+        return None if payload is None else self._codec.unpack(payload)
+
+    def write(self, memory: Any, row: RowT) -> None:
+        self._block.write(memory, self._codec.pack(row))
+
+
+class CheckedBytes:
+    """Bytes of variable length behind a checksum."""
+
+    def __init__(self, offset: int, capacity_bytes: int) -> None:
+        self._offset = offset
+        self.capacity_bytes = capacity_bytes
+        self.size_bytes = _LENGTH.size + _CHECKSUM.size + capacity_bytes
+
+    def read(self, memory: Any) -> bytes | None:
+        """Read the bytes; None while they are being written."""
+        length = _LENGTH.unpack_from(memory, self._offset)[0]
+        return _Checked(self._offset + _LENGTH.size, min(length, self.capacity_bytes)).read(memory)
+
+    def write(self, memory: Any, content: bytes) -> None:
+        """Write the bytes; raises ValueError if they do not fit."""
+        if len(content) > self.capacity_bytes:
+            raise ValueError(f"{len(content)} bytes do not fit into {self.capacity_bytes}")
+        memory[self._offset : self._offset + _LENGTH.size] = _LENGTH.pack(len(content))
+        _Checked(self._offset + _LENGTH.size, len(content)).write(memory, content)
+
+
+class _Checked:
+    def __init__(self, offset: int, size_bytes: int) -> None:
+        self._offset = offset
+        self._start = offset + _CHECKSUM.size
+        self._end = self._start + size_bytes
+
+    def read(self, memory: Any) -> bytes | None:
+        block = memory[self._offset : self._end]
+        payload: bytes = block[_CHECKSUM.size :]
+        return payload if zlib.crc32(payload) == _CHECKSUM.unpack_from(block)[0] else None
+
+    def write(self, memory: Any, payload: bytes) -> None:
+        memory[self._offset : self._end] = _CHECKSUM.pack(zlib.crc32(payload)) + payload
+
+
+class Counters:
+    """A row of counters, accessed as one typed view of the memory."""
+
+    def __init__(self, offset: int, count: int) -> None:
+        self._offset = offset
+        self.size_bytes = count * ALIGNMENT_BYTES
+
+    def view(self, memory: Any) -> memoryview[int]:
+        """Unsigned 64-bit counters; release the view before the memory is closed."""
+        with memoryview(memory) as whole, whole[self._offset : self._offset + self.size_bytes] as bytes_:
+            return bytes_.cast("Q")
+
+
+class Bytes:
+    """Plain bytes, laid out by the user."""
+
+    def __init__(self, offset: int, size_bytes: int) -> None:
+        self.offset = offset
+        self.size_bytes = size_bytes
+
+
+class RingPart(NamedTuple):
+    """Result of one read."""
+
+    content: bytes
+    end: int  # where to continue
+    lost: int  # bytes overwritten before they were read
+
+
+class ByteRing:
+    """A ring of bytes with one writer that never waits and one reader that may be too late.
+
+    Entries follow each other without gaps; the reader finds their ends in the entries themselves. An
+    overtaken reader skips what it missed and learns how much that was. `longest` is the longest entry: the
+    writer may be within one during a read.
+    """
+
+    def __init__(self, written: Word, place: Bytes, longest: int) -> None:
+        """`written` counts all bytes ever written."""
+        self._written = written
+        self._place = place
+        self._longest = longest
+
+    def write(self, memory: Any, entry: bytes) -> None:
+        """Append an entry of at most `longest` bytes."""
+        offset, capacity = self._place.offset, self._place.size_bytes
+        total = self._written.read(memory)
+        at = total % capacity
+        fits = min(len(entry), capacity - at)
+        memory[offset + at : offset + at + fits] = entry[:fits]
+        if fits < len(entry):
+            memory[offset : offset + len(entry) - fits] = entry[fits:]
+        self._written.write(memory, total + len(entry))
+
+    def read(self, memory: Any, begin: int) -> RingPart:
+        """Read everything since `begin`, which is 0 or the end of the last part."""
+        offset, capacity = self._place.offset, self._place.size_bytes
+        end = self._written.read(memory)
+        if end - begin > capacity - self._longest:
+            return RingPart(b"", end, end - begin)
+        first, last = begin % capacity, end % capacity
+        if first <= last:
+            content = memory[offset + first : offset + last]
+        else:
+            content = memory[offset + first : offset + capacity] + memory[offset : offset + last]
+        if self._written.read(memory) - begin > capacity - self._longest:  # overtaken in the meantime
+            return RingPart(b"", end, end - begin)
+        return RingPart(content, end, 0)
+
+
+class FieldCode(NamedTuple):
+    """A struct code, with conversions for a value that is not a number."""
+
+    code: str
+    encode: Callable[[Any], Any] | None = None
+    decode: Callable[[Any], Any] | None = None
+
+
+def one_of(choices: Sequence[str]) -> FieldCode:
+    """Field for one of a few words, stored as its index in a byte."""
+    return FieldCode("B", choices.index, choices.__getitem__)
+
+
+def text(capacity_bytes: int) -> FieldCode:
+    """Field for a short text in UTF-8; anything longer is cut off."""
+
+    def encode(value: str) -> bytes:
+        return value.encode()[:capacity_bytes]
+
+    def decode(value: bytes) -> str:
+        return value.rstrip(TEXT_PADDING).decode(errors="ignore")
+
+    return FieldCode(f"{capacity_bytes}s", encode, decode)
+
+
+def _host_to_bytes(host: str) -> bytes:
+    return inet_aton(host or ANY_HOST)
+
+
+def _host_of_bytes(packed: bytes) -> str:
+    return inet_ntoa(packed) if any(packed) else ""
+
+
+IPV4_HOST = FieldCode("4s", _host_to_bytes, _host_of_bytes)  # "" for none
+
+
+class RowCodec(Generic[RowT]):
+    """Struct, pack and unpack of one `NamedTuple` class, little endian and without padding."""
+
+    def __init__(self, row: type[RowT]) -> None:
+        """Raises TypeError for a field without a struct code."""
+        namespace: dict[str, Any] = {"row_type": row}
+        codes, packed, unpacked = ["<"], [], []
+        at = 0
+        for index, (name, hint) in enumerate(get_type_hints(row, include_extras=True).items()):
+            field = _field_code(row, name, hint, namespace)
+            count = len(struct.unpack(f"<{field.code}", bytes(struct.calcsize(f"<{field.code}"))))
+            codes.append(field.code)
+            value = f"row[{index}]"
+            if field.encode is not None:
+                namespace[f"encode_{name}"] = field.encode
+                value = f"encode_{name}({value})"
+            packed.append(value if count == 1 else f"*{value}")
+            value = f"v[{at}]" if count == 1 else f"v[{at}:{at + count}]"
+            if field.decode is not None:
+                namespace[f"decode_{name}"] = field.decode
+                value = f"decode_{name}({value})"
+            unpacked.append(value)
+            at += count
+        layout = struct.Struct("".join(codes))
+        namespace["pack_values"] = layout.pack
+        self.size_bytes = layout.size
+        self.pack: Callable[[RowT], bytes] = eval(f"lambda row: pack_values({', '.join(packed)})", namespace)
+        self._make: Callable[[tuple[Any, ...]], RowT] = eval(
+            f"lambda v: row_type({', '.join(unpacked)})", namespace
+        )
+        self._unpack, self._unpack_from = layout.unpack, layout.unpack_from
+
+    def unpack(self, data: bytes) -> RowT:
+        """Restore a row from `pack`; raises struct.error for another length."""
+        return self._make(self._unpack(data))
+
+    def unpack_from(self, memory: Any, offset: int) -> RowT:
+        """Restore the row at an offset in memory."""
+        return self._make(self._unpack_from(memory, offset))
+
+
+def _field_code(row: type, name: str, hint: Any, namespace: dict[str, Any]) -> FieldCode:
+    if get_origin(hint) is not Annotated:
+        raise TypeError(f"{row.__name__}.{name} has no struct code")
+    kind, code = get_args(hint)[:2]
+    field = code if isinstance(code, FieldCode) else FieldCode(code)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return field._replace(decode=kind)
+    return field

@@ -1,0 +1,127 @@
+"""Mistakes that pydantic finds in a file, in the words of the person who edits it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import date
+from difflib import get_close_matches
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails
+
+from ronna_hw.plausible import NAME_PATTERN
+
+MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
+LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
+UNQUOTED = ("float_type", "int_type", "bool_type")
+
+
+def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
+    """Describe each mistake in one line: place, expectation, finding; then how many more there are.
+
+    With the validated model, an unknown key is reported with the known ones at its place.
+    """
+    lines = []
+    found = mistakes_in(error)
+    for item in found[:MISTAKES_SHOWN]:
+        where = _place(item["loc"])
+        message = in_words(item)
+        if item["type"] == "extra_forbidden":
+            known = () if model is None else known_keys(model, item["loc"][:-1])
+            message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
+        value = item.get("input")
+        found_is = str(value) if isinstance(value, date) else repr(value)
+        shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
+        lines.append(f"{where}: {message}{shown}")
+    if len(found) > MISTAKES_SHOWN:
+        lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
+    return lines
+
+
+def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
+    """Every mistake, except lists that are only too short because of the mistakes in their items."""
+    return [item for item in error.errors(include_url=False) if not _is_only_emptied(item)]
+
+
+def _is_only_emptied(item: ErrorDetails) -> bool:
+    given = item["input"]
+    return (
+        item["type"] == "too_short"
+        and isinstance(given, Sequence)
+        and len(given) >= item.get("ctx", {}).get("min_length", 0)
+    )
+
+
+def _place(parts: tuple[int | str, ...]) -> str:
+    """Place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1, as in every message."""
+    text = ""
+    for part in parts:
+        text += f" {part + 1}" if isinstance(part, int) else f".{part}"
+    return text.strip(" .") or "file"
+
+
+def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
+    """Keys of a model, or of the model nested at that place; none if there is no model."""
+    here: Any = model
+    for part in place:
+        names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
+        if names and str(part) in names:
+            here = _model_in(names[str(part)])
+    return tuple(field.alias or name for name, field in _fields(here).items())
+
+
+def _fields(model: Any) -> dict[str, FieldInfo]:
+    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
+
+
+def _model_in(annotation: Any) -> Any:
+    """The model in the annotation of a field: itself, optional, or as values of a table or a list."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
+
+
+def _meant(key: str, known: Sequence[str]) -> str:
+    """The most similar known key as a question, or else all known keys."""
+    if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
+        return f" (did you mean '{alike[0]}'?)"
+    return f" (known: {', '.join(known)})" if known else ""
+
+
+def in_words(item: ErrorDetails) -> str:
+    """Word one mistake, without its place and its finding."""
+    context = item.get("ctx", {})
+    match item["type"]:
+        case "missing":
+            return "is missing"
+        case "model_type":
+            return "expected a table"
+        case "too_long" | "too_short" if "actual_length" in context:
+            return _count_wrong(context)
+        case "string_pattern_mismatch" if context.get("pattern") == NAME_PATTERN:
+            return "expected letters, digits, _ . or -, a letter or a digit first"
+    said = item["msg"].removeprefix("Value error, ")
+    for prefix in ("Input should be", "String should have"):
+        said = said.replace(prefix, "expected", 1)
+    if item["type"] == "string_type" and isinstance(item["input"], int | float):
+        return "expected text: put it in quotes"
+    return f"{said} without quotes" if item["type"] in UNQUOTED and _only_quoted(item["input"]) else said
+
+
+def _only_quoted(value: object) -> bool:
+    if not isinstance(value, str):
+        return False
+    try:
+        float(value)
+    except ValueError:
+        return value in ("true", "false")
+    return True
+
+
+def _count_wrong(limits: Mapping[str, Any]) -> str:
+    """Number of values found and expected."""
+    if "max_length" in limits:
+        return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
+    return f"{limits['actual_length']} values, expected {limits['min_length']} or more"

@@ -1,0 +1,112 @@
+"""Text for people: names made safe to display, counts, figures next to their limits, typed numbers.
+
+Names of files, series, patients and devices must neither steer nor flood a terminal.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+
+LONGEST_WORD = 160  # characters: a path or a number fits on a line of a wide terminal
+LONGEST_LINE = 4000  # an error that lists the mistakes in a file is a paragraph, not a page
+GAP = "…"
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
+
+
+def printable(text: str) -> str:
+    """Return text as one line without control characters, its words and numbers limited in length.
+
+    Anything too long is shortened in the middle: a path is recognised by its beginning and end.
+    """
+    line = without_controls(text)
+    if len(line) <= LONGEST_WORD:
+        return line
+    return _shortened(_LONG_WORD.sub(lambda word: _shortened(word[0], LONGEST_WORD), line), LONGEST_LINE)
+
+
+def printable_lines(text: str) -> str:
+    """Make each line of a text printable."""
+    return "\n".join(map(printable, text.split("\n")))
+
+
+def without_controls(text: str) -> str:
+    """Show white space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
+    if text.isprintable():
+        return text
+    return "".join(map(_shown, text))
+
+
+def _shown(letter: str) -> str:
+    if letter.isprintable():
+        return letter
+    if letter.isspace():
+        return " "
+    return letter.encode("unicode_escape").decode("ascii")
+
+
+def _shortened(text: str, most: int) -> str:
+    if len(text) <= most:
+        return text
+    end = (most - len(GAP)) // 2
+    return f"{text[: most - len(GAP) - end]}{GAP}{text[-end:]}"
+
+
+MOST_SHOWN = 5  # of a list of names
+
+
+def counted(number: int, one: str, several: str | None = None) -> str:
+    """Count things in words: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
+    return f"{number} {one if number == 1 else several or one + 's'}"
+
+
+def some_of(names: Sequence[str]) -> str:
+    """List the first names, and how many more there are: `a, b and 4 more`."""
+    listed = ", ".join(names[:MOST_SHOWN])
+    return listed if len(names) <= MOST_SHOWN else f"{listed} and {len(names) - MOST_SHOWN} more"
+
+
+MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals it
+
+
+def beyond(value: float, limit: float, decimals: int) -> str:
+    """Format a value next to a limit shown in full: with as many decimals as show on which side it is.
+
+    `beyond(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
+    """
+    for more in range(MOST_MORE):
+        shown = round(value, decimals + more)
+        if (shown > limit) == (value > limit) and shown != limit:
+            return f"{value:.{decimals + more}f}"
+    return f"{value:.{decimals}f}"
+
+
+def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
+    """Format a value and a computed limit with as many decimals as distinguish them."""
+    for more in range(MOST_MORE):
+        shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))
+        if shown != refused_from:
+            return shown, refused_from
+    return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"
+
+
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
+
+
+def typed_number(typed: str, unit: str = "") -> float:
+    """Parse a finite number with a decimal point or comma; raises ValueError with the text typed.
+
+    The `unit` may follow it, with or without a space; another unit may not.
+    """
+    words = without_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
+    number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
+    if not math.isfinite(number):
+        raise ValueError(repr(typed.strip()))
+    return number
+
+
+def without_unit(typed: str, unit: str) -> str:
+    """Strip surrounding space and a trailing unit from what was typed."""
+    words = typed.strip()
+    return words[: -len(unit)].rstrip() if unit and words.casefold().endswith(unit.casefold()) else words

@@ -1,0 +1,34 @@
+from __future__ import annotations
+
+import itertools
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from ronna_hw.devices import new_frames
+from ronna_hw.devices.errors import NoNewFrame
+from ronna_hw.devices.readings import Stamp, TrackerFrame, Validity
+
+
+def tracker(*validities: Validity) -> Any:
+    """Says these again and again, with the number of the reading as the frame's number."""
+    frames = (
+        TrackerFrame(Stamp(number, number, 0.0), validity, (), ())
+        for number, validity in enumerate(itertools.cycle(validities))
+    )
+    return SimpleNamespace(name="tracker", read_frame=lambda timeout_s: next(frames))
+
+
+def test_repeated_measurements_are_skipped() -> None:
+    frames = new_frames(tracker(Validity.OK, Validity.STALE), 3)
+    assert [frame.stamp.sequence for frame in frames] == [0, 2, 4]
+
+
+def test_new_frames_without_a_count_never_end() -> None:
+    assert len(list(itertools.islice(new_frames(tracker(Validity.OK)), 1000))) == 1000
+
+
+def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:
+    with pytest.raises(NoNewFrame, match=r"limit 0\.02 s"):
+        next(new_frames(tracker(Validity.STALE), timeout_s=0.02))

@@ -1,0 +1,63 @@
+"""A command runs linear algebra on one thread and refuses foreign packages under our names."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ronna_hw.host.process import OWN_PACKAGES, foreign_packages, require_own_packages
+
+MULTIPLYING = """
+import os, typer
+from ronna_hw.command_line import terminal
+app = typer.Typer()
+@app.command()
+def multiply() -> None:
+    import numpy as np
+    square = np.ones((600, 600))
+    square @ square
+    print(len(os.listdir("/proc/self/task")))
+terminal.run(app)
+"""
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one processor has one thread anyway")
+def test_linear_algebra_of_a_command_uses_one_thread_on_any_number_of_processors() -> None:
+    command = [sys.executable, "-P", "-c", MULTIPLYING]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    )
+    assert done.stdout == "1\n", done.stderr
+
+
+PROGRAM = """
+from ronna_hw.host.process import ForeignPackage, require_own_packages
+try:
+    require_own_packages()
+except ForeignPackage as error:
+    print(error)
+"""
+
+
+def test_our_own_packages_are_accepted() -> None:
+    require_own_packages()
+    assert foreign_packages() == ()
+
+
+def test_foreign_packages_ahead_on_the_path_are_refused_by_name(tmp_path: Path) -> None:
+    for name in OWN_PACKAGES:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "__init__.py").touch()
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", PROGRAM],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout.startswith("CFG-003: ")
+    assert " and ".join(OWN_PACKAGES) in done.stdout
