@@ -13,8 +13,7 @@ from benchmarks import registration_goals
 from benchmarks.contest import cpu_of
 from benchmarks.figures import Figure, compared
 from procedures.registration import MatchStatus, match, register
-from studies.correspondence.readings import draw_readings
-from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, sites_mm
+from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, draw_readings, sites_mm
 
 Array = NDArray[np.float64]
 

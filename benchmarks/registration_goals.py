@@ -11,8 +11,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from benchmarks.figures import Figure
 from procedures.planning.markers.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import match, register
-from studies.campaign.unit import add_up
-from studies.correspondence.readings import draw_readings
+from studies.campaign.study import add_up
 from studies.correspondence.study import (
     FALSE,
     SUCCESS,
@@ -25,6 +24,7 @@ from studies.heads import (
     IMAGE_SIGMA_MM,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
+    draw_readings,
     per_axis_mm,
     sites_mm,
 )

@@ -35,7 +35,7 @@ def review(
     key: KeyOption = None,
 ) -> None:
     """Serve a page with the full history of a run, until Ctrl-C. Its address contains a key."""
-    from console.reviewing import review
+    from console.app import review
 
     viewers = viewers_address(bind, certificate, key)
     for warning in () if viewers is None else viewers.check():

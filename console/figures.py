@@ -12,11 +12,11 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from console.feed.view import CaseView
+from console.case_view import CaseView
 from console.hub import Hub
-from console.pictures.head import head_stl, series_of
+from console.scene.head_surface import head_stl, series_of
 from procedures.reporting.case_figures import CaseFigures, read_case_figures
-from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
+from procedures.reporting.files import LARGEST_PICTURE_BYTES
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import PICTURES_FOLDER

@@ -11,11 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from console.bell import Bell
-from console.feed.fold import fold
-from console.feed.recorded import RecordedCase
-from console.feed.view import CaseView
-from console.sessions import Role, Session
+from console.case_view import CaseView, RecordedCase, fold
+from console.changes import Bell
+from console.guard import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
 from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle

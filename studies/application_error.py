@@ -16,8 +16,7 @@ from studies.accuracy.phantom import Markers, phantom
 from studies.accuracy.scene import Scene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks
 
 Array = NDArray[np.float64]
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres

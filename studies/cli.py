@@ -16,9 +16,8 @@ from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
-    from studies.campaign.table import Table
-    from studies.campaign.unit import Study, Sums
-    from studies.own.method import OwnMethod
+    from studies.campaign.study import Study, Sums, Table
+    from studies.plugins.method import OwnMethod
 
 app = typer.Typer(
     name="ronna-campaign",
@@ -122,12 +121,12 @@ def correspondence(
     from procedures.registration.pairing_validation import REFUSED_SHARE
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
-    from studies.correspondence.methods import chosen_methods
     from studies.correspondence.study import (
         OF_THE_THESIS,
         USUAL_TOLERANCES_MM,
         CorrespondenceStudy,
     )
+    from studies.plugins.trial import chosen_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
@@ -165,7 +164,7 @@ def _clinical(
 ) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
-    from studies.correspondence.frame_readings import recorded_readings
+    from studies.correspondence.clinical import recorded_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
@@ -223,9 +222,8 @@ def localization(
     asked: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
-    from studies.localization.goals import tables_and_goals
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
-    from studies.localization.tables import plots
+    from studies.localization.tables import plots, tables_and_goals
 
     if thesis + tuning + frames + bool(families) > 1:
         raise UsageMistake("--thesis, --tuning, --frames and --family are separate studies: give one of them")
@@ -325,8 +323,7 @@ def worlds(
     Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
     once, or a finding where nothing changed.
     """
-    from studies.worlds.case import carry_out, document
-    from studies.worlds.study import WorldsStudy, no_plots
+    from studies.worlds.study import WorldsStudy, carry_out, document, no_plots
     from studies.worlds.world import SCENES
 
     if scene not in SCENES:
@@ -354,8 +351,8 @@ def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
     """Own methods of a kind, each tried before the campaign."""
     if not names:
         return ()
-    from studies.own.contracts import MethodKind
-    from studies.own.trial import tried_apart
+    from studies.plugins.contracts import MethodKind
+    from studies.plugins.trial import tried_apart
 
     return tuple(tried_apart(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
@@ -366,9 +363,8 @@ def _run(
     plots: Plots,
     asked: StudyOptions,
 ) -> Mapping[str, Sums]:
-    from studies.campaign.ledger import Ledger
-    from studies.campaign.publish import publish
-    from studies.campaign.unit import add_up
+    from studies.campaign.folder import Ledger, publish
+    from studies.campaign.study import add_up
     from studies.campaign.workers import run_study
 
     folder = asked.out or Path("campaigns") / study.name
@@ -426,7 +422,7 @@ def times(
 
 
 def _show(table: Table) -> None:
-    from studies.campaign.table import shown
+    from studies.campaign.study import shown
 
     terminal.print_table(
         table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]

@@ -19,11 +19,10 @@ from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, 
 from procedures.registration.point_registration import register
 from studies.campaign import bounds
 from studies.campaign.plots import Point, curves
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, without_empty_own
 from studies.heads import PATIENTS, any_pose, sites_mm
-from studies.own.method import OwnMethod
-from studies.own.registration import OwnRegistration
+from studies.plugins.answers import OwnRegistration
+from studies.plugins.method import OwnMethod
 
 Array = NDArray[np.float64]
 

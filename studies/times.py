@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.reporting.minutes import (
+from procedures.reporting.run_statistics import (
     ALGORITHM_S,
     LOCALIZATION,
     OPERATOR_S,
@@ -16,7 +16,7 @@ from procedures.reporting.minutes import (
     TimeTaken,
     times_taken,
 )
-from studies.campaign.table import Table
+from studies.campaign.study import Table
 from studies.errors import NoRunToTime
 
 

@@ -15,7 +15,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.figures import Figure
-from console.planning.overlay import CHOSEN
+from console.planning.slice_panel import CHOSEN
 from ronna_hw.arm.pose import Pose
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.named_scenes import named_scene

@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from console.planning.desk import PlanDesk
-from console.planning.look import Look
-from console.planning.overlay import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
-from console.scene.actors import Call, Rod
-from console.scene.bodies import METRES
+from console.planning.plan_editor import PlanDesk
+from console.planning.slice_panel import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
+from console.planning.slices import Look
+from console.scene.bodies import METRES, Call, Rod
 from console.scene.theatre_scene import (
     BACKGROUND,
     FRAMES_PER_S,

@@ -9,23 +9,18 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
-from console.guard import SESSION
+from console.changes import changed_within
+from console.guard import SESSION, Role, Session
 from console.panels.html import tag, text
-from console.pictures.cuts import WINDOWS_HU, Plane
-from console.planning.desk import PlanDesk
 from console.planning.head_scene import HeadScene
-from console.planning.look import Look
-from console.planning.marker_panel import MarkerPanel
-from console.planning.proposal_panel import ProposalPanel
-from console.planning.routes import add_pictures
+from console.planning.judging import expected, verdict
+from console.planning.marker_panel import MarkerPanel, ProposalPanel
+from console.planning.plan_editor import PlanDesk
 from console.planning.slice_panel import STROKE, SlicePanel
+from console.planning.slices import WINDOWS_HU, Look, Plane, add_pictures
 from console.planning.structure_panel import StructurePanel
-from console.planning.verdict import expected, verdict
 from console.planning.way_panel import WayPanel
-from console.sessions import Role, Session
-from console.web.changes import changed_within
-from console.web.library import page_head, use_library
-from console.web.sockets import own_page
+from console.web.library import own_page, page_head, use_library
 from procedures.planning.errors import PlanMistakes
 from procedures.planning.plan.model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point

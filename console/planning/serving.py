@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import BaseModel, ConfigDict
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import tell_address
@@ -20,9 +22,8 @@ def open_planner(
 ) -> None:
     """Read the CT and serve the planner."""
     from console.app import serve_pages
-    from console.planning.desk import PlanDesk
     from console.planning.page import add_planner
-    from console.planning.request import PlannerRequest
+    from console.planning.plan_editor import PlanDesk
     from procedures.imaging import read_series
     from procedures.imaging.pick_files import LARGEST_FILE_BYTES
     from procedures.planning.theatre.arm import theatre_arm
@@ -51,3 +52,20 @@ def open_planner(
 
 if __name__ == "__main__":
     terminal.run(app)
+
+
+SixNumbers = tuple[float, float, float, float, float, float]
+
+
+class PlannerRequest(BaseModel):
+    """A CT, the plan on it, and the arm that should follow it, if known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series: Path
+    plan: Path
+    port: int = 0
+    config: Path | None = None
+    strategy: str = "ocs"
+    robot_from_ct: SixNumbers | None = None
+    home_deg: SixNumbers | None = None

@@ -8,10 +8,10 @@ from functools import partial
 
 from nicegui import ui
 
-from console.planning.desk import PlanDesk
 from console.planning.draft import Axis, Way
 from console.planning.fields import NumberField
-from console.planning.look import Look
+from console.planning.plan_editor import PlanDesk
+from console.planning.slices import Look
 from procedures.strategies.trajectory import Point
 
 ENDS = (("entry", "Entry"), ("target", "Target"))

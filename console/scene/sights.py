@@ -7,9 +7,8 @@ import math
 import time
 from typing import Any
 
-from console.feed.view import CaseView
-from console.scene.actors import Call, Rod, placed
-from console.scene.bodies import METRES, Point, ends
+from console.case_view import CaseView
+from console.scene.bodies import METRES, Call, Point, Rod, ends, placed
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures

@@ -13,7 +13,7 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.planning.plan.model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
-    from procedures.reporting.postoperative import AfterTheOperation
+    from procedures.reporting.files import AfterTheOperation
 
 READING_SHARE = 0.3  # of the progress bar, for each series
 
@@ -67,7 +67,7 @@ def postoperative(
         terminal.tell(f"warning: {sentence}")
     if out is not None or run is not None:
         from procedures.postoperative.pictures import trajectory_picture
-        from procedures.reporting.postoperative import AfterTheOperation
+        from procedures.reporting.files import AfterTheOperation
 
         pose = proof.registration.post_from_pre
         after = AfterTheOperation(
@@ -117,9 +117,9 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
 
 
 def _write(out: Path, after: AfterTheOperation, frames: tuple[str, str]) -> None:
+    from procedures.exchange.dicom_objects import write_postoperative
     from procedures.exchange.errors import NotWritable
-    from procedures.exchange.postoperative import write_postoperative
-    from procedures.reporting.postoperative import keep_check
+    from procedures.reporting.files import keep_check
 
     try:
         keep_check(out, after)

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import csv
 import io
-from collections.abc import Iterable, Sequence
-from dataclasses import astuple, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 
+from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.outcome import Truth
-from procedures.reporting.plan_table import MotionRow
-from procedures.reporting.target_table import TargetRow
-from procedures.reporting.timeline import Span
-from ronna_hw.bounded_input import read_json_bytes
+from procedures.reporting.run_reading import RunReading
+from procedures.reporting.run_statistics import Span
+from procedures.reporting.tables import MotionRow, TargetRow
+from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.records import write_whole
 
@@ -128,3 +130,61 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     writer.writerow(head)
     writer.writerows(rows)
     return text.getvalue()
+
+
+LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
+
+
+def picture_of(reading: RunReading, path: Path) -> bytes | None:
+    """A picture's file; None, and with a note, for one that is too large or cannot be read."""
+    try:
+        return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
+    except (OSError, InputRefused):
+        reading.note(f"{path.name} is left out: it cannot be read or is too large for a picture")
+        return None
+
+
+def embedded(picture: bytes) -> str:
+    """A PNG as the address of an image."""
+    return "data:image/png;base64," + base64.b64encode(picture).decode()
+
+
+SUMMARY_FILE = "postoperative.json"
+PICTURE = "postoperative-"  # the trajectory's name follows
+
+
+@dataclass(frozen=True)
+class AfterTheOperation:
+    """What was found, and a PNG per trajectory by its name."""
+
+    found: PostoperativeCheck
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> list[tuple[str, str]]:
+        """Name and picture, as embedded in a page."""
+        names = [one.id for one in self.found.trajectories]
+        return [(name, embedded(self.pictures[name])) for name in names if name in self.pictures]
+
+
+def keep_check(folder: Path, after: AfterTheOperation) -> None:
+    """Store it in this folder, creating it if missing. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
+    for name, picture in after.pictures.items():
+        write_whole(folder / f"{PICTURE}{name}.png", picture)
+
+
+def kept_check(reading: RunReading) -> AfterTheOperation | None:
+    """What a run keeps of it: None without one, and with a note for one that cannot be read."""
+    folder = reading.folder / REPORT_FOLDER
+    try:
+        found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
+        return None
+    paths = (path for path in sorted(folder.glob(f"{PICTURE}*.png")) if path.is_file())
+    pictures = {path.stem.removeprefix(PICTURE): picture_of(reading, path) for path in paths}
+    return AfterTheOperation(found, {name: one for name, one in pictures.items() if one is not None})

@@ -16,26 +16,41 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
-from procedures.reporting.calibration.result_file import figures_if_readable
-from procedures.reporting.calibration.stereo_head import HeadFigures
-from procedures.reporting.clearance_figure import clearance_figure
-from procedures.reporting.embedded import embedded, picture_of
+from procedures.reporting.calibration_figures import HeadFigures, figures_if_readable
 from procedures.reporting.ending import ending_of
-from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
-from procedures.reporting.happenings import announced_advisories, happenings, questions
-from procedures.reporting.link_counters import link_counters
-from procedures.reporting.link_figure import link_figure, summed_histograms
-from procedures.reporting.looks_figure import looks_figure
-from procedures.reporting.minutes import ALGORITHM_S, LOCALIZATION, OPERATOR_S, times_taken
+from procedures.reporting.files import (
+    REPORT_FOLDER,
+    TRUTH_FILE,
+    AfterTheOperation,
+    ReportFiles,
+    embedded,
+    keep_check,
+    keep_truth,
+    kept_check,
+    kept_truth,
+    picture_of,
+)
 from procedures.reporting.outcome import RunError, Truth
-from procedures.reporting.plan_table import plan_rows
-from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
+from procedures.reporting.pictures import (
+    clearance_figure,
+    link_figure,
+    looks_figure,
+    summed_histograms,
+    target_figure,
+    timeline_figure,
+)
+from procedures.reporting.run_events import announced_advisories, happenings, questions
 from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.reporting.run_statistics import (
+    ALGORITHM_S,
+    LOCALIZATION,
+    OPERATOR_S,
+    link_counters,
+    timeline,
+    times_taken,
+)
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
-from procedures.reporting.target_figure import target_figure
-from procedures.reporting.target_table import TargetRow, target_rows
-from procedures.reporting.timeline import timeline
-from procedures.reporting.timeline_figure import timeline_figure
+from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall

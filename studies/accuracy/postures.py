@@ -26,7 +26,7 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM
 from studies.accuracy.phantom import Phantom
-from studies.accuracy.solving import PlannedPoses
+from studies.accuracy.random_arms import PlannedPoses
 from studies.errors import PhantomOutOfReach
 
 Array = NDArray[np.float64]

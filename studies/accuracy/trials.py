@@ -21,8 +21,7 @@ from procedures.registration.rigid_fit import fit_rigid
 from ronna_hw.frames import Transform
 from studies.accuracy.phantom import Markers, Phantom
 from studies.accuracy.postures import Postures
-from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.solving import brought_to, centred
+from studies.accuracy.random_arms import RandomArms, Source, brought_to, centred
 
 Array = NDArray[np.float64]
 

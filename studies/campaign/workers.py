@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -15,9 +16,8 @@ from urllib.parse import urlsplit
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.linear_algebra import processes_single_threaded
 from ronna_hw.host.worker_processes import fresh_processes
-from studies.campaign.ledger import Ledger
-from studies.campaign.silence import Silence, Tell
-from studies.campaign.unit import Study, Sums, Unit
+from studies.campaign.folder import Ledger
+from studies.campaign.study import Study, Sums, Unit
 from studies.errors import (
     ExtraMissing,
     MethodAnswerWrong,
@@ -26,7 +26,34 @@ from studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
-from studies.own.method import OwnMethod
+from studies.plugins.method import OwnMethod
+
+SILENT_S = 10.0
+
+Tell = Callable[[str], None]
+
+
+class Silence:
+    """Reports once each unit that has been running for `limit_s`."""
+
+    def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
+        """`names` are those of the user methods; without any, nothing is reported."""
+        self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
+        self._since: dict[str, float] = {}
+        self._announced: set[str] = set()
+
+    def under_way(self, keys: Iterable[str]) -> None:
+        """Call at least every `limit_s` with the units that are running."""
+        now_s = time.monotonic()
+        since = {key: self._since.get(key, now_s) for key in keys}
+        self._since = since
+        for key in since.keys() - self._announced:
+            if self._names and now_s - since[key] >= self.limit_s:
+                self._announced.add(key)
+                self._tell(
+                    f"{self._names} has not answered for {self.limit_s:g} s, in {key}; Ctrl-C stops it"
+                )
+
 
 ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0

@@ -28,20 +28,21 @@ from procedures.registration.correspondence import (
 from procedures.registration.matching import match
 from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
 from procedures.registration.similarity_matrix import match_many_by_similarity
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
-from studies.correspondence.readings import Readings, draw_readings
+from studies.campaign.study import Sums, Unit, blocks, generator, without_empty_own
 from studies.heads import (
     IMAGE_SIGMA_MM,
     PATIENTS,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
+    Readings,
+    draw_readings,
     in_balls,
     per_axis_mm,
     sites_mm,
     stated_variance_mm2,
 )
-from studies.own.correspondence import OwnPairing
-from studies.own.method import OwnMethod
+from studies.plugins.answers import OwnPairing
+from studies.plugins.method import OwnMethod
 
 Array = NDArray[np.float64]
 Pairs = frozenset[tuple[int, int]]

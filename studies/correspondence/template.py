@@ -22,9 +22,7 @@ from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks, generator
-from studies.correspondence.readings import draw_readings
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator
 from studies.correspondence.study import (
     BLOCK_RUNS,
     FALSE,
@@ -48,6 +46,7 @@ from studies.heads import (
     PATIENTS,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
+    draw_readings,
     in_balls,
     per_axis_mm,
 )

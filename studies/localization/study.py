@@ -28,11 +28,11 @@ from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.campaign.study import Sums, Unit, blocks, generator, without_empty_own
 from studies.errors import NotForJudging
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
-from studies.own.localizer import OwnLocalizer
-from studies.own.method import OwnMethod
+from studies.plugins.answers import OwnLocalizer
+from studies.plugins.method import OwnMethod
 from studies.thesis_tables import OPERATORS, TABLE_3
 
 Array = NDArray[np.float64]

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from studies.campaign import bounds
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums
+from studies.campaign.study import Cell, Sums, Table
 from studies.localization.study import AUTOMATIC, Method
-from studies.localization.thesis_protocol import SCALE_DRAWS, points_of
-from studies.localization.thesis_scans import (
+from studies.localization.thesis_protocol import (
     FRAME_MM,
     LARGEST_SCALE_ERROR,
     PATIENT,
     PHANTOM,
+    SCALE_DRAWS,
     draw_scale,
+    points_of,
 )
 from studies.thesis_tables import (
     AVERAGE_OPERATOR,

@@ -16,12 +16,11 @@ import numpy as np
 
 from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scenarios import SCENARIOS, SET_S, Scenario
-from studies.accuracy.scene import DIGITS, Scene
+from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene
 from studies.accuracy.trials import Sizes
-from studies.campaign.unit import Sums, Unit, blocks, without_empty_own
-from studies.own.method import OwnMethod
-from studies.own.strategy import OwnStrategy
+from studies.campaign.study import Sums, Unit, blocks, without_empty_own
+from studies.plugins.method import OwnMethod
+from studies.plugins.strategy import OwnStrategy
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
 BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # the thesis' own

@@ -20,7 +20,7 @@ from procedures.engine.order import order_of
 from procedures.engine.step import StepKey
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import only_allowed
-from procedures.exchange.dicom_object import name_patient
+from procedures.exchange.dicom_objects import name_patient
 from procedures.exchange.errors import FieldNotAllowed
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import Entry, Journal

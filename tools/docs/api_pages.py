@@ -22,7 +22,7 @@ from procedures.strategies import strategy, trajectory
 from ronna_hw import frames, simulation, theatre
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, motion, readings
 from ronna_hw.devices.byte_sink import RecordsBytes
-from studies.own import contracts
+from studies.plugins import contracts
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -139,7 +139,7 @@ def _outcome(
     wall_s: float,
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
-    from procedures.reporting.used_registrations import registrations_of
+    from procedures.reporting.run_reading import registrations_of
     from procedures.steps.clinical.confirmation import ConfirmedTarget
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan

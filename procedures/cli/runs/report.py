@@ -18,7 +18,7 @@ from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.host.interruption import interruption_deferred
 
 if TYPE_CHECKING:
-    from procedures.reporting.postoperative import AfterTheOperation
+    from procedures.reporting.files import AfterTheOperation
 
 NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from procedures.cli.runs.folders import runs_in
 from procedures.engine.run_lock import holder_of_run
-from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
+from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.ending import Ending, ending_of, resumes
 from procedures.reporting.files import KEPT_TRUTH, kept_truth

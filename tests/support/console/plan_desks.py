@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from console.planning.desk import PlanDesk
+from console.planning.plan_editor import PlanDesk
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"

@@ -20,11 +20,11 @@ from scipy.spatial.transform import Rotation
 from benchmarks.mount.frame_looks import FrameCell
 from benchmarks.mount.tip_looks import TipCell
 from benchmarks.stereo_head.head_looks import observation_set, true_head
-from console.planning.avoided import imported
-from console.planning.desk import PlanDesk
+from console.guard import ORDERS_PER_SECOND, Rate
 from console.planning.draft import Draft
 from console.planning.judging import judge
-from console.sessions import ORDERS_PER_SECOND, Rate
+from console.planning.plan_editor import PlanDesk
+from console.planning.structure_panel import imported
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
 from procedures.cli.calibrating.kinds import kind_of

@@ -23,8 +23,8 @@ from procedures.engine.run_folder import typed
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
 from procedures.reporting.case_figures import read_case_figures
+from procedures.reporting.files import SUMMARY_FILE, kept_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.postoperative import SUMMARY_FILE, kept_check
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.results.result import FramedPose, StepResult

@@ -30,8 +30,7 @@ from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import read_scene
 from sim.world.scene.seating import spheres_in_theatre
 from studies.accuracy.postures import ARM, TOOL_MM
-from studies.accuracy.random_arms import RandomArms
-from studies.accuracy.solving import PlannedPoses, centred
+from studies.accuracy.random_arms import PlannedPoses, RandomArms, centred
 
 LARGEST_ERROR_MM = 1.5
 TRACKER_MM = 0.2  # of 1,500 drawn scenes the largest is 0.12 mm: the smooth error of both frames is the same

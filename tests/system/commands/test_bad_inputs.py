@@ -16,7 +16,7 @@ from sim.world.control import Room
 from sim.world.control_port import ControlPort
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
-from studies.own import trial
+from studies.plugins import trial
 
 BAD_INPUTS = BadInput.read(Path(__file__).with_name("bad_inputs.txt"))
 FEWEST = 150

@@ -12,7 +12,7 @@ from documented import write_files
 from user_commands import in_this_process
 
 from studies.cli import app
-from studies.own import trial
+from studies.plugins import trial
 
 PAGE = "docs/how-to/research/own-methods.md"
 

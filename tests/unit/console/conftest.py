@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from plan_desks import scan
 
-from console.planning.desk import PlanDesk
+from console.planning.plan_editor import PlanDesk
 
 
 @pytest.fixture

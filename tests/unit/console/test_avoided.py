@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from console.planning.avoided import STEP_MM, drawn, free_name, imported, with_margin
 from console.planning.draft import Draft
+from console.planning.structure_panel import STEP_MM, drawn, free_name, imported, with_margin
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes
 

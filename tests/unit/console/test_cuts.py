@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from console.pictures.cuts import (
+from console.planning.slice_panel import side
+from console.planning.slices import (
     DIRECTIONS,
     SIZE_PX,
     UNSCANNED_GREY,
@@ -17,7 +18,6 @@ from console.pictures.cuts import (
     cut_hu,
     cut_png,
 )
-from console.planning.overlay import side
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 SHAPE = (30, 60, 50)  # slices, rows, columns

@@ -10,10 +10,10 @@ import pytest
 from nicegui import Client, ui
 from plan_desks import draw, scan
 
-from console.planning.desk import PlanDesk
+from console.guard import Role, Session
 from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
-from console.sessions import Role, Session
+from console.planning.plan_editor import PlanDesk
 from ronna_hw.text.typed_number import typed_number
 
 

@@ -12,8 +12,7 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.routing import Route
 
-from console.feed.recorded import RecordedCase
-from console.feed.view import CaseView, StepRow
+from console.case_view import CaseView, RecordedCase, StepRow
 from console.figures import Figures, as_of
 from console.hub import Hub
 from procedures.cli.case.leaving_report import seal_run

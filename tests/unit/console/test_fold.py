@@ -7,11 +7,9 @@ from datetime import UTC, datetime
 from hypothesis import given
 from hypothesis import strategies as st
 
-from console.feed.fold import JOURNAL_KEPT, MOST_DEVICES, fold
-from console.feed.recorded import RecordedCase
-from console.feed.view import CaseView
-from console.panels.devices import devices
-from console.panels.notices import notices
+from console.case_view import JOURNAL_KEPT, MOST_DEVICES, CaseView, RecordedCase, fold
+from console.panels.case_state import devices
+from console.panels.results import notices
 from procedures.engine.events import (
     Answered,
     CaseState,

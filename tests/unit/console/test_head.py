@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from console.pictures.head import head_surface, series_of, stl
+from console.scene.head_surface import head_surface, series_of, stl
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 SHAPE = (60, 80, 70)  # slices, rows, columns

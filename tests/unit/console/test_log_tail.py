@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from console.feed.log_tail import TAIL_BYTES, LogTail
-from console.panels.notices import log
+from console.panels.results import TAIL_BYTES, LogTail, log
 from ronna_hw.log_output import LOG_FILE
 
 

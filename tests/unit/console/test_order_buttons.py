@@ -9,9 +9,8 @@ from typing import Any
 import pytest
 from nicegui import Client, ui
 
-from console.feed.view import CaseView
-from console.panels.orders import OrderPanel
-from console.panels.question import ARMED_S, HeldButton, QuestionPanel
+from console.case_view import CaseView
+from console.panels.orders import ARMED_S, HeldButton, OrderPanel, QuestionPanel
 from procedures.engine.events import Questioned, Waiting
 
 

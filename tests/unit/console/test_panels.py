@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from console.feed.view import CaseView, DeviceRow, Notice, StepRow
-from console.panels.bar import banner, seat_line
-from console.panels.chart import chart
-from console.panels.devices import devices, mode
-from console.panels.notices import journal, log, notices, problems
-from console.panels.pictures import cuts, pictures
+from console.case_view import CaseView, DeviceRow, Notice, StepRow
+from console.panels.case_state import banner, chart, devices, mode, seat_line
+from console.panels.results import cuts, journal, log, notices, pictures, problems
 from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
 from procedures.reporting.case_figures import CaseFigures
 

@@ -14,11 +14,10 @@ from typing import Any
 import pytest
 from plan_desks import ENTRY, draw, reopened, save, scan
 
-from console.planning import desk as desk_module
-from console.planning.desk import PlanDesk
+from console.planning import plan_editor
 from console.planning.draft import Draft
-from console.planning.judging import Expected, Judged, judge
-from console.planning.verdict import expected, verdict
+from console.planning.judging import Expected, Judged, expected, judge, verdict
+from console.planning.plan_editor import PlanDesk
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
 from procedures.planning.plan.file import read_plan, write_plan
@@ -142,7 +141,7 @@ def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
             case.enter_context(held_plan(file))
             return sealed(*arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(desk_module, "sealed", meanwhile)
+        monkeypatch.setattr(plan_editor, "sealed", meanwhile)
         with pytest.raises(PlanInUse, match="PLAN-026"):
             save(desk)
         assert file.read_bytes() == before
@@ -208,7 +207,7 @@ def test_the_planner_does_not_take_its_own_save_for_a_running_case(
         seen.append(desk.read_only)
         write_plan(*arguments)
 
-    monkeypatch.setattr(desk_module, "write_plan", meanwhile)
+    monkeypatch.setattr(plan_editor, "write_plan", meanwhile)
     save(desk)
     assert seen == [None]
 
@@ -247,7 +246,7 @@ def test_a_change_is_judged_while_the_thorough_check_before_it_still_runs_and_it
             released.wait(30.0)
         return Judged(draft, thorough=thorough, arm_known=True, complete=True)
 
-    monkeypatch.setattr(desk_module, "judge", slow)
+    monkeypatch.setattr(plan_editor, "judge", slow)
     shown = []
 
     async def dragged() -> None:

@@ -13,13 +13,12 @@ import pytest
 from nicegui import Client, ui
 from plan_desks import ENTRY, TARGET, draw, scan
 
-from console.pictures.cuts import WINDOWS_HU, Plane
-from console.planning.desk import PlanDesk
+from console.guard import Role, Session
 from console.planning.draft import Axis
 from console.planning.head_scene import ARM_OF_CROSS_MM
-from console.planning.look import ZOOMS
 from console.planning.page import DRAW, SPHERE, PlannerPage
-from console.sessions import Role, Session
+from console.planning.plan_editor import PlanDesk
+from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
 
 AXIAL = list(Plane).index(Plane.AXIAL)
 

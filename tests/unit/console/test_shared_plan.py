@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from plan_desks import ENTRY, draw, save, scan
 
-from console.planning import desk as desk_module
-from console.planning.desk import PlanDesk
+from console.planning import plan_editor
+from console.planning.plan_editor import PlanDesk
 from procedures.planning.errors import PlanInUse
 from procedures.planning.plan.lock import held_plan
 
@@ -82,7 +82,7 @@ def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues
 def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(desk_module, "AGAIN_S", 0.01)
+    monkeypatch.setattr(plan_editor, "AGAIN_S", 0.01)
     other = PlanDesk(scan(), file, None)
 
     async def becomes_free() -> None:
@@ -185,7 +185,7 @@ def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(
     def unreadable(_path: Path) -> str:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(desk_module, "_digest", unreadable)
+    monkeypatch.setattr(plan_editor, "_digest", unreadable)
     assert other.begin()
     assert "Input/output error" in str(other.read_only)
 

@@ -10,11 +10,10 @@ from typing import Any
 import pytest
 from nicegui import Client, core, ui
 
-from console.feed.view import CaseView
-from console.guard import SESSION
+from console.case_view import CaseView
+from console.guard import SESSION, Role, Session
 from console.panels.orders import OrderPanel
-from console.sessions import Role, Session
-from console.web.sockets import FROM_PAGES, bind_sockets, own_page
+from console.web.library import FROM_PAGES, bind_sockets, own_page
 from procedures.engine.events import Waiting
 
 ODD = (None, True, -1, 2**70, 1e308, "", "\0", "é" * 300, [], {}, [[]], {"a": []})

@@ -8,9 +8,8 @@ from typing import Any
 
 import pytest
 
-from console.guard import SESSION
-from console.sessions import Role, Session
-from console.web.sockets import bind_sockets, own_page
+from console.guard import SESSION, Role, Session
+from console.web.library import bind_sockets, own_page
 
 
 class Library:

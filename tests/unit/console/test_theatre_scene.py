@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from nicegui import Client, ui
 
-from console.feed.view import CaseView, StoodPose
+from console.case_view import CaseView, StoodPose
 from console.scene.theatre_scene import TheatreScene
 from procedures.engine.events import Bodies, Body, Pose, Questioned
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-MODELS = ROOT / "procedures/reporting/calibration"
+MODELS = ROOT / "procedures/reporting/calibration_figures.py"
 EXPLAINED = re.compile(r"^- \*\*(.+?)\*\*", re.MULTILINE)
 
 
@@ -16,7 +16,7 @@ EXPLAINED = re.compile(r"^- \*\*(.+?)\*\*", re.MULTILINE)
 def test_every_explained_figure_has_a_printed_name(page: str) -> None:
     text = (ROOT / f"docs/how-to/calibration/{page}.md").read_text(encoding="utf-8")
     section = text.partition("## What the figures mean")[2].partition("\n## ")[0]
-    printed = "".join(one.read_text(encoding="utf-8") for one in MODELS.glob("*.py"))
+    printed = MODELS.read_text(encoding="utf-8")
     named = EXPLAINED.findall(section)
     assert named
     assert [name for name in named if f'"{name}' not in printed] == []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from procedures.reporting.link_counters import link_counters
+from procedures.reporting.run_statistics import link_counters
 
 
 def deactivated(frames: int, commands: int) -> dict[str, Any]:

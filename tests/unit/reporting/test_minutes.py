@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from procedures.journal.journal import Entry, Journal, read_journal
-from procedures.reporting.minutes import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
+from procedures.reporting.run_statistics import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
 from studies.errors import NoRunToTime
 from studies.times import ALGORITHM_S, OPERATOR_S, times_of
 

@@ -20,14 +20,13 @@ from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting import target_table
-from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
+from procedures.reporting import tables
+from procedures.reporting.files import LARGEST_PICTURE_BYTES, AfterTheOperation, keep_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.plan_table import plan_rows
-from procedures.reporting.postoperative import AfterTheOperation, keep_check
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
-from procedures.reporting.timeline import timeline
+from procedures.reporting.run_statistics import timeline
+from procedures.reporting.tables import plan_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
@@ -187,9 +186,7 @@ def test_results_that_a_repetition_superseded_are_named_and_struck_through(engin
 def test_a_formatter_that_drops_a_digit_is_detected(
     registered: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        target_table, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:]
-    )
+    monkeypatch.setattr(tables, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:])
     assert "these figures differ" in write_report(registered, truth=TRUTH).read_text()
 
 

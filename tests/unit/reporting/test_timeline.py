@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.journal.journal import Entry, JournalValue, Line
-from procedures.reporting.timeline import timeline
+from procedures.reporting.run_statistics import timeline
 
 
 def line(entry: Entry, time_s: float, **more: JournalValue) -> Line:

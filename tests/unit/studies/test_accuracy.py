@@ -14,23 +14,26 @@ from ronna_hw.frames import Frame, Transform
 from sim.world.arm.true_arm import TrueArm
 from sim.world.scene.arm_truth import draw_arm
 from studies import application_error
-from studies.accuracy.identified import BelievedArm, identified, identified_errors
 from studies.accuracy.phantom import Markers, phantom, place
 from studies.accuracy.postures import postures
-from studies.accuracy.predicting import predictions
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scenarios import FINE_CT_MM, SCENARIOS, SET_S
-from studies.accuracy.scene import Scene
+from studies.accuracy.scene import FINE_CT_MM, SCENARIOS, SET_S, Scene, predictions
 from studies.accuracy.trials import Chance, Sizes, target_errors
 from studies.application_error import ApplicationErrorStudy
-from studies.campaign.unit import Unit
+from studies.campaign.study import Unit
 from studies.errors import PhantomOutOfReach, PoseNotSolved
 from studies.strategies import identified as by_looks
-from studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
-from studies.strategies.pairs import SCENARIOS as PAIRED
-from studies.strategies.pairs import pairs
+from studies.strategies.identified import (
+    EXPECTED,
+    GOAL_MM,
+    BelievedArm,
+    IdentifiedStudy,
+    identified,
+    identified_errors,
+)
 from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
-from studies.strategies.tables import plots, tables
+from studies.strategies.tables import PAIRED_SCENARIOS as PAIRED
+from studies.strategies.tables import pairs, plots, tables
 
 HERE = place(1)
 SMALL = phantom(Markers.FREE, (30.0, 120.0), 2)

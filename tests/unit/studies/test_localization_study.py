@@ -9,13 +9,12 @@ import pytest
 
 from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
 from sim.phantom.families.catalogue import FAMILIES, Purpose
-from studies.campaign.ledger import Ledger
-from studies.campaign.unit import Unit, add_up
+from studies.campaign.folder import Ledger
+from studies.campaign.study import Unit, add_up
 from studies.campaign.workers import run_study
 from studies.errors import NotForJudging, PhantomFailed, UnitFailed
 from studies.localization import phantom_scans
 from studies.localization import study as study_module
-from studies.localization.goals import goals
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
 from studies.localization.study import (
     AUTOMATIC,
@@ -24,7 +23,7 @@ from studies.localization.study import (
     LocalizationStudy,
     Method,
 )
-from studies.localization.tables import plots, tables
+from studies.localization.tables import goals, plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
 

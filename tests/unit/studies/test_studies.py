@@ -15,17 +15,12 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
-from studies.campaign.code import code
-from studies.campaign.ledger import FILE, Ledger
-from studies.campaign.publish import publish
-from studies.campaign.table import Table
-from studies.campaign.unit import Unit, add_up, blocks, generator
+from studies.campaign.folder import FILE, Ledger, code, publish
+from studies.campaign.study import Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
-from studies.correspondence.readings import draw_readings
-from studies.correspondence.shares import Series, shares
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from studies.correspondence.tables import bars_beside_thesis, plots, tables
+from studies.correspondence.tables import Series, bars_beside_thesis, plots, shares, tables
 from studies.errors import (
     ExtraMissing,
     LedgerUnreadable,
@@ -33,7 +28,7 @@ from studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
-from studies.heads import NoiseReading, disturbance, sites_mm
+from studies.heads import NoiseReading, disturbance, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
 from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
 
@@ -155,7 +150,7 @@ def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
 
 def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Ledger(tmp_path, SMALL)
-    monkeypatch.setattr("studies.campaign.ledger.code", lambda: "other")
+    monkeypatch.setattr("studies.campaign.folder.code", lambda: "other")
     with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
         Ledger(tmp_path, SMALL)
 

@@ -9,20 +9,18 @@ import pytest
 
 from studies.localization.study import AUTOMATIC, Method
 from studies.localization.thesis_protocol import (
+    FRAME_MM,
+    LARGEST_SCALE_ERROR,
+    PHANTOM,
     SCALE_DRAWS,
+    THESIS_SCANS,
+    LocalizedScan,
     ThesisLocalizationStudy,
+    draw_scale,
     points_as_sums,
     points_of,
 )
 from studies.localization.thesis_protocol_tables import fle_mm, tables
-from studies.localization.thesis_scans import (
-    FRAME_MM,
-    LARGEST_SCALE_ERROR,
-    PHANTOM,
-    THESIS_SCANS,
-    LocalizedScan,
-    draw_scale,
-)
 
 
 def test_the_scans_are_those_of_the_thesis() -> None:

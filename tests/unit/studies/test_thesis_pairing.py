@@ -12,10 +12,9 @@ from functools import cache
 import pytest
 
 from procedures.registration.pairing_validation import REFUSED_SHARE
-from studies.campaign.unit import Unit
-from studies.correspondence.shares import Series, Shares, shares
+from studies.campaign.study import Unit
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
+from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL, Series, Shares, shares
 from studies.heads import PATIENTS, NoiseReading
 
 RUNS, SMALL_E_MM, LARGE_E_MM = 150, 1.5, 2.5
