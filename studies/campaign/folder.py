@@ -11,6 +11,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeGuard
 
+import studies
 from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.records import canonical_json, write_whole
 from studies.campaign.study import Study, Sums, Table, Unit
@@ -20,13 +21,17 @@ PROGRAM = "ronna-hw"
 PACKAGES = ("procedures", "ronna_hw", "sim", "studies")  # what results may depend on
 
 
+def source_files(root: Path) -> list[Path]:
+    """The modules below `root` on which results depend, in a fixed order."""
+    return [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
+
+
 @cache
 def code() -> str:
     """The version of the program, and a hash of its sources: constants are in no study's settings."""
-    root, digest = Path(__file__).parents[3], hashlib.sha256()
-    for package in PACKAGES:
-        for file in sorted((root / package).rglob("*.py")):
-            digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
+    root, digest = Path(studies.__file__).parents[1], hashlib.sha256()
+    for file in source_files(root):
+        digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
     return f"{version(PROGRAM)}, {digest.hexdigest()[:16]}"
 
 

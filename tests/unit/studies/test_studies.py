@@ -15,6 +15,7 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
+from studies.campaign import folder as study_folder
 from studies.campaign.folder import FILE, Ledger, code, publish
 from studies.campaign.study import Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
@@ -153,6 +154,14 @@ def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setattr("studies.campaign.folder.code", lambda: "other")
     with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
         Ledger(tmp_path, SMALL)
+
+
+def test_the_hash_of_the_code_covers_every_package_that_results_depend_on() -> None:
+    root = Path(study_folder.studies.__file__).parents[1]
+    covered = {file.relative_to(root).parts[0] for file in study_folder.source_files(root)}
+    assert covered == {"procedures", "ronna_hw", "sim", "studies"}
+    assert Path(study_folder.__file__) in study_folder.source_files(root)
+    assert hashlib.sha256().hexdigest()[:16] not in code()  # of nothing
 
 
 def test_a_damaged_line_loses_only_its_own_unit(tmp_path: Path) -> None:
