@@ -1,4 +1,8 @@
-"""The server of one run's console: guard, routes and pages."""
+"""The console's server: a running case over the engine's socket, a recorded case, or other pages.
+
+`GET /state` and `POST /orders` offer the page's buttons to scripts, with the same checks and messages. A
+recorded case, or one run by another program, has a slider through its time.
+"""
 
 from __future__ import annotations
 

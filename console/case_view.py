@@ -1,4 +1,7 @@
-"""The state of a case at one moment: everything the page shows, without further queries."""
+"""The state of a case at one moment, folded from its events: everything the page shows.
+
+The fold is pure; it is fed by the engine's socket or by a run's file.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +52,7 @@ class StepRow:
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something was counted per second of theatre time, over the last second or more."""
+    """Counts per second of theatre time, over the last second or more."""
 
     count: int
     since_s: float  # when it was that many
@@ -74,8 +77,8 @@ class DeviceRow:
 
 
 @dataclass(frozen=True)
-class StoodPose:
-    """Where an arm was, and when that was reported, in theatre time."""
+class ReportedPose:
+    """A pose of an arm and the theatre time of its report."""
 
     pose: Pose
     said_s: float
@@ -122,7 +125,7 @@ class CaseView:
     link_rate: Rate | None = None  # of its cycles
     bodies: Bodies | None = None
     volume: MeasuringVolume | None = None
-    pose: StoodPose | None = None
+    pose: ReportedPose | None = None
     notices: tuple[Notice, ...] = ()
     journal: tuple[str, ...] = ()
     results: int = 0  # number of results added or superseded so far
@@ -197,7 +200,7 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
                 "link_rate": _rate(view.link_rate, what.cycles, now_s),
             }
         case Pose():
-            return {"pose": StoodPose(what, view.theatre_time_s)}
+            return {"pose": ReportedPose(what, view.theatre_time_s)}
         case DeviceState(device=device) | DeviceAge(device=device):
             return _device(view, device, what)
         case JournalLine(line=line):

@@ -1,4 +1,4 @@
-"""Subscribers waiting for a change notification."""
+"""Change notification for the pages of a case or a plan."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import asyncio
 import contextlib
 
 
-class Bell:
-    """Pages subscribe with an event that is set when it rings."""
+class ChangeNotifier:
+    """Pages subscribe with an event that is set on every change."""
 
     def __init__(self) -> None:
         self._waiting: set[asyncio.Event] = set()

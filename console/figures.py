@@ -22,7 +22,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import PICTURES_FOLDER
 
 
-def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
+def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
     """Exclude what had not been measured at the moment of a view, or was measured again since.
 
     `latest` is the view that the figures belong to.

@@ -1,8 +1,9 @@
-"""Guards everything that the console serves, and refuses first.
+"""Access to everything that the console serves: tokens, sessions, and a guard that refuses first.
 
 A loopback address is no authentication: other users and every page in the same browser can reach it. A
 request needs the right account of this computer, the right Host, the right Origin if it may change something,
-and a session opened with a token.
+and a session opened with a token. A run has two tokens, to view and to operate; a browser exchanges one for a
+session.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ PAGES, PAGES_S = 8, 4.0  # of a role in so many seconds: making one holds up eve
 
 
 class Rate:
-    """At most so many in any span of time."""
+    """Rate limit: at most `count` in any span of time."""
 
     def __init__(self, count: int, span_s: float) -> None:
         self._span_s = span_s
@@ -40,7 +41,7 @@ class Rate:
 
 
 class Role(StrEnum):
-    """What a session may do."""
+    """Rights of a session."""
 
     OPERATOR = "operator"
     VIEWER = "viewer"
@@ -48,7 +49,7 @@ class Role(StrEnum):
 
 @dataclass
 class Session:
-    """One browser. `identifier` may be shown and recorded; the content of its cookie may not."""
+    """A browser's session. `identifier` may be shown and recorded; its cookie may not."""
 
     role: Role
     identifier: str
@@ -150,7 +151,7 @@ class Guard:
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     def for_viewers(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
-        """The same application for viewers on other computers, over TLS: the operator's key is not accepted.
+        """Guard the same application for viewers on other computers, over TLS, without the operator's key.
 
         Its clients count towards the limits of this guard.
         """
@@ -253,7 +254,7 @@ class Guard:
 
 
 def _headers(scope: Scope) -> dict[str, str]:
-    """By lower-case name; a duplicated header is ignored."""
+    """Return the headers by lower-case name; a duplicated one is ignored."""
     found: dict[str, str] = {}
     twice = set()
     for name, value in scope["headers"]:
@@ -264,7 +265,7 @@ def _headers(scope: Scope) -> dict[str, str]:
 
 
 def _head_bytes(scope: Scope) -> int:
-    """Of request line and headers, without what separates them."""
+    """Sum the bytes of request line and headers, without separators."""
     line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 

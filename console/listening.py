@@ -1,4 +1,8 @@
-"""Listening sockets of the console: on loopback, and at a separate address for remote viewers."""
+"""Sockets and connections of the console: on loopback, and at a separate address for remote viewers.
+
+A request has little time to arrive. The guard sees it only after its head is complete, so incomplete heads
+are limited here.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +91,7 @@ MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a bro
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
 
 
-class Listening(socket.socket):
+class ListeningSocket(socket.socket):
     """A listening socket that drops the oldest of too many connections that have not shown the key.
 
     On loopback it remembers which connections are of another account of this computer.
@@ -137,9 +141,9 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
     return {peer: one for peer, one in connections.items() if one.fileno() != -1}
 
 
-def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> Listening:
+def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
     """A listening socket; port 0 is any free one. Raises CON-001."""
-    listening = Listening(family)
+    listening = ListeningSocket(family)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((address, port))

@@ -17,7 +17,7 @@ from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
     from studies.campaign.study import Study, Sums, Table
-    from studies.plugins.method import OwnMethod
+    from studies.plugins.method import PluginMethod
 
 app = typer.Typer(
     name="ronna-campaign",
@@ -30,7 +30,7 @@ app = typer.Typer(
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Where a study runs, and where its results go."""
+    """Seed, workers and output folder of a study."""
 
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
     workers: Annotated[int | None, typer.Option(min=1, help="Processes on this computer [one per core].")] = (
@@ -126,7 +126,7 @@ def correspondence(
         USUAL_TOLERANCES_MM,
         CorrespondenceStudy,
     )
-    from studies.plugins.trial import chosen_methods
+    from studies.plugins.trial import select_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
@@ -145,7 +145,7 @@ def correspondence(
         implanted = by_template.TemplateStudy(runs, asked.seed)
         _run(implanted, by_template.tables, by_template.plots, asked)
         return
-    chosen, own = chosen_methods(methods or (), terminal.tell)
+    chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(
         runs, asked.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
@@ -164,11 +164,11 @@ def _clinical(
 ) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
-    from studies.correspondence.clinical import recorded_readings
+    from studies.correspondence.clinical import load_or_take_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
+        taken = load_or_take_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
     study = clinical.ClinicalStudy(taken, asked.seed)
     _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
 
@@ -323,7 +323,7 @@ def worlds(
     Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
     once, or a finding where nothing changed.
     """
-    from studies.worlds.study import WorldsStudy, carry_out, document, no_plots
+    from studies.worlds.study import WorldsStudy, document, no_plots, run_world
     from studies.worlds.world import SCENES
 
     if scene not in SCENES:
@@ -335,7 +335,7 @@ def worlds(
         if world.change is not None:
             terminal.tell(world.change.script.rstrip())
         place = study.folder / f"only-{only}"
-        found = carry_out(world, place)
+        found = run_world(world, place)
         terminal.print_json(document(world, found))
         terminal.tell(f"{found.verdict}: {place}")
         return
@@ -347,14 +347,14 @@ def worlds(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
+def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     """Own methods of a kind, each tried before the campaign."""
     if not names:
         return ()
     from studies.plugins.contracts import MethodKind
-    from studies.plugins.trial import tried_apart
+    from studies.plugins.trial import try_in_subprocess
 
-    return tuple(tried_apart(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
+    return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
 def _run(
@@ -409,11 +409,11 @@ def times(
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
     from ronna_hw.evidence.inspection import inspected
-    from studies.times import times_of
+    from studies.times import time_tables
 
     for run in runs:
         inspected(run, every_file=False).require_unchanged()
-    found = times_of(runs)
+    found = time_tables(runs)
     if as_json:
         terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
         return
@@ -422,10 +422,10 @@ def times(
 
 
 def _show(table: Table) -> None:
-    from studies.campaign.study import shown
+    from studies.campaign.study import format_cell
 
     terminal.print_table(
-        table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]
+        table.title, list(table.columns), [[format_cell(value) for value in row] for row in table.rows]
     )
 
 

@@ -1,4 +1,4 @@
-"""Where the time of runs was spent, on average, next to the times in the thesis."""
+"""Mean times of phases and steps over several runs, next to the times in the thesis."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from studies.campaign.study import Table
 from studies.errors import NoRunToTime
 
 
-def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:
+def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
     """Two tables: mean times of these run folders, and localization in the CT next to the thesis.
 
     Raises the errors of an unreadable journal.

@@ -1,4 +1,4 @@
-"""The head of the page: which case, in which theatre, at what time, and who operates it."""
+"""Panels of the case's state: head of the page, progress of the steps, devices and the robot link."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def clock(view: CaseView, beat: int) -> str:
 
 
 def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
-    """Who is in the operator's seat, and what this page may do."""
+    """Show the operator's seat and the rights of this page."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
         words, kind = f"You are operating as {holder}", "ok"
@@ -136,7 +136,7 @@ WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def devices(view: CaseView) -> str:
-    """One row per device."""
+    """Show one row per device."""
     if not view.devices:
         return tag("p", "No device connected yet.", class_="dim")
     head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
@@ -170,7 +170,7 @@ def _row(name: str, row: DeviceRow) -> str:
 
 
 def _says(row: DeviceRow) -> str:
-    """What keeps a case from continuing is highlighted; the rest is listed next to it."""
+    """List a device's facts; those that keep the case from continuing are highlighted."""
     remarks = [
         f"{text(fact.name)} {text(fact.found)}"
         if fact.ready

@@ -1,4 +1,9 @@
-"""The operator's buttons, and the seat. A button only sends a request: the engine decides."""
+"""Controls of the operator: the seat, the orders, and the open question with its answers.
+
+A button only sends a request: the engine decides. An answer that moves the arm, or releases it on a result,
+must be held for a second, and counts only once the panel has been visible for a moment: neither a slip nor
+Enter triggers it.
+"""
 
 from __future__ import annotations
 
@@ -295,7 +300,7 @@ class OrderPanel:
 
 
 def stop_button(give: Give) -> None:
-    """Always visible, always enabled for operators."""
+    """Add the stop button, always visible and enabled for operators."""
 
     async def stop() -> None:
         await give({"kind": "stop"})

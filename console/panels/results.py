@@ -1,4 +1,4 @@
-"""The predicted error at each target with its budget, before it is needed, and the two-way table."""
+"""Panels of the results: accuracy, pictures, notices, and the ends of journal and log."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _cut(way: str, name: str, *, is_open: bool) -> str:
 
 
 def course(figures: CaseFigures | None) -> str:
-    """Where theatre time was spent, as in the report."""
+    """Show the timeline of the report."""
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")
@@ -129,7 +129,7 @@ def _notice(notice: Notice) -> str:
 
 
 def problems(figures: CaseFigures | None) -> str:
-    """What in a run folder is truncated, changed or of another version, and what to do."""
+    """Warn of truncated, changed or incompatible parts of a run folder."""
     if figures is None or not figures.problems:
         return ""
     first, *more = figures.problems
@@ -160,7 +160,7 @@ HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
 class LogTail:
-    """One file for all pages."""
+    """The end of a run's log, shared by all pages and re-read once it has grown."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / LOG_FILE

@@ -1,4 +1,8 @@
-"""A plan as far as it is drawn: it may be incomplete; each change is a new value; undo."""
+"""A plan as far as it is drawn, its history, and its file of unsaved changes.
+
+A draft may be incomplete; each change is a new value. Unsaved changes are kept next to the plan, so that
+neither a crash nor Ctrl-C loses them.
+"""
 
 from __future__ import annotations
 
@@ -24,8 +28,8 @@ MOST_STEPS_BACK = 200
 
 
 @dataclass(frozen=True)
-class Way:
-    """One trajectory, LPS; an end not chosen yet is None."""
+class DraftTrajectory:
+    """A trajectory in LPS; an end not chosen yet is None."""
 
     identifier: str
     entry_mm: Point | None = None
@@ -42,7 +46,7 @@ class Way:
 
     @property
     def depth_mm(self) -> float | None:
-        """From the entry to the target."""
+        """Return the distance from entry to target."""
         return None if self.ends is None else math.dist(*self.ends)
 
 
@@ -57,14 +61,14 @@ class Draft:
     tool: str = "guide"
     standoff_mm: float = USUAL_STANDOFF_MM
     instrument_length_mm: float | None = None  # only stated on its packaging
-    ways: tuple[Way, ...] = (Way("T1"),)
+    ways: tuple[DraftTrajectory, ...] = (DraftTrajectory("T1"),)
     structures: tuple[Structure, ...] = ()
     table_position: str = ""  # as in the scanner
     markers: tuple[Marker, ...] = ()
 
     @classmethod
     def of(cls, plan: Plan) -> Draft:
-        """From a plan that was read; its spheres are those the CT will show."""
+        """Build from a plan file; the spheres come later, from the CT."""
         return cls(
             patient_orientation=plan.patient_orientation.value,
             implanted=plan.implanted,
@@ -78,34 +82,34 @@ class Draft:
             table_position=plan.table_position or "",
         )
 
-    def way(self, identifier: str) -> Way:
+    def way(self, identifier: str) -> DraftTrajectory:
         """The trajectory with that name; raises KeyError."""
         for one in self.ways:
             if one.identifier == identifier:
                 return one
         raise KeyError(identifier)
 
-    def with_way(self, identifier: str, way: Way) -> Draft:
-        """With one trajectory replaced."""
+    def with_way(self, identifier: str, way: DraftTrajectory) -> Draft:
+        """Replace a trajectory."""
         return replace(self, ways=tuple(way if one.identifier == identifier else one for one in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
-        """With one more trajectory, and its name."""
+        """Add a trajectory; returns its name too."""
         taken = {one.identifier for one in self.ways}
         name = next(name for k in range(1, len(taken) + 2) if (name := f"T{k}") not in taken)
-        return replace(self, ways=(*self.ways, Way(name))), name
+        return replace(self, ways=(*self.ways, DraftTrajectory(name))), name
 
     def without_way(self, identifier: str) -> Draft:
-        """Without a trajectory; the last one is emptied instead."""
+        """Remove a trajectory; the last one is emptied instead."""
         left = tuple(one for one in self.ways if one.identifier != identifier)
-        return replace(self, ways=left or (Way("T1"),))
+        return replace(self, ways=left or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
         """The structure with that name, if there is one."""
         return next((one for one in self.structures if one.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
-        """With a structure, replacing the one with its name."""
+        """Add a structure, or replace the one with its name."""
         if self.structure(structure.name) is None:
             return replace(self, structures=(*self.structures, structure))
         return replace(
@@ -114,11 +118,11 @@ class Draft:
         )
 
     def without_structure(self, name: str) -> Draft:
-        """Without the structure with that name."""
+        """Remove a structure."""
         return replace(self, structures=tuple(one for one in self.structures if one.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
-        """As in a plan file, with the trajectories whose ends are both chosen."""
+        """Return the content of a plan file, with the trajectories whose ends are both chosen."""
         content: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "series_instance_uid": series_instance_uid,
@@ -150,8 +154,10 @@ class Draft:
         return content
 
 
-def _way(planned: PlannedTrajectory) -> Way:
-    return Way(planned.id, planned.entry_mm, planned.target_mm, planned.free_angle_deg, planned.margin_mm)
+def _way(planned: PlannedTrajectory) -> DraftTrajectory:
+    return DraftTrajectory(
+        planned.id, planned.entry_mm, planned.target_mm, planned.free_angle_deg, planned.margin_mm
+    )
 
 
 class History:
@@ -178,7 +184,7 @@ class History:
             self.now = self._past.pop()
 
     def redo(self) -> None:
-        """Redo it."""
+        """Redo the last change undone."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
@@ -213,7 +219,7 @@ class Axis:
 
     @classmethod
     def of(cls, entry_mm: Sequence[float], target_mm: Sequence[float]) -> Axis:
-        """Of a trajectory."""
+        """Compute the axis of a trajectory."""
         left, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
         return cls(math.degrees(math.atan2(back, left)), math.degrees(math.atan2(up, math.hypot(left, back))))
 
@@ -246,7 +252,7 @@ class _Kept(BaseModel):
     tool: str
     standoff_mm: float
     instrument_length_mm: float | None
-    ways: tuple[Way, ...]
+    ways: tuple[DraftTrajectory, ...]
     structures: tuple[Structure, ...]
     table_position: str = ""
 
@@ -267,7 +273,7 @@ class UnsavedFile:
         self._is_ours = True
 
     def forget(self) -> None:
-        """We have no unsaved changes."""
+        """Delete the file: there are no unsaved changes."""
         if self._is_ours:
             self.path.unlink(missing_ok=True)
         self._is_ours = False

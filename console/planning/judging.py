@@ -1,6 +1,6 @@
-"""Judges a draft: mistakes, reach, clearance, and the expected error at each target.
+"""Assessment of a draft, and its HTML: mistakes, reach, clearance, and the expected error at each target.
 
-Twice: immediately without clearance, and then like `ronna-plan check`.
+A draft is judged twice: immediately without clearance, and then like `ronna-plan check`.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Judged:
-    """For one draft. `thorough` means judged like `ronna-plan check`; before that clearance is unknown."""
+    """Assessment of a draft; `thorough` as by `ronna-plan check`, without it clearance is unknown."""
 
     draft: Draft
     thorough: bool = False
@@ -152,7 +152,7 @@ def _expected_of(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
 
 
 def _in_words(check: PlanCheck) -> tuple[str, ...]:
-    """What a check of the arm found, if it passed."""
+    """Word the findings of a check of the arm that passed."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
@@ -210,7 +210,7 @@ def expected(judged: Judged, draft: Draft) -> str:
 
 
 def marked(content: str, judged: Judged, draft: Draft) -> str:
-    """What was found for a draft; grey, and so in words, once that is not the current one."""
+    """Mark findings as outdated, in grey and in words, once their draft is not the current one."""
     if judged.draft is draft or not content:
         return content
     return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")

@@ -1,4 +1,4 @@
-"""The spheres that count as markers, rejected candidates with reasons, and the plan's remarks on them."""
+"""Panels of the markers: accepted spheres, rejected candidates with reasons, and proposed further sites."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from nicegui import ui
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from console.planning.fields import NumberField
-from console.planning.plan_editor import PlanDesk
+from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
 from procedures.planning.head.shape import head_shape
 from procedures.planning.markers.sites import propose_further, propose_markers
@@ -31,13 +31,13 @@ class MarkerPanel:
 
     def __init__(
         self,
-        desk: PlanDesk,
+        editor: PlanEditor,
         go: Callable[[Point], None],
         pick: Callable[[Point], Awaitable[None]],
         *,
         may_edit: bool,
     ) -> None:
-        self._desk, self._go, self._pick, self._may_edit = desk, go, pick, may_edit
+        self._editor, self._go, self._pick, self._may_edit = editor, go, pick, may_edit
         self._shown: object = None
         with ui.element("section").classes("card markers").props('aria-label="Markers"'):
             ui.html("<h2>Markers</h2>", sanitize=False)
@@ -53,25 +53,25 @@ class MarkerPanel:
                 [one.value for one in PatientPosition], label="patient position", on_change=self._set_position
             )
             self._position.props('dense outlined options-dense aria-label="patient position in the scanner"')
-            self._position.set_enabled(may_edit and not desk.volume.patient_position)
+            self._position.set_enabled(may_edit and not editor.volume.patient_position)
             self.fields = (self._implanted, self._standoff, self._length)
             for one in self.fields:
                 one.enable(may_edit)
 
     def show(self) -> None:
         """Show the current draft."""
-        desk, draft = self._desk, self._desk.draft
+        editor, draft = self._editor, self._editor.draft
         self._implanted.show(draft.implanted)
         self._standoff.show(draft.standoff_mm)
         self._length.show(draft.instrument_length_mm)
         self._position.set_value(draft.patient_orientation or None)
-        self._words.set_content(_state(desk))
-        key = (tuple(map(id, draft.markers)), id(desk.candidates))
+        self._words.set_content(_state(editor))
+        key = (tuple(map(id, draft.markers)), id(editor.candidates))
         if key != self._shown:
             self._shown = key
             self._list.clear()
             with self._list:
-                self._build(draft.markers, desk.candidates)
+                self._build(draft.markers, editor.candidates)
 
     def _build(self, markers: Iterable[Marker], candidates: Iterable[Candidate]) -> None:
         for number, marker in enumerate(markers, start=1):
@@ -81,7 +81,7 @@ class MarkerPanel:
             with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
                 self._place(f"{number}", (x, y, z), about)
                 if self._may_edit:
-                    self._button("reject", partial(self._desk.reject_marker, number), f"reject {number}")
+                    self._button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
         others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]
         if not others:
             return
@@ -105,24 +105,24 @@ class MarkerPanel:
         )
 
     def _set_implanted(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, implanted=int(value)))
+        self._editor.change(replace(self._editor.draft, implanted=int(value)))
 
     def _set_position(self) -> None:
         position = str(self._position.value or "")
-        if position != self._desk.draft.patient_orientation:
-            self._desk.change(replace(self._desk.draft, patient_orientation=position))
+        if position != self._editor.draft.patient_orientation:
+            self._editor.change(replace(self._editor.draft, patient_orientation=position))
 
     def _set_standoff(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, standoff_mm=value))
+        self._editor.change(replace(self._editor.draft, standoff_mm=value))
 
     def _set_length(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, instrument_length_mm=value))
+        self._editor.change(replace(self._editor.draft, instrument_length_mm=value))
 
 
-def _state(desk: PlanDesk) -> str:
-    if desk.searching:
+def _state(editor: PlanEditor) -> str:
+    if editor.searching:
         return tag("p", "searching for spheres…", class_="warn", id="searching")
-    found = len(desk.draft.markers)
+    found = len(editor.draft.markers)
     return tag(
         "p", f"{found} spheres accepted as markers", class_="ok" if found else "bad", data_found=str(found)
     )
@@ -138,8 +138,8 @@ Found = tuple[str, Sequence[Point]]  # in words, and where
 class ProposalPanel:
     """A set as proposed by `ronna-plan markers`, or one more besides the accepted spheres."""
 
-    def __init__(self, desk: PlanDesk, go: Callable[[Point], None]) -> None:
-        self._desk, self._go = desk, go
+    def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
+        self._editor, self._go = editor, go
         with ui.element("section").classes("card proposal").props('aria-label="Proposed marker sites"'):
             ui.html("<h2>Proposed marker sites</h2>", sanitize=False)
             with ui.element("div").classes("numbers"):
@@ -159,7 +159,7 @@ class ProposalPanel:
         return button.classes("plain").props(f"no-caps unelevated data-do={name}")
 
     async def _propose(self, work: Callable[[Draft, list[Trajectory], int], Found]) -> None:
-        draft, count = self._desk.draft, int(self._count.value or USUAL_COUNT)
+        draft, count = self._editor.draft, int(self._count.value or USUAL_COUNT)
         ways = [Trajectory(one.identifier, *one.ends) for one in draft.ways if one.ends and one.depth_mm]
         self._sites.clear()
         if not ways:
@@ -181,7 +181,7 @@ class ProposalPanel:
             button.set_enabled(enabled)
 
     def _proposed(self, _draft: Draft, ways: list[Trajectory], count: int) -> Found:
-        volume = self._desk.volume
+        volume = self._editor.volume
         found = propose_markers(head_shape(volume), ways, count, MARKER_ERROR_MM, volume=volume)
         rows = [(one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}") for one in found.targets]
         return table(("target", "proposed mm", "random mm"), rows, NOTE), found.centres_mm
@@ -189,7 +189,7 @@ class ProposalPanel:
     def _further(self, draft: Draft, ways: list[Trajectory], _count: int) -> Found:
         if len(draft.markers) < FEWEST_PAIRS:
             return tag("p", "Needs three accepted spheres.", class_="dim"), ()
-        volume = self._desk.volume
+        volume = self._editor.volume
         present_mm = np.array([one.centre_mm for one in draft.markers])
         found = propose_further(head_shape(volume), ways, present_mm, MARKER_ERROR_MM, volume=volume)
         rows = [(name, f"{now:.3f}", f"{after:.3f}") for name, now, after in found.targets]

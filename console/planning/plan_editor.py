@@ -1,4 +1,4 @@
-"""One plan for all pages: the CT, the current draft, its assessment, and its file."""
+"""The plan editor shared by all pages: the CT, the current draft, its assessment, and its file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from console.changes import Bell
+from console.changes import ChangeNotifier
 from console.planning.draft import Draft, History, UnsavedFile
 from console.planning.judging import Judged, judge
 from console.scene.head_surface import head_surface, stl
@@ -41,7 +41,7 @@ KEEPING_S = 0.3  # host time between writes of unsaved changes
 AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
 
-class PlanDesk(Bell):
+class PlanEditor(ChangeNotifier):
     """Keeps one draft. Every change is announced; background threads check it again."""
 
     def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
@@ -74,7 +74,7 @@ class PlanDesk(Bell):
         return None if self._begun else self._waits_for
 
     def begin(self) -> bool:
-        """Whether this desk may change the plan; if so, what others saved, or left unsaved, is adopted.
+        """Take the plan for editing; then saved and unsaved changes of others are adopted.
 
         False while a case or another planner has it; call again later.
         """
@@ -106,7 +106,7 @@ class PlanDesk(Bell):
         return None
 
     def hu_at(self, place_mm: Point) -> str:
-        """What the CT shows there, in words."""
+        """Word the CT's value at a position."""
         hu = sampled_hu(self.volume, [place_mm])
         return f"{hu[0]:.0f} HU" if len(hu) else "outside the scan"
 
@@ -147,7 +147,7 @@ class PlanDesk(Bell):
         return Draft.of(plan)
 
     def _take_up(self) -> None:
-        """Continue with what was drawn but not saved when the planner ended."""
+        """Restore what was drawn but not saved when the planner ended."""
         try:
             drawn = self._unsaved.take_up(self._on_disk, self.draft)
         except UnsavedChanges as aside:
@@ -242,7 +242,7 @@ class PlanDesk(Bell):
         self.altered()
 
     def redo(self) -> None:
-        """Redo it; as for `undo`."""
+        """Redo the last change undone. Refused while the draft is read-only."""
         if self.read_only is None:
             self.history.redo()
         self.altered()
@@ -320,7 +320,7 @@ class PlanDesk(Bell):
                 self._to_check.set()
 
     async def _check_all(self) -> None:
-        """Thoroughly, which takes long: changes are judged meanwhile, and make its result a late one."""
+        """Check thoroughly, which takes long; a draft changed meanwhile makes the result obsolete."""
         while True:
             await self._to_check.wait()
             self._to_check.clear()
@@ -344,7 +344,7 @@ class PlanDesk(Bell):
 
 
 def _digest(path: Path) -> str:
-    """Of a file; empty if there is none, `REFUSED` if it cannot be a plan. Raises OSError."""
+    """Hash a file; empty if missing, `REFUSED` if it cannot be a plan. Raises OSError."""
     try:
         return hashlib.sha256(read_bounded(path, LARGEST_TOML_BYTES)).hexdigest()
     except FileNotFoundError:
@@ -354,7 +354,7 @@ def _digest(path: Path) -> str:
 
 
 def _kept_by_a_run(plan: Path) -> PlanInUse | None:
-    """Anything written in a run folder would count as tampering."""
+    """Refuse a plan within a run folder, where any write would count as tampering."""
     run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
     if run is None:
         return None

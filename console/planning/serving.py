@@ -1,4 +1,4 @@
-"""`python -m console.planning.serving REQUEST`: what `ronna-plan open` turns into, until Ctrl-C."""
+"""`python -m console.planning.serving REQUEST`: the process of `ronna-plan open`, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def open_planner(
     """Read the CT and serve the planner."""
     from console.app import serve_pages
     from console.planning.page import add_planner
-    from console.planning.plan_editor import PlanDesk
+    from console.planning.plan_editor import PlanEditor
     from procedures.imaging import read_series
     from procedures.imaging.pick_files import LARGEST_FILE_BYTES
     from procedures.planning.theatre.arm import theatre_arm
@@ -36,17 +36,17 @@ def open_planner(
         theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
     with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
-    desk = PlanDesk(volume, asked.plan, theatre)
+    editor = PlanEditor(volume, asked.plan, theatre)
     try:
         serve_pages(
-            lambda application: add_planner(application, desk),
+            lambda application: add_planner(application, editor),
             asked.port,
-            desk.work,
+            editor.work,
             tell_address,
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
         )
     finally:
-        if (kept := desk.close()) is not None:
+        if (kept := editor.close()) is not None:
             terminal.tell(f"unsaved changes kept in {kept}: open the plan again to continue")
 
 

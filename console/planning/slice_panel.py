@@ -1,4 +1,4 @@
-"""One image through the CT: scrolled, clicked, with draggable trajectory ends."""
+"""An image through the CT: scrolled, clicked, with draggable trajectory ends, and its overlay."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from nicegui import ui
 from numpy.typing import NDArray
 
 from console.panels.html import tag, text
-from console.planning.draft import Draft, Way
-from console.planning.slices import SIZE_PX, Cut, Look, Plane
+from console.planning.draft import Draft, DraftTrajectory
+from console.planning.slices import SIZE_PX, Cut, PageView, Plane
 from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
@@ -39,8 +39,8 @@ def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
     return "".join(parts)
 
 
-def grasped(cut: Cut, way: Way, x_px: float, y_px: float) -> str:
-    """Which end of a trajectory is at a point of the image: `entry`, `target`, or neither, empty."""
+def grasped(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
+    """Return the trajectory end at a point of the image: `entry`, `target`, or empty."""
     best, name = HANDLE_PX, ""
     for end, place in (("target", way.target_mm), ("entry", way.entry_mm)):
         if place is not None:
@@ -80,7 +80,7 @@ def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
     return tag("path", "", d=dots, fill="none", stroke=AVOIDED, stroke_width="4", stroke_linecap="round")
 
 
-def _way(cut: Cut, way: Way, colour: str) -> Iterable[str]:
+def _way(cut: Cut, way: DraftTrajectory, colour: str) -> Iterable[str]:
     if way.ends is not None:
         (x1, y1, _), (x2, y2, _) = (cut.to_picture(end) for end in way.ends)
         yield _line(x1, y1, x2, y2, colour, 1.6, 0.85)
@@ -168,7 +168,7 @@ class SlicePanel:
     def __init__(
         self,
         plane: Plane,
-        look: Look,
+        look: PageView,
         *,
         act: Place,
         drag: Drag,
@@ -200,7 +200,7 @@ class SlicePanel:
         self._image.on("keydown", self._keyed, js_handler=KEYS_JS)
 
     def show(self, draft: Draft) -> None:
-        """Show where the page looks."""
+        """Show the page's present view."""
         look = self._look
         self._draft = draft
         way = next((one for one in draft.ways if one.identifier == look.way), None)

@@ -1,4 +1,4 @@
-"""Flat images through a CT, along the patient's axes or along a trajectory."""
+"""Slices of a CT for a page: its view, the image of each plane, and the routes that serve them."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from console.planning.draft import Way
-from console.planning.plan_editor import PlanDesk
+from console.planning.draft import DraftTrajectory
+from console.planning.plan_editor import PlanEditor
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.strategies.trajectory import Point
 
@@ -157,8 +157,8 @@ TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
 
 
 @dataclass
-class Look:
-    """For one page. Every image passes through the crosshair except the one along a trajectory."""
+class PageView:
+    """The view of one page. Every image but the one along a trajectory passes through the crosshair."""
 
     geometry: VoxelGeometry
     place_mm: Point = (0.0, 0.0, 0.0)
@@ -180,7 +180,7 @@ class Look:
         """Size of a pixel: without zoom the whole scan fits."""
         return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
 
-    def cut(self, plane: Plane, way: Way | None) -> Cut | None:
+    def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
         """The image of a plane; None along an incomplete trajectory."""
         if plane is Plane.ALONG:
             return None if way is None or way.ends is None else self._along(*way.ends)
@@ -225,7 +225,7 @@ class Look:
         self.go_to(point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
-        """In or out, about the crosshair; the whole scan again when fully zoomed out."""
+        """Zoom about the crosshair; fully zoomed out, show the whole scan."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else point((low + high) / 2.0)
@@ -236,7 +236,7 @@ LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
 UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
 
 
-def add_pictures(app: Any, desk: PlanDesk) -> None:
+def add_pictures(app: Any, editor: PlanEditor) -> None:
     """Serve the images of a plan's CT; no address reveals whose it is."""
 
     async def cut(request: Request) -> Response:
@@ -244,11 +244,11 @@ def add_pictures(app: Any, desk: PlanDesk) -> None:
             wanted, window = _read(dict(request.query_params))
         except (KeyError, ValueError):
             return PlainTextResponse("No such picture.", 404)
-        picture = await asyncio.to_thread(cut_png, desk.volume, wanted, window)
+        picture = await asyncio.to_thread(cut_png, editor.volume, wanted, window)
         return Response(picture, media_type="image/png")
 
     async def head(_request: Request) -> Response:
-        return Response(desk.head, media_type="model/stl") if desk.head else PlainTextResponse("", 404)
+        return Response(editor.head, media_type="model/stl") if editor.head else PlainTextResponse("", 404)
 
     app.add_route("/cut.png", cut, methods=["GET"])
     app.add_route("/picture/head.stl", head, methods=["GET"])

@@ -1,4 +1,4 @@
-"""Structures that the trajectories avoid: drawn in the images or imported, and how close each comes."""
+"""Structures that the trajectories avoid: drawn in the images or imported, with margins and distances."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from console.panels.html import table_of, tag, text
 from console.planning.draft import Draft
 from console.planning.fields import NumberField
 from console.planning.judging import marked
-from console.planning.plan_editor import PlanDesk
-from console.planning.slices import Look
+from console.planning.plan_editor import PlanEditor
+from console.planning.slices import PageView
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
@@ -39,7 +39,7 @@ USUAL_MARGIN_MM = 3.0  # to a vessel
 
 
 def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
-    """With a stroke from `start_mm`, or its first point, on the structure with that name; raises PLAN-002."""
+    """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
     known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
@@ -51,7 +51,7 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
 
 
 def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
-    """With a new structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_as_refusals():
@@ -61,7 +61,7 @@ def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: 
 
 
 def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
-    """With this margin to a structure. Raises PLAN-002."""
+    """Set the margin of a structure. Raises PLAN-002."""
     known = draft.structure(name)
     if known is None:
         return draft
@@ -101,9 +101,9 @@ class StructurePanel:
     """Strokes and files are added to the structure named in the field."""
 
     def __init__(
-        self, desk: PlanDesk, look: Look, go: Callable[[Point], None], say: Say, *, may_edit: bool
+        self, editor: PlanEditor, look: PageView, go: Callable[[Point], None], say: Say, *, may_edit: bool
     ) -> None:
-        self._desk, self._look, self._go, self._say, self._may_edit = desk, look, go, say, may_edit
+        self._editor, self._look, self._go, self._say, self._may_edit = editor, look, go, say, may_edit
         self._last_mm: Point | None = None
         self._names: tuple[str, ...] | None = None
         self.margins: dict[str, NumberField] = {}
@@ -133,7 +133,7 @@ class StructurePanel:
 
     def show(self) -> None:
         """Show the current draft and the known distances."""
-        judged, structures = self._desk.judged, self._desk.draft.structures
+        judged, structures = self._editor.judged, self._editor.draft.structures
         names = tuple(one.name for one in structures)
         if names != self._names:
             self._names = names
@@ -145,7 +145,7 @@ class StructurePanel:
         for one in structures:
             self.margins[one.name].show(one.margin_mm)
         table = _table(structures, judged.distances)
-        self._distances.set_content(marked(table, judged, self._desk.draft))
+        self._distances.set_content(marked(table, judged, self._editor.draft))
 
     @property
     def _chosen(self) -> str:
@@ -166,8 +166,8 @@ class StructurePanel:
 
     def _look_at(self, name: str) -> None:
         """Go where the current trajectory comes closest to it; without one, to its first point."""
-        near = {one.trajectory: one for one in self._desk.judged.distances if one.structure == name}
-        structure = self._desk.draft.structure(name)
+        near = {one.trajectory: one for one in self._editor.judged.distances if one.structure == name}
+        structure = self._editor.draft.structure(name)
         if self._look.way in near:
             self._go(near[self._look.way].nearest_mm)
         elif structure is not None:
@@ -184,16 +184,16 @@ class StructurePanel:
     async def _imported(self, event: Any) -> None:
         content = await event.file.read()
         event.sender.reset()
-        geometry = self._desk.volume.geometry
+        geometry = self._editor.volume.geometry
         if self._change(lambda draft: imported(draft, self._chosen, content, event.file.name, geometry)):
-            self._name.set_value(free_name(self._desk.draft))
+            self._name.set_value(free_name(self._editor.draft))
 
     def _too_large(self) -> None:
         self._say(StructureUnreadable("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
 
     def _change(self, change: Callable[[Draft], Draft], *, goes_on: bool = False) -> bool:
         try:
-            self._desk.change(change(self._desk.draft), goes_on=goes_on)
+            self._editor.change(change(self._editor.draft), goes_on=goes_on)
         except RonnaError as refused:
             self._say(refused)
             return False
@@ -202,7 +202,7 @@ class StructurePanel:
 
 
 def _table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """One row per structure, one column per trajectory."""
+    """Tabulate distances: a row per structure, a column per trajectory."""
     known = {(one.structure, one.trajectory): one for one in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(

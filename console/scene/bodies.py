@@ -1,4 +1,4 @@
-"""Positions of the capsules, and the closest of the checked pairs."""
+"""Bodies of the scene, built from the few shapes of the page library, and the closest checked pair."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Closest:
 
 
 def ends(values: tuple[float, ...]) -> tuple[Point, Point]:
-    """Both ends of an axis."""
+    """Split six numbers into the ends of an axis."""
     a, b, c, d, e, f = values
     return (a, b, c), (d, e, f)
 
@@ -57,7 +57,7 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Among all pairs checked for the arm's motion; None if nothing is near."""
+    """Find the closest of the pairs checked for the arm's motion; None if nothing is near."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
     moving = [ends(one) for one in pose.bodies_mm]
@@ -75,7 +75,7 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
 
 
 def _closest_points(a: Point, b: Point, c: Point, d: Point) -> tuple[Point, Point]:
-    """On both axes, found by iteration: accurate enough to draw a line between them."""
+    """Find the closest points of two axes by iteration: accurate enough for drawing."""
     low_s, high_s = 0.0, 1.0
     for _ in range(40):  # the distance from a point to a segment is convex along the other
         third = (high_s - low_s) / 3.0
@@ -134,7 +134,7 @@ class Capsule:
         return placed(self.group, start, upright(start, end))
 
     def delete(self) -> None:
-        """Remove it."""
+        """Delete the capsule."""
         self.group.delete()
 
 
@@ -150,7 +150,7 @@ class Rod:
         self.group.visible(False)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Like `Capsule.place`."""
+        """Store its pose; returns the calls that place it on an open page."""
         length = max(math.dist(start, end) * METRES, 1e-6)
         self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
         self.group.visible_ = True

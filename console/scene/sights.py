@@ -1,4 +1,4 @@
-"""What tracker and stereo head see: measuring volume, lines of sight, the cameras' pyramids."""
+"""Views of tracker and stereo head: measuring volume, lines of sight, the cameras' pyramids."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 class Sights:
-    """Updates only what has changed."""
+    """Lines of sight and volumes of a scene; only changes are sent."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -54,7 +54,7 @@ class Sights:
 
     @property
     def hidden(self) -> int:
-        """How many spheres at least one of the tracker's sensors cannot see past the arm."""
+        """Count the spheres hidden from at least one of the tracker's sensors by the arm."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(

@@ -1,4 +1,4 @@
-"""The scene of one page: arm, head, spheres, trajectories, lines of sight, clearance."""
+"""The theatre on a page: arm, head, spheres, trajectories, lines of sight, clearance, and controls."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;f
 
 
 class TheatreScene:
-    """Built once per page; `show` updates only what has changed."""
+    """The theatre's scene of a page; `show` sends only changes."""
 
     def __init__(self, *, low: bool) -> None:
         self._low = low
@@ -219,7 +219,7 @@ class TheatreScene:
 
     @property
     def hidden(self) -> int:
-        """As in `Sights`."""
+        """Count the spheres hidden from the tracker by the arm."""
         return self._sights.hidden
 
     def look_at(self, where: str, figures: CaseFigures | None) -> None:
@@ -244,7 +244,7 @@ class TheatreScene:
 
 
 def _inserted(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
-    """Both ends of the instrument that is at its target, as planned; none while there is no such."""
+    """Return the planned ends of the instrument at its target; None without one."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((one for one in figures.trajectories if one.name == name), None) if figures else None
     if topic != AT_TARGET or path is None or view.pose is None:

@@ -1,4 +1,8 @@
-"""The page library as used by both programs: its style, its settings, and the check of its sockets."""
+"""The page library as used by both programs: its style and settings, and the check of its sockets.
+
+The library accepts a message from any socket for the page named in it. Here a socket may only address pages
+of its own session, and malformed messages are dropped.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +24,7 @@ _owners: dict[str, str] = {}  # page -> session; the library's own pages are als
 
 
 def own_page(client: Any, session: str) -> None:
-    """From now on only sockets of that session may address this page."""
+    """Bind a page to a session: sockets of others may no longer address it."""
     _owners[client.id] = session
     client.on_delete(lambda: _owners.pop(client.id, None))
 
@@ -98,7 +102,7 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
 
 
 async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
-    """In place of a whole page of the library's, which holds up everything else while it is made."""
+    """Answer 404 in text: the library's own page would hold up everything else."""
     return PlainTextResponse("Not found.", 404)
 
 

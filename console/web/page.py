@@ -1,4 +1,4 @@
-"""The page: its parts, their content, and the update loop."""
+"""The case's page: its parts, their content, and the update loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from nicegui import ui
 
 from console.case_view import CaseView, RecordedCase
 from console.changes import changed_within
-from console.figures import Figures, as_of
+from console.figures import Figures, figures_at
 from console.guard import SESSION, Role, Session
 from console.hub import NO_REPLY, Hub
 from console.panels.case_state import banner, case_line, chart, chart_key, clock, devices, devices_key, mode
@@ -37,7 +37,7 @@ from procedures.reporting.case_figures import CaseFigures
 
 
 class MomentPanel:
-    """At the end of its range it follows the live case."""
+    """Slider through a recorded case; at its end it follows the live case."""
 
     def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
         self._recorded = recorded
@@ -103,7 +103,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
 
 
 class CasePage:
-    """One open page of one session."""
+    """An open page of a session."""
 
     def __init__(self, hub: Hub, figures: Figures, tail: LogTail, session: Session, *, low: bool) -> None:
         self._hub = hub
@@ -217,7 +217,7 @@ class CasePage:
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
-            self._figures_then = as_of(self._figures.latest, view, self._hub.view)
+            self._figures_then = figures_at(self._figures.latest, view, self._hub.view)
         return key
 
     async def _give(self, order: dict[str, Any]) -> None:

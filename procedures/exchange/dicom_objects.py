@@ -1,9 +1,8 @@
-"""What a registration and a set of fiducials have in common as DICOM objects.
+"""Registrations, fiducials and the postoperative check as DICOM objects.
 
-They carry no patient identity unless `name_patient` adds it.
-
-Attributes that DICOM requires but allows to be empty stay empty: a clinical archive fills them in on import.
-Identifiers are derived from the content, so the same result always yields the same object.
+They carry no patient identity unless `name_patient` adds it. Attributes that DICOM requires but allows to be
+empty stay empty: a clinical archive fills them in on import. Identifiers are derived from the content, so the
+same result always yields the same object.
 """
 
 from __future__ import annotations

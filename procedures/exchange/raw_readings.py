@@ -1,6 +1,7 @@
-"""Raw readings of a run for other programs: images, tracker frames, arm states.
+"""Raw readings of a run for other programs: images, tracker frames, arm states, and how far they extend.
 
-They are what the run's tape keeps for replay: every device answer that a result is based on, lossless.
+They are what the run's tape keeps for replay: every device answer that a result is based on, lossless. A
+folder states its extent, because a later program of the run may not have written its own readings.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class RawReading:
-    """What a device returned in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+    """A device's answer in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
 
     step: str
     device: str
@@ -201,7 +202,7 @@ def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> S
 
 
 def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequence[Value]]:
-    """One row per tool and per stray marker; one row for a frame that saw nothing."""
+    """Build a row per tool and per stray marker; a single row for an empty frame."""
     head = (number, of.step, of.theatre_time_s, frame.stamp.device_clock)
     nothing = (None,) * 3
     rows: list[Sequence[Value]] = [

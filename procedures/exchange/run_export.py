@@ -1,4 +1,4 @@
-"""Exports a finished run: spheres and one registration per trajectory, in formats of other programs."""
+"""Export of a finished run: spheres and one registration per trajectory, in formats of other programs."""
 
 from __future__ import annotations
 

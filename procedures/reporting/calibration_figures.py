@@ -1,4 +1,8 @@
-"""What the figures of every calibration have in common: plain numbers, and a table with their spread."""
+"""Figures of a calibration, a check or a measurement, and `result.json`, which holds what `--json` prints.
+
+The kind of the figures is recognized by a key that no other kind has. A key `kind` would be new in the output
+of `--json`, and files written before it would still have to be recognized by their content.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +26,7 @@ Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 
 class Figure(NamedTuple):
-    """One line of the table; `spread` is the standard error, in the unit of the value."""
+    """A line of the table; `spread` is the standard error, in the unit of the value."""
 
     name: str
     value: str
@@ -40,7 +44,7 @@ class Figures(Numbers, ABC):
     """All figures of one result."""
 
     def as_json(self) -> dict[str, Any]:
-        """What `--json` prints."""
+        """Return the object that `--json` prints."""
         return self.model_dump(mode="json")
 
     @abstractmethod
@@ -57,7 +61,7 @@ class RecordFigures(Figures):
 
     @abstractmethod
     def quality(self) -> Iterator[Figure]:
-        """What was measured, and how accurate the record is."""
+        """Yield the measurements and the accuracy of the record."""
 
     def table(self) -> Iterator[Figure]:
         """The quality of the record, and how long it is valid."""
@@ -66,7 +70,7 @@ class RecordFigures(Figures):
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 
     def warnings(self) -> Iterator[str]:
-        """What the operator should know before using the record."""
+        """Yield warnings for the operator before the record is used."""
         yield from ()
 
 
@@ -136,8 +140,7 @@ class HeadFigures(RecordFigures):
         yield Figure("arm error, random part, mm", millimetres(self.arm_scatter_mm))
 
     def warnings(self) -> Iterator[str]:
-        """When the head has moved on its mount or may have unnoticed, and when the arm was worse than it
-        repeats."""
+        """Yield warnings of a head that moved or may have slipped, and of an arm worse than it repeats."""
         if self.head_moved:
             yield (
                 f"the tool centre is {self.tool_shift_mm:.2f} mm from where the previous calibration had it, "
@@ -159,7 +162,7 @@ class HeadFigures(RecordFigures):
 
 
 class SignFigures(Numbers):
-    """One sign of a change: its value with standard error, and its chi-square statistic."""
+    """A sign of a change: its value with standard error, and its chi-square statistic."""
 
     name: str
     unit: str
@@ -202,7 +205,7 @@ NOTHING_LEARNT = 0.97  # of a parameter's prior uncertainty
 
 
 class ParameterFigures(Numbers):
-    """One parameter of the arm model, in units of an uncalibrated arm's spread."""
+    """A parameter of the arm model, in units of an uncalibrated arm's spread."""
 
     value: float
     standard_error: float
@@ -397,7 +400,7 @@ def write_figures(figures: Figures, folder: Path) -> None:
 
 
 def read_figures(folder: Path) -> Figures:
-    """What the command wrote. Raises OSError, and ValueError for anything else."""
+    """Read the figures in a run folder. Raises OSError, and ValueError for other content."""
     content = read_json_bytes(folder / RESULT_FILE)
     found = parse_json(content)
     for key, kind in KINDS.items():
@@ -406,8 +409,8 @@ def read_figures(folder: Path) -> Figures:
     raise ValueError("it has no figures of a calibration")
 
 
-def figures_if_readable(folder: Path) -> Figures | None:
-    """The same for a report; None if there is nothing, or nothing readable."""
+def load_figures(folder: Path) -> Figures | None:
+    """Read the figures in a run folder; None if missing or unreadable."""
     try:
         return read_figures(folder)
     except (OSError, ValueError):

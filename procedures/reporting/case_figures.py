@@ -1,4 +1,4 @@
-"""What a run has measured so far, in the robot frame, for drawing.
+"""Measurements of a run so far, in the robot frame, for drawing.
 
 Read from the folder of a run, running or finished; what does not exist yet, or cannot be read, is missing.
 """
@@ -33,7 +33,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class SphereFigure:
-    """One sphere of the CT, and its position according to each instrument, mm; None if unknown."""
+    """A sphere of the CT, and its position by each instrument, mm; None if unknown."""
 
     number: int  # counts from 1
     ct_mm: Point | None  # by the registration
@@ -63,7 +63,7 @@ class PredictionFigure:
 
 @dataclass(frozen=True)
 class CaseFigures:
-    """Everything known."""
+    """All figures known so far."""
 
     robot_from_ct: Transform | None = None
     robot_from_tracker: Transform | None = None

@@ -1,4 +1,4 @@
-"""How a run ended, according to its journal."""
+"""The ending of a run, from its journal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Ending:
     instrument_in: str | None = None  # the trajectory it was still in
 
 
-def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
+def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     """The ending according to the journal; `error` is the command line's, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
@@ -96,7 +96,7 @@ def _is_named(acknowledged: Line, said: str) -> bool:
 
 
 def _after(journal: Sequence[Line]) -> str:
-    """What a case went through before it was done, in words; empty if it went straight to its end."""
+    """Name the incidents of a finished case; empty if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
@@ -111,7 +111,7 @@ def _after(journal: Sequence[Line]) -> str:
 
 
 def resumes(journal: Sequence[Line]) -> int:
-    """How often a run went on in another program: what was found was accepted."""
+    """Count the resumptions of a run by another program."""
     count, leaving = 0, False
     for line in journal:
         if line["entry"] == Entry.RESTARTED:

@@ -1,4 +1,4 @@
-"""The files that accompany a report: its pictures, and their data as tables."""
+"""Files that accompany a report: pictures, tables, a simulated theatre's truth, the postoperative check."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
 
 
-def keep_truth(run: Path, truth: Truth) -> Path:
+def store_truth(run: Path, truth: Truth) -> Path:
     """Store the theatre verifier's result in a run's folder."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / KEPT_TRUTH
@@ -35,7 +35,7 @@ def keep_truth(run: Path, truth: Truth) -> Path:
     return path
 
 
-def forget_unconfirmed_truth(run: Path) -> bool:
+def drop_unconfirmed_truth(run: Path) -> bool:
     """Remove the errors that are kept unless the seal confirms them: the next seal would cover them."""
     found = inspected(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
@@ -45,8 +45,8 @@ def forget_unconfirmed_truth(run: Path) -> bool:
     return changed
 
 
-def kept_truth(run: Path) -> Truth | None:
-    """What `keep_truth` stored; None if missing or unreadable."""
+def load_truth(run: Path) -> Truth | None:
+    """Load the result stored by `store_truth`; None if missing or unreadable."""
     try:
         return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
     except (OSError, ValueError):
@@ -120,7 +120,7 @@ class ReportFiles:
         self.text(f"clearance-{trajectory}.csv", _csv(head, rows))
 
     def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
-        """Both histograms of the robot link."""
+        """Write both histograms of the robot link."""
         self.text("robot_link.csv", _csv(LINK_COLUMNS, bins))
 
 
@@ -135,7 +135,7 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
 LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
 
 
-def picture_of(reading: RunReading, path: Path) -> bytes | None:
+def load_picture(reading: RunReading, path: Path) -> bytes | None:
     """A picture's file; None, and with a note, for one that is too large or cannot be read."""
     try:
         return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
@@ -144,7 +144,7 @@ def picture_of(reading: RunReading, path: Path) -> bytes | None:
         return None
 
 
-def embedded(picture: bytes) -> str:
+def data_url(picture: bytes) -> str:
     """A PNG as the address of an image."""
     return "data:image/png;base64," + base64.b64encode(picture).decode()
 
@@ -154,8 +154,8 @@ PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 @dataclass(frozen=True)
-class AfterTheOperation:
-    """What was found, and a PNG per trajectory by its name."""
+class PostoperativeResult:
+    """The findings, and a PNG per trajectory by its name."""
 
     found: PostoperativeCheck
     pictures: Mapping[str, bytes] = field(default_factory=dict)
@@ -164,10 +164,10 @@ class AfterTheOperation:
     def shown(self) -> list[tuple[str, str]]:
         """Name and picture, as embedded in a page."""
         names = [one.id for one in self.found.trajectories]
-        return [(name, embedded(self.pictures[name])) for name in names if name in self.pictures]
+        return [(name, data_url(self.pictures[name])) for name in names if name in self.pictures]
 
 
-def keep_check(folder: Path, after: AfterTheOperation) -> None:
+def store_check(folder: Path, after: PostoperativeResult) -> None:
     """Store it in this folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
@@ -175,8 +175,8 @@ def keep_check(folder: Path, after: AfterTheOperation) -> None:
         write_whole(folder / f"{PICTURE}{name}.png", picture)
 
 
-def kept_check(reading: RunReading) -> AfterTheOperation | None:
-    """What a run keeps of it: None without one, and with a note for one that cannot be read."""
+def load_check(reading: RunReading) -> PostoperativeResult | None:
+    """Load a run's check; None without one, and with a note for one that cannot be read."""
     folder = reading.folder / REPORT_FOLDER
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))
@@ -186,5 +186,5 @@ def kept_check(reading: RunReading) -> AfterTheOperation | None:
         reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
         return None
     paths = (path for path in sorted(folder.glob(f"{PICTURE}*.png")) if path.is_file())
-    pictures = {path.stem.removeprefix(PICTURE): picture_of(reading, path) for path in paths}
-    return AfterTheOperation(found, {name: one for name, one in pictures.items() if one is not None})
+    pictures = {path.stem.removeprefix(PICTURE): load_picture(reading, path) for path in paths}
+    return PostoperativeResult(found, {name: one for name, one in pictures.items() if one is not None})

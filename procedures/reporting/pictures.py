@@ -1,7 +1,7 @@
-"""The few SVG elements that the figures need: rectangles, lines and text on a canvas of fixed width.
+"""Figures of a report as SVG, and of proposed markers as PNG.
 
-The canvas is as wide as a phone's screen, so that its text is readable there in portrait, and scales
-with the page elsewhere.
+A canvas is as wide as a phone's screen, so that its text is readable there in portrait; elsewhere it scales
+with the page.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 
 
 def _way(one: MotionRow) -> str:
-    """As shown to a reader: spheres count from 1."""
+    """Name a motion for a reader; spheres count from 1."""
     if one.start == one.end:
         return f"{_place(one.end)}, along the axis"
     return f"{_place(one.start)} → {_place(one.end)}"
@@ -183,7 +183,7 @@ def _colour(span: Span) -> str:
 
 
 def _ticks(length_s: float) -> list[float]:
-    """Round times from zero, at most `MOST_TICKS`."""
+    """Choose round times from zero, at most `MOST_TICKS`."""
     magnitude = 10.0 ** math.floor(math.log10(length_s / MOST_TICKS))
     step = next(f * magnitude for f in (1, 2, 5, 10, 20) if length_s / (f * magnitude) <= MOST_TICKS - 1)
     return [number * step for number in range(int(length_s / step) + 1)]

@@ -16,19 +16,19 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
-from procedures.reporting.calibration_figures import HeadFigures, figures_if_readable
-from procedures.reporting.ending import ending_of
+from procedures.reporting.calibration_figures import HeadFigures, load_figures
+from procedures.reporting.ending import run_ending
 from procedures.reporting.files import (
     REPORT_FOLDER,
     TRUTH_FILE,
-    AfterTheOperation,
+    PostoperativeResult,
     ReportFiles,
-    embedded,
-    keep_check,
-    keep_truth,
-    kept_check,
-    kept_truth,
-    picture_of,
+    data_url,
+    load_check,
+    load_picture,
+    load_truth,
+    store_check,
+    store_truth,
 )
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.pictures import (
@@ -39,7 +39,7 @@ from procedures.reporting.pictures import (
     target_figure,
     timeline_figure,
 )
-from procedures.reporting.run_events import announced_advisories, happenings, questions
+from procedures.reporting.run_events import advisories, notable_events, questions
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import (
     ALGORITHM_S,
@@ -86,7 +86,7 @@ def write_report(
     truth: Truth | None = None,
     error: RunError | None = None,
     out: Path | None = None,
-    after: AfterTheOperation | None = None,
+    after: PostoperativeResult | None = None,
 ) -> Path:
     """Write the report of a run folder into it, or into `out`; returns its path.
 
@@ -97,20 +97,20 @@ def write_report(
     out = run if out is None else out
     reading = read_for_report(run)
     files = ReportFiles(out)
-    truth = kept_truth(run) if truth is None else truth
+    truth = load_truth(run) if truth is None else truth
     rows = target_rows(reading, truth or Truth())
     if truth is not None:
-        keep_truth(out, truth)
-    after = kept_check(reading) if after is None else after
+        store_truth(out, truth)
+    after = load_check(reading) if after is None else after
     if after is not None and out != run:
-        keep_check(out / REPORT_FOLDER, after)
+        store_check(out / REPORT_FOLDER, after)
     page = {
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "opened": reading.run.opened,
         "began": _moment(reading, 0),
         "ended": _moment(reading, -1),
-        "ending": ending_of(reading.run.journal, error),
+        "ending": run_ending(reading.run.journal, error),
         "software": list(
             dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
         ),
@@ -142,8 +142,8 @@ def write_report(
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
         "markers_in_ct": {"step": LOCALIZATION, "operator_s": OPERATOR_S, "algorithm_s": ALGORITHM_S},
-        "happenings": happenings(reading.run.journal),
-        "announced": announced_advisories(reading.run.journal),
+        "events": notable_events(reading.run.journal),
+        "announced": advisories(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),
         "lines": len(reading.run.journal),
         "records": reading.run.records,
@@ -167,7 +167,7 @@ def write_report(
 
 
 def _findings(reading: RunReading) -> list[str]:
-    """What CT, plan and drivers reported to the operator without stopping anything."""
+    """Collect remarks of CT, plan and drivers that stopped nothing."""
     series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
     plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
@@ -182,7 +182,7 @@ def _findings(reading: RunReading) -> list[str]:
 
 
 def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
-    """What was planned, with a picture of each trajectory's clearance, also as a file."""
+    """Tabulate the plan and draw each trajectory's clearance, also as files."""
     rows = plan_rows(reading)
     pictures = []
     for row in rows:
@@ -238,7 +238,7 @@ def _figures(
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
     """Result of a calibration, a check or a measurement; empty for a case."""
-    found = figures_if_readable(run)
+    found = load_figures(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
         picture = looks_figure(found.looks_px)
@@ -286,9 +286,9 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
         for name in hashes_in(line, "pictures")
     }
     return [
-        (path.stem.removeprefix(prefix), embedded(picture))
+        (path.stem.removeprefix(prefix), data_url(picture))
         for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
-        if path.is_file() and path.name not in gone and (picture := picture_of(reading, path)) is not None
+        if path.is_file() and path.name not in gone and (picture := load_picture(reading, path)) is not None
     ]
 
 

@@ -11,8 +11,8 @@ from procedures.reporting.numbers import NOT_KNOWN
 
 
 @dataclass(frozen=True)
-class Happening:
-    """One line: when, in wall-clock and theatre time, in which step, and the text."""
+class RunEvent:
+    """An event with its wall-clock and theatre time, kind, step and text."""
 
     clock_time: str
     theatre_time_s: float
@@ -46,28 +46,28 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     )
 
 
-def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
+def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     """Refusals, pauses, faults, acknowledgements, and what was repeated or is no longer valid.
 
     Findings that every program opening a run makes about the previous one are reported once.
     """
     found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
-    first: dict[str, Happening] = {}
+    first: dict[str, RunEvent] = {}
     for number, one in enumerate(_of_kinds(journal, _SENTENCES)):
         first.setdefault(one.text if one.text in found else str(number), one)
     return tuple(first.values())
 
 
-def announced_advisories(journal: Sequence[Line]) -> tuple[Happening, ...]:
-    """What the operator was told, or stated, that stopped nothing; identical texts once."""
-    first: dict[str, Happening] = {}
+def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
+    """Return the findings and seat changes that stopped nothing; identical texts once."""
+    first: dict[str, RunEvent] = {}
     for one in _of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
     return tuple(first.values())
 
 
 def clock_time(line: Line) -> str:
-    """When a line was written, by this computer's wall clock; a dash if unknown."""
+    """Return the wall-clock time of a line; a dash if unknown."""
     try:
         return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
     except ValueError:
@@ -76,7 +76,7 @@ def clock_time(line: Line) -> str:
 
 def _of_kinds(
     journal: Sequence[Line], sentences: Mapping[str, tuple[str, Callable[[Line], str]]]
-) -> Iterator[Happening]:
+) -> Iterator[RunEvent]:
     step = ""
     for line in journal:
         entry = str(line["entry"])
@@ -84,7 +84,7 @@ def _of_kinds(
             step = str(line.get("step", ""))
         if entry in sentences and (text := sentences[entry][1](line)):
             where = str(line.get("step", step))
-            yield Happening(clock_time(line), theatre_time_s(line), sentences[entry][0], where, text)
+            yield RunEvent(clock_time(line), theatre_time_s(line), sentences[entry][0], where, text)
 
 
 def _superseded(line: Line) -> str:
@@ -112,7 +112,7 @@ def _doubted(line: Line) -> str:
 
 
 def _restarted(line: Line) -> str:
-    """What a program that resumes the run found of the previous one."""
+    """Word what a resuming program found of the previous one."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
     first = f"The program ended before {begun} was complete" if begun else ""
     return f"{first}; the last line of its journal was truncated and set aside" if torn else first

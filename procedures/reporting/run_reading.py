@@ -1,4 +1,4 @@
-"""Reads a run for its report: as far as it can be read, with a note of everything that cannot.
+"""A run read for its report: as far as it can be read, with a note of everything that cannot.
 
 A report matters most for the run that went wrong; a truncated journal or a changed file is mentioned in it
 and does not prevent the rest from being shown.
@@ -35,7 +35,7 @@ class UsedRegistration:
 
     @property
     def predictions(self) -> tuple[Prediction, ...]:
-        """At these targets."""
+        """Return the predictions at these targets."""
         return tuple(one for one in self.stored.result.predictions if one.target in self.targets)
 
     @property
@@ -73,7 +73,7 @@ def used_registrations(
 
 
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
-    """Those of a case. Raises REC-001, REC-003 for a record that cannot be read."""
+    """Find the registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.standing}
     made = [Stored(one, typed(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind]
     return used_registrations(made, records, {one.identifier for one in records} - stands)
@@ -105,7 +105,7 @@ class RunReading:
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Those by which the targets were or will be reached, as far as they can be read."""
+        """Return the readable registrations by which the targets were or will be reached."""
         made = self._readable(RegisteredRobot, self.run.records)
         return used_registrations(made, self.run.records, self.run.superseded)
 

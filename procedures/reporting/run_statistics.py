@@ -1,4 +1,8 @@
-"""Steps, motions and pauses of a run as spans of theatre time, from its journal."""
+"""Where the time of a run went, and the counters of its links, from its journal and log.
+
+Theatre time is that of the procedure; with real devices it is wall-clock time, while a simulated theatre in
+lock-step adds none while the computer works or a script answers. Host time is what the computer took.
+"""
 
 from __future__ import annotations
 
@@ -189,7 +193,7 @@ class _Totals:
     connection: dict[str, int | float] = field(default_factory=dict)  # its counters at the end before
 
     def add(self, line: Mapping[str, Any]) -> None:
-        """One more time."""
+        """Add the counters of one active period."""
         link = line.get(LINK)
         going_on = dict(_counters(link, "")) if isinstance(link, Mapping) else {}
         counts = list(_counters(line, ""))

@@ -1,4 +1,4 @@
-"""Reads the target figures a second time, independently: plain text from plain JSON.
+"""The target figures read a second time, independently: plain text from plain JSON.
 
 It shares neither models nor formatter with the report's table, so that a number wrong in either shows up as a
 difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
@@ -65,7 +65,7 @@ def as_text(rows: tuple[Row, ...]) -> str:
 
 
 def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, str]:
-    """By target, the valid registration, or the one that led the guide if the work is done."""
+    """Map each target to its valid registration, or to the one that led the guide if the work is done."""
     used = {
         one["target"]: name
         for name, record in standing.items()

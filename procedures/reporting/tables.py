@@ -1,4 +1,4 @@
-"""Predicted and true error at each target, from the records and the theatre's truth."""
+"""Rows of the report's tables: predicted and true errors at the targets, the plan and its checked motions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 @dataclass(frozen=True)
 class TargetRow:
-    """One target; the error is known only against a simulated truth, and only if the tip arrived."""
+    """A target; its error is known only against a simulated truth, and only if the tip arrived."""
 
     target: str
     depth_mm: float | None
@@ -31,7 +31,7 @@ class TargetRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As in the report's table: target, depth, prediction, its limit, error."""
+        """Return the cells of the report's table: target, depth, prediction, limit, error."""
         return (
             self.target,
             tenths(self.depth_mm),
@@ -67,7 +67,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
 
 @dataclass(frozen=True)
 class MotionRow:
-    """One checked motion: its end points, and its clearance to the head and to anything else."""
+    """A checked motion: its end points, and its clearance to the head and to anything else."""
 
     start: str
     end: str
@@ -78,7 +78,7 @@ class MotionRow:
 
 @dataclass(frozen=True)
 class PlanRow:
-    """One trajectory: entry and target in LPS mm, angles about the axis, clearance of its motions.
+    """A trajectory: entry and target in LPS mm, angles about the axis, clearance of its motions.
 
     What only the path check provides is None before it, and for a trajectory that was left out.
     """

@@ -47,7 +47,7 @@ class Markers(StrEnum):
 
 @dataclass(frozen=True)
 class Tilts:
-    """How trajectories tilt from the vertical, and to which sides, about the vertical from the x axis."""
+    """Range of tilts from the vertical, and of their azimuths from the x axis."""
 
     tilts_deg: tuple[float, float]
     sides_deg: tuple[float, float]
@@ -130,7 +130,7 @@ def _outward(points_mm: Array) -> Array:
 
 
 def _skin_along(start_mm: Array, direction: Array) -> Array:
-    """Where a ray from inside the head meets the skin."""
+    """Intersect a ray from inside the head with the skin."""
     half = np.array(HALF_AXES_MM[PATIENT])
     along, away = direction / half, start_mm / half
     square, middle = along @ along, along @ away

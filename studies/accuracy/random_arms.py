@@ -1,4 +1,4 @@
-"""Arms of parameter set S, drawn like those of the simulated theatre, many at once.
+"""Arms of parameter set S, drawn like those of the simulated theatre, and their joints at planned poses.
 
 The formulas are those of the simulator's true arm, implemented a second time for arrays: a test compares the
 two. Every arm is drawn from the seed and its own number.
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 Components = tuple[Array, Array, Array]
 
 
-def turned(joint: Joint, angle_rad: Array, point: Components) -> Components:
+def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Components:
     """Points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
     (x, y, z), (ax, ay, az) = point, joint.axis
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
@@ -40,7 +40,7 @@ def turned(joint: Joint, angle_rad: Array, point: Components) -> Components:
     )
 
 
-def mapped(matrix: Array, point: Components) -> Components:
+def multiply(matrix: Array, point: Components) -> Components:
     """Points multiplied by matrices (..., 3, 3) whose leading axes broadcast against the points'."""
     x, y, z = point
     first, second, third = (
@@ -49,7 +49,7 @@ def mapped(matrix: Array, point: Components) -> Components:
     return first, second, third
 
 
-def shifted(point: Components, by: ArrayLike) -> Components:
+def translate(point: Components, by: ArrayLike) -> Components:
     """Points plus vectors (..., 3) that broadcast against them."""
     vector = np.asarray(by, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
@@ -67,9 +67,9 @@ def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Arr
     axes: list[Components] = [tuple(part * one for part in flange[:, k]) for k in range(3)]
     for number in reversed(range(len(chain.joints))):
         joint, angle = chain.joints[number], joints_rad[..., number]
-        position = turned(joint, angle, shifted(position, joint.to_next_mm))
-        axes = [turned(joint, angle, axis) for axis in axes]
-    position = shifted(position, chain.base_mm)
+        position = rotate_about_joint(joint, angle, translate(position, joint.to_next_mm))
+        axes = [rotate_about_joint(joint, angle, axis) for axis in axes]
+    position = translate(position, chain.base_mm)
     rotation = np.stack([np.stack(axis, axis=-1) for axis in axes], axis=-1)
     return np.stack(position, axis=-1), rotation
 
@@ -107,11 +107,11 @@ class RandomArms:
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
         """The arms with these numbers."""
-        return cls.of([drawn_arm(seed, number) for number in numbers])
+        return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
     def of(cls, drawn: list[tuple[ArmTruth, Array]]) -> Self:
-        """From true arms, each with its tool error (3,) mm."""
+        """Build from true arms, each with its tool error (3,) mm."""
         truths = [truth for truth, _ in drawn]
         links = [truth.links for truth in truths]
         turns = np.array([[link.rotation_rad for link in arm] for arm in links])
@@ -132,7 +132,7 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """The same arms with the errors of one source only; CT and servo errors are not the arm's."""
+        """Keep the errors of one source only; CT and servo errors are not the arm's."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -157,18 +157,18 @@ class RandomArms:
         x, y, z = (np.broadcast_to(part[:, None], shape) for part in tool.T)
         point: Components = (x, y, z)
         last = len(self.chain.joints) - 1
-        point = mapped(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
+        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
         for number in reversed(range(last + 1)):
             joint = self.chain.joints[number]
             if number < last:
                 point = self._beyond(number, point)
-            point = turned(joint, angles[..., number], shifted(point, joint.to_next_mm))
-        return np.stack(shifted(point, self.chain.base_mm), axis=-1)
+            point = rotate_about_joint(joint, angles[..., number], translate(point, joint.to_next_mm))
+        return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
     def _beyond(self, link: int, point: Components) -> Components:
         """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
-        return shifted(
-            mapped(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
+        return translate(
+            multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
 
     def _acting(self, encoders_rad: Array, flanks: Array) -> Array:
@@ -186,7 +186,7 @@ class RandomArms:
         return np.asarray(angles)
 
 
-def drawn_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
+def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
     """The true arm with this number, and its tool error (3,) mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
@@ -211,7 +211,7 @@ class PlannedPoses:
 
     @classmethod
     def of(cls, kinematics: Kinematics, tool_mm: Array, joints_rad: Array) -> Self:
-        """At joint vectors (p, 6)."""
+        """Build at joint vectors (p, 6)."""
         _, rotations = nominal_frames(kinematics.chain, joints_rad, tool_mm)
         inverse = np.empty((len(joints_rad), 6, 6))
         for place, (joints, rotation) in enumerate(zip(joints_rad.tolist(), rotations, strict=True)):
@@ -224,12 +224,14 @@ class PlannedPoses:
         return len(self.joints_rad)
 
 
-def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array) -> tuple[Array, Array]:
+def centre_on_spheres(
+    arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
+) -> tuple[Array, Array]:
     """Joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
-    return solved(
+    return solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
         lambda joints, _: spheres_mm - arms.tool_points_mm(joints, flanks),
@@ -237,9 +239,9 @@ def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Ar
     )
 
 
-def brought_to(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
+def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
     """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
-    joints, _ = solved(
+    joints, _ = solve_joints(
         poses,
         lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
         lambda _, at: places_mm - at,
@@ -248,15 +250,18 @@ def brought_to(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array
     return joints
 
 
-def solved(
+def solve_joints(
     poses: PlannedPoses,
     frames: Callable[[Array], tuple[Array, Array]],
     missing: Callable[[Array, Array], Array],
     shape: tuple[int, ...],
 ) -> tuple[Array, Array]:
-    """Joints of this shape with nothing `missing` (mm) and the tool oriented as planned; its places there.
+    """Solve for joints with nothing `missing` (mm) and the tool oriented as planned; returns its places too.
 
-    `frames` are the tool's places and orientations at joints. Raises STU-009.
+    An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
+    each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so
+    that an arm's result does not depend on the others. `frames` returns the tool's places and orientations
+    at joints. Raises STU-009.
     """
     joints = np.array(np.broadcast_to(poses.joints_rad, shape))
     for _ in range(STEPS):

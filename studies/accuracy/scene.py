@@ -1,4 +1,4 @@
-"""The phantom in one position, and what all trials there share."""
+"""The phantom in one position: strategies run there on random arms, in scenarios of calibration and CT."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def predictions(
     left: ErrorSizes = UNCALIBRATED,
     ct_mm: float = CT_FLE_MM,
 ) -> list[TargetPrediction]:
-    """One per target, with the first `count` spheres; the fit is unweighted."""
+    """Predict the error at each target with the first `count` spheres; the fit is unweighted."""
     spheres = robot_from_ct.apply(phantom.spheres_mm)
     found = []
     for number, trajectory in enumerate(phantom.trajectories):
@@ -69,7 +69,11 @@ ANY_APPROACH = "thesis-ocs"
 
 @dataclass(frozen=True)
 class Scenario:
-    """What is calibrated, and the CT error (3-D rms)."""
+    """Parts of the arm that are calibrated, and the CT error (3-D rms).
+
+    The levels are those assumed for a calibrated arm; harmonics and sag are those of set S, and so is
+    backlash unless it is `known`. Without control of the approach, the side of a joint is never known.
+    """
 
     name: str
     tool: bool = False
@@ -96,7 +100,7 @@ class Scenario:
         return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
 
     def of(self, arms: RandomArms, strategy: str) -> RandomArms:
-        """The same arms, calibrated: their errors scaled down to what remains for a strategy."""
+        """Scale the arms' errors down to the part that remains for a strategy once calibrated."""
         arms = replace(arms, backlash_rad=arms.backlash_rad * self._backlash_left(strategy))
         if self.tool:
             arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
@@ -155,7 +159,7 @@ class Scene:
     def of(
         cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
     ) -> Self:
-        """With all numbers of spheres that these markers allow, and user strategies besides ours."""
+        """Build with every number of spheres these markers allow, and user strategies besides ours."""
         return cls(seed, markers, number, phantom, place(number), counts_of(markers), own)
 
     def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
@@ -167,7 +171,7 @@ class Scene:
     def predicted(
         self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
-        """By number of spheres, then by target."""
+        """Predict the errors by number of spheres, then by target."""
         return [
             predictions(planned, self.phantom, self.robot_from_ct, count, left, ct_mm)
             for count in self.counts
@@ -201,7 +205,7 @@ class Scene:
         *,
         any_side: bool = False,
     ) -> dict[str, Outcome]:
-        """What the strategies do with these arms of set S in a scenario, which they plan and predict for."""
+        """Run the strategies on these arms of set S in a scenario, which they plan and predict for."""
         single = dict.fromkeys(
             (*(FROM if BEST in strategies else ()), *(one for one in strategies if one != BEST))
         )
@@ -239,7 +243,7 @@ class Scene:
 
 
 def _best(candidates: Sequence[Outcome]) -> Outcome:
-    """At each target with each number of spheres the outcome with the smallest predicted error."""
+    """Choose the smallest predicted error at each target for each number of spheres."""
     predicted = [one.predicted for one in candidates]
     chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predicted]).argmin(axis=0)
     errors_mm = np.stack([one.errors_mm for one in candidates])

@@ -1,4 +1,7 @@
-"""By which code a study's results were made."""
+"""The folder of a study: the ledger of finished units, and the published results.
+
+The ledger has one JSON line per unit; an interrupted study resumes from it.
+"""
 
 from __future__ import annotations
 
@@ -139,7 +142,7 @@ def _are_sums(found: Any) -> TypeGuard[Sums]:
 
 
 def _difference(there: Any, head: Mapping[str, Any]) -> str:
-    """How another study differs, in words: its name, or the settings."""
+    """Name the difference to another study: its name or its settings."""
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
     # as in the file: a list for a tuple, a name for an enum member

@@ -1,4 +1,7 @@
-"""A unit of a study: runs of one condition with their own seed, so that every worker gets the same result."""
+"""Studies, their units of work, and tables of results.
+
+A unit has a seed of its own, so that every worker gets the same result.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +33,7 @@ class Unit:
 
 
 class Study(Protocol):
-    """What the runner needs from a study: it can be pickled, and `run` depends only on its arguments."""
+    """A picklable study whose `run` depends only on its arguments."""
 
     @property
     def name(self) -> str:
@@ -38,7 +41,7 @@ class Study(Protocol):
         ...
 
     def settings(self) -> dict[str, object]:
-        """Everything that the results depend on, as plain data."""
+        """Return all inputs of the results as plain data."""
         ...
 
     def units(self) -> Sequence[Unit]:
@@ -50,7 +53,7 @@ class Study(Protocol):
         ...
 
 
-def without_empty_own(settings: dict[str, object]) -> dict[str, object]:
+def omit_empty_own(settings: dict[str, object]) -> dict[str, object]:
     """User methods are a setting only of studies that have some."""
     return {key: value for key, value in settings.items() if key != "own" or value}
 
@@ -89,14 +92,14 @@ class Table:
     note: str = ""
 
     def markdown(self) -> str:
-        """For a report."""
+        """Return the table as Markdown."""
         lines = [f"## {self.title}", ""]
         lines += [f"| {' | '.join(self.columns)} |", "|" + "---|" * len(self.columns)]
-        lines += [f"| {' | '.join(shown(value) for value in row)} |" for row in self.rows]
+        lines += [f"| {' | '.join(format_cell(value) for value in row)} |" for row in self.rows]
         return "\n".join([*lines, "", self.note, ""]) if self.note else "\n".join([*lines, ""])
 
     def csv(self) -> str:
-        """For a spreadsheet, with all digits."""
+        """Return the table for a spreadsheet, with all digits."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(self.columns)
@@ -104,7 +107,7 @@ class Table:
         return text.getvalue()
 
     def document(self) -> dict[str, object]:
-        """As plain data."""
+        """Return the table as plain data."""
         return {
             "title": self.title,
             "columns": list(self.columns),
@@ -113,8 +116,8 @@ class Table:
         }
 
 
-def shown(value: Cell) -> str:
-    """A value formatted for a person."""
+def format_cell(value: Cell) -> str:
+    """Format a value for a reader."""
     if value is None:
         return ""
     if isinstance(value, float):

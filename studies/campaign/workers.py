@@ -1,4 +1,7 @@
-"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster."""
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster.
+
+A user method that does not respond is named: an endless loop looks like long work.
+"""
 
 from __future__ import annotations
 
@@ -26,14 +29,14 @@ from studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
-from studies.plugins.method import OwnMethod
+from studies.plugins.method import PluginMethod
 
 SILENT_S = 10.0
 
 Tell = Callable[[str], None]
 
 
-class Silence:
+class SilenceWatch:
     """Reports once each unit that has been running for `limit_s`."""
 
     def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
@@ -55,7 +58,7 @@ class Silence:
                 )
 
 
-ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
+PROCESS_ENDED = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0
 SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
 
@@ -103,16 +106,16 @@ def _runner(
     else:
         count = workers or len(os.sched_getaffinity(0))
         with processes_single_threaded(), fresh_processes(count) as pool:
-            yield _on_pool(pool, study, units, count, Silence([one.name for one in _own(study)], tell))
+            yield _on_pool(pool, study, units, count, SilenceWatch([one.name for one in _own(study)], tell))
 
 
-def _own(study: Study) -> tuple[OwnMethod, ...]:
+def _own(study: Study) -> tuple[PluginMethod, ...]:
     """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
 
 def _on_pool(
-    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: Silence
+    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: SilenceWatch
 ) -> Finished:
     waiting = {pool.submit(study.run, unit): unit for unit in units}
     lost = set()
@@ -132,7 +135,7 @@ def _ended(study: Study, keys: list[str]) -> RonnaError:
     """A worker's process is gone. Units start in order, so it was running one of the first that are lost."""
     among = f", in {' or '.join(keys)}"
     if own := _own(study):
-        return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
+        return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
     return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
 
 

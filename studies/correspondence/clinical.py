@@ -1,7 +1,8 @@
 """The thesis' clinical protocol of pairing (5.3.2): 17 localized scans of the x-shaped frame, 1,415 readings.
 
-The scans are those of the localization study, each with a scale error; the readings are from the simulated
-tracker. The thesis' method pairs the output of our copy of its localizer, our method that of ours. No strays.
+The scans are those of the localization study, each with a scale error. The readings come from the simulated
+tracker over its protocol, with the frame alone in the room. The thesis' method pairs the output of our copy
+of its localizer, our method that of ours. There are no strays.
 """
 
 from __future__ import annotations
@@ -77,7 +78,7 @@ class ClinicalStudy:
     name: str = "correspondence-xframe"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {
             "seed": self.seed,
             "readings": len(self.readings_mm),
@@ -146,7 +147,7 @@ class ClinicalStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Where the thesis' method pairs every reading, and how many ours pairs."""
+    """Tabulate the e at which the thesis' method pairs every reading, and our success."""
     rows: list[Sequence[Cell]] = []
     for kind, (low, high) in THESIS_RANGES_MM.items():
         against = success_against_tolerance(sums, kind)
@@ -232,7 +233,7 @@ ATTEMPTS = 20
 LIMIT_S = 60.0  # host time, as a safeguard
 
 
-def recorded_readings(
+def load_or_take_readings(
     folder: Path, count: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
     """The readings stored in a study's folder, taken now if there are none.
@@ -241,7 +242,7 @@ def recorded_readings(
     """
     path = folder / READINGS_FILE
     if not path.exists():
-        taken = read_frames(count, seed, progress)
+        taken = take_readings(count, seed, progress)
         folder.mkdir(parents=True, exist_ok=True)
         write_whole(path, json.dumps({"seed": seed, "readings_mm": taken.tolist()}).encode())
         return taken
@@ -255,7 +256,7 @@ def recorded_readings(
     return readings
 
 
-def read_frames(count: int, seed: int, progress: Callable[[float], None] = lambda share: None) -> Array:
+def take_readings(count: int, seed: int, progress: Callable[[float], None] = lambda share: None) -> Array:
     """`count` readings (n, 4, 3) in the tracker's frame, mm, spheres in the frame's order. Raises STU-008."""
     random = np.random.default_rng([seed, count])
     readings: list[Array] = []

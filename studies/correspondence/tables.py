@@ -1,4 +1,4 @@
-"""Tables of the correspondence study next to the thesis' figures."""
+"""Outcomes of the correspondence study in the thesis' terms, next to the thesis' figures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Shares:
-    """Per cent of the runs: all, and the range over the numbers of outliers, as in the thesis.
+    """Shares of the runs in per cent, in total and as a range over the numbers of outliers.
 
     `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
     """
@@ -198,7 +198,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
 
 
 def _reached(found: Mapping[Series, Shares]) -> Table:
-    """For which e the thesis' method reproduces the thesis' figures."""
+    """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
         of_method = {

@@ -47,8 +47,8 @@ from studies.heads import (
     PHYSICAL_SIGMA_MM,
     NoiseReading,
     draw_readings,
-    in_balls,
     per_axis_mm,
+    uniform_in_ball,
 )
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class TemplateStudy:
     name: str = "correspondence-template"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -89,7 +89,7 @@ class TemplateStudy:
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
         seen = draw_readings(template_mm, count, outliers, noise, unit.runs, random, IMPLANTED_MM)
-        tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
+        tilts = Rotation.from_rotvec(uniform_in_ball(unit.runs, PRIOR_DISTURBED_RAD, random))
         sums: Counter[str] = Counter()
         for run, (pairs, prior) in enumerate(zip(seen.pairs.tolist(), tilts * seen.rotations, strict=True)):
             right = frozenset((i, j) for i, j in pairs)
@@ -143,7 +143,7 @@ def _solved(
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """One row per noise model, method and number of markers, next to the result of five to eight."""
+    """Tabulate each noise model, method and number of markers beside five to eight markers."""
     counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
     for condition, content in sums.items():
         noise, _, markers, outliers = condition_of(condition)
@@ -197,7 +197,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the table is enough."""
+    """Draw nothing: the table is enough."""
     return {}
 
 

@@ -28,11 +28,11 @@ from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from studies.campaign.study import Sums, Unit, blocks, generator, without_empty_own
+from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
 from studies.errors import NotForJudging
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
-from studies.plugins.answers import OwnLocalizer
-from studies.plugins.method import OwnMethod
+from studies.plugins.answers import PluginLocalizer
+from studies.plugins.method import PluginMethod
 from studies.thesis_tables import OPERATORS, TABLE_3
 
 Array = NDArray[np.float64]
@@ -83,11 +83,11 @@ class LocalizationStudy:
     families: tuple[str, ...] = JUDGING
     protocols: tuple[str, ...] = PROTOCOLS
     name: str = "localization"
-    own: tuple[OwnMethod, ...] = ()
+    own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
-        return {**without_empty_own(asdict(self)), "sums": SUMS}
+        """Return all inputs of the results."""
+        return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
         """A unit per volume, then one per set."""
@@ -100,7 +100,7 @@ class LocalizationStudy:
         family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
-        own = tuple(OwnLocalizer.of(one) for one in self.own)
+        own = tuple(PluginLocalizer.of(one) for one in self.own)
         if family == FRAMES:
             sums.update(_frame_set(random, own))
         else:
@@ -125,7 +125,7 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """One of the built-in methods on one volume."""
+    """Run a built-in method on one volume."""
     result = _localized(method, scan.volume)
     return _counted(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
@@ -170,7 +170,7 @@ def _counted(
     return {f"{who}|{key}": float(value) for key, value in sums.items()}
 
 
-def _frame_set(random: np.random.Generator, own: Sequence[OwnLocalizer] = ()) -> dict[str, float]:
+def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
     """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:

@@ -1,4 +1,4 @@
-"""Tables and plots of the localization study."""
+"""Tables, plots and goals of the localization study."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def methods_of(total: Sums) -> list[str]:
 
 
 def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
-    """Upper edge of the bin in which the share is reached."""
+    """Return the upper edge of the bin that reaches the share."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
     reached = 0.0
@@ -229,7 +229,7 @@ def _fle_table(total: Sums) -> Table:
 
 
 def of_method(total: Sums, method: str, key: str) -> float:
-    """One sum of one method; 0 if nothing was counted."""
+    """Return a method's sum; 0 if nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)
 
 
@@ -293,7 +293,7 @@ def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[
 
 
 def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Sequence[Cell]]:
-    """What each family of one protocol must meet: pooled, a bad one would hide behind a good one."""
+    """Check each family of a protocol alone: pooled, a bad one would hide behind a good one."""
     rows: list[Sequence[Cell]] = []
     for condition in conditions:
         total, where = sums[condition], ", ".join(condition.split("|")[::-1])

@@ -1,6 +1,8 @@
-"""The thesis' localization protocol: 20 scans, 116 spheres, the frame validated, FLE, gains and times.
+"""The thesis' localization protocol: 12 scans of patients and 8 of a phantom, 116 spheres, one frame in each.
 
-Every scan has its own scale error, as with a real scanner; the spheres' positions are scaled, not the images.
+Phantoms stand in for both. The number of spheres implies that some scans contain more than the frame's four;
+their distribution is our choice, and the frame is the close one. Every scan has its own scale error, as with
+a real scanner; the spheres' positions are scaled, not the images.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ LARGEST_SCALE_ERROR = 1.0 / 150.0
 
 @dataclass(frozen=True)
 class ThesisScan:
-    """One scan: patient or phantom, its number among these, random parameters, and number of spheres."""
+    """A scan of a patient or phantom: its number, phantom family and number of spheres."""
 
     kind: str
     number: int
@@ -67,7 +69,7 @@ def draw_scale(random: np.random.Generator, count: int, largest: float = LARGEST
 
 @dataclass(frozen=True, eq=False)
 class LocalizedScan:
-    """What one method found in a scan: all centres (n, 3), LPS mm, and its CPU time."""
+    """A method's result in a scan: centres (n, 3), LPS mm, and CPU time."""
 
     centres_mm: Array
     cpu_s: float
@@ -111,7 +113,7 @@ class ThesisLocalizationStudy:
     name: str = "localization-thesis"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {
             **asdict(self),
             "scans": len(THESIS_SCANS),

@@ -47,7 +47,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the tables are enough."""
+    """Draw nothing: the tables are enough."""
     return {}
 
 

@@ -1,4 +1,7 @@
-"""Calls a user method: its arguments cannot be modified, and its errors are reported with their line."""
+"""User methods as the studies call them, with every answer checked for its kind.
+
+Arguments cannot be modified, and errors are reported with their line. Strategies are in `strategy`.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +20,13 @@ from scipy.spatial.transform import RigidTransform
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.volume import Volume
 from studies.errors import MethodAnswerWrong, MethodFailed
-from studies.plugins.method import OwnMethod
+from studies.plugins.method import PluginMethod
 
 GLOBAL_SEED = 0
 
 
 @dataclass(frozen=True)
-class OwnCallable:
+class CheckedPlugin:
     """A user method in this process, under its name; `result` and `form` say what it must return."""
 
     name: str
@@ -32,15 +35,15 @@ class OwnCallable:
     form: ClassVar[str]
 
     @classmethod
-    def of(cls, method: OwnMethod) -> Self:
-        """In this process. Raises STU-012."""
+    def of(cls, method: PluginMethod) -> Self:
+        """Load into this process. Raises STU-012."""
         return cls(method.name, method.function())
 
     def _wrong(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name} did not return {self.result}", expected=self.form, got=got)
 
 
-def called(
+def call_plugin(
     name: str,
     function: Callable[..., Any],
     *arguments: object,
@@ -104,7 +107,7 @@ def real_numbers(answer: object) -> Array:
 Pairs = NDArray[np.intp]
 
 
-class OwnPairing(OwnCallable):
+class PluginPairing(CheckedPlugin):
     """Called like `Pairing`; raises STU-013 and STU-014."""
 
     result = "a pairing"
@@ -114,7 +117,7 @@ class OwnPairing(OwnCallable):
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> Pairs | None:
         """Pairs (k, 2); None without a unique answer."""
-        answer = called(
+        answer = call_plugin(
             self.name,
             self.function,
             image_mm,
@@ -144,7 +147,7 @@ class OwnPairing(OwnCallable):
 BESIDE_MM = 10.0  # outside the volume: the centre of a sphere cut by the field of view
 
 
-class OwnLocalizer(OwnCallable):
+class PluginLocalizer(CheckedPlugin):
     """Called like `Localizer`; raises STU-013 and STU-014."""
 
     result = "centres"
@@ -153,7 +156,7 @@ class OwnLocalizer(OwnCallable):
     def __call__(self, volume: Volume) -> Array:
         """Centres (n, 3), LPS mm."""
         try:
-            answer = called(self.name, self.function, volume, passed=(MarkerCountWrong,))
+            answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
         except MarkerCountWrong:  # how our localizer says that there are none
             return np.empty((0, 3))
         try:
@@ -178,7 +181,7 @@ class OwnLocalizer(OwnCallable):
 ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm over a head
 
 
-class OwnRegistration(OwnCallable):
+class PluginRegistration(CheckedPlugin):
     """Called like `PairedRegistration`; raises STU-013 and STU-014."""
 
     result = "a rigid transform"
@@ -186,7 +189,7 @@ class OwnRegistration(OwnCallable):
 
     def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
         """The transform physical <- image."""
-        answer = called(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
+        answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
         try:

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MethodKind(StrEnum):
-    """What a user method does; each kind has its own entry point group and studies."""
+    """Task of a user method; each kind has its own entry point group and studies."""
 
     LOCALIZER = "localizer"
     PAIRING = "pairing"

@@ -1,4 +1,7 @@
-"""A user method by reference: small enough to send to a worker, which runs the same method or none."""
+"""User methods by reference: small enough to send to a worker, which runs the same version or none.
+
+The version is the hash of the method's module and of the modules of its folder or package that it imports.
+"""
 
 from __future__ import annotations
 
@@ -31,12 +34,12 @@ OURS = (
 INSTALLED = ("site-packages", "dist-packages")
 
 
-def is_installed(file: Path) -> bool:
+def is_in_site_packages(file: Path) -> bool:
     """Whether a file belongs to an installed package."""
     return not {*INSTALLED}.isdisjoint(file.parts)
 
 
-def modules_beside(module: ModuleType) -> Mapping[str, Path]:
+def local_modules(module: ModuleType) -> Mapping[str, Path]:
     """The file of each module by name, from the import statements; nothing is executed.
 
     For an installed module, those of its package count; for a file of the user's own, those of its folder and
@@ -46,7 +49,9 @@ def modules_beside(module: ModuleType) -> Mapping[str, Path]:
         return {}
     file = Path(module.__file__).resolve()
     depth = module.__name__.count(".") + (file.stem == "__init__")
-    finder = _Beside(file.parents[depth], module.__name__.partition(".")[0] if is_installed(file) else None)
+    finder = _Beside(
+        file.parents[depth], module.__name__.partition(".")[0] if is_in_site_packages(file) else None
+    )
     finder.import_hook(module.__name__)
     found = {name: vars(one)["__file__"] for name, one in finder.modules.items()}
     return {name: Path(path) for name, path in found.items() if path is not None} | {module.__name__: file}
@@ -54,7 +59,7 @@ def modules_beside(module: ModuleType) -> Mapping[str, Path]:
 
 def hash_of(module: ModuleType) -> str:
     """SHA-256 of the module's file, or of all files if there are more; empty for a module without a file."""
-    files = modules_beside(module)
+    files = local_modules(module)
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     if len(hashes) < 2:
         return "".join(hashes.values())
@@ -81,7 +86,7 @@ _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this proce
 
 
 @dataclass(frozen=True)
-class OwnMethod:
+class PluginMethod:
     """`module:function` of one kind, its name in tables, and the hash of its files: see `hash_of`."""
 
     kind: MethodKind
@@ -108,10 +113,10 @@ class OwnMethod:
         if module.__file__ is None or "." in module.__name__:
             return None
         file = Path(module.__file__)
-        return None if is_installed(file) else file
+        return None if is_in_site_packages(file) else file
 
 
-def own_method(kind: MethodKind, text: str) -> OwnMethod:
+def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
     """The method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
 
     Modules are searched as Python does, and last in the current folder.
@@ -122,16 +127,16 @@ def own_method(kind: MethodKind, text: str) -> OwnMethod:
     reference = text if ":" in text else _by_entry_point(kind, text)
     function, module = _imported(reference, kind)
     _require_signature(kind, reference, function)
-    return OwnMethod(kind, text, reference, hash_of(module))
+    return PluginMethod(kind, text, reference, hash_of(module))
 
 
-def installed() -> tuple[str, ...]:
+def installed_plugins() -> tuple[str, ...]:
     """Names of all installed user methods, of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
 def signature_of(kind: MethodKind) -> str:
-    """How a method of this kind is called, as shown in messages."""
+    """Return the call signature of a kind, as shown in messages."""
     return str(inspect.Signature([one.replace(annotation=one.empty) for one in _parameters(kind)]))
 
 
@@ -154,7 +159,7 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
     try:
         module = importlib.import_module(where)
         if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent again to this worker
-            for beside in modules_beside(module):
+            for beside in local_modules(module):
                 sys.modules.pop(beside, None)
             module = importlib.import_module(where)
             _loaded[where] = now

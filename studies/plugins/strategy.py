@@ -1,4 +1,4 @@
-"""A user's localization strategy, with all answers checked: axes, poses at the spheres, turns."""
+"""User strategies, with all answers checked: axes, poses at the spheres, turns."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from studies.errors import MethodAnswerWrong, MethodRefused
-from studies.plugins.answers import called
-from studies.plugins.method import OwnMethod
+from studies.plugins.answers import call_plugin
+from studies.plugins.method import PluginMethod
 
 LARGEST_TURN_RAD = 2.0 * math.pi  # a whole turn: more means degrees
 MOST_SHOWN = 10**6  # a whole number may be too large for a float
@@ -30,21 +30,21 @@ CALLS = ("localized_along", "localization_poses", "turns_rad")
 
 
 @dataclass(frozen=True)
-class OwnStrategy:
+class PluginStrategy:
     """A `Strategy` that calls the user's; raises STU-012 to STU-014."""
 
     name: str
     asked: Strategy
 
     @classmethod
-    def of(cls, method: OwnMethod) -> Self:
-        """In this process. Raises STU-012 and STU-013."""
-        made = called(method.name, method.function())
+    def of(cls, method: PluginMethod) -> Self:
+        """Load into this process. Raises STU-012 and STU-013."""
+        made = call_plugin(method.name, method.function())
         for flag in FLAGS:
-            if not isinstance(value := called(f"{method.name}.{flag}", getattr, made, flag, None), bool):
+            if not isinstance(value := call_plugin(f"{method.name}.{flag}", getattr, made, flag, None), bool):
                 raise _lacks(method.name, f"{flag}, True or False", f"{value!r}")
         for call in CALLS:
-            given = called(f"{method.name}.{call}", getattr, made, call, None)
+            given = call_plugin(f"{method.name}.{call}", getattr, made, call, None)
             wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
                 inspect.signature(given).bind(*wanted)  # None is also refused
@@ -54,18 +54,18 @@ class OwnStrategy:
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """As the user's strategy states."""
+        """Return the user strategy's flag."""
         return self._says("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
-        """As the user's strategy states."""
+        """Return the user strategy's flag."""
         return self._says("controls_approach")
 
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """One axis for each set of localizations."""
+        """Return one axis for each set of localizations."""
         axes = self._asked("localized_along", trajectories, fiducials_mm, robot_from_ct)
         wanted = len(trajectories) if self.localizes_per_trajectory else 1
         if len(axes) != wanted or not all(isinstance(one, Trajectory) for one in axes):
@@ -75,7 +75,7 @@ class OwnStrategy:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL for each fiducial, tool origin at the fiducial."""
+        """Return one pose ROBOT <- TOOL for each fiducial, tool origin at the fiducial."""
         poses = self._asked("localization_poses", along, fiducials_mm, robot_from_ct, arm)
         places = robot_from_ct.apply(np.reshape(fiducials_mm, (-1, 3)))
         framed = all(
@@ -108,16 +108,18 @@ class OwnStrategy:
 
     def _says(self, flag: str) -> bool:
         """A property may be recomputed, and differ, on each access."""
-        value = called(f"{self.name}.{flag}", getattr, self.asked, flag)
+        value = call_plugin(f"{self.name}.{flag}", getattr, self.asked, flag)
         if not isinstance(value, bool):
             raise self._wrong(flag, "True or False", f"{value!r}")
         return value
 
     def _asked(self, call: str, *arguments: object) -> tuple[Any, ...]:
-        answer = called(f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH)
+        answer = call_plugin(
+            f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH
+        )
         if not isinstance(answer, Iterable):
             raise self._wrong(call, "a sequence", type(answer).__name__)
-        return tuple(called(f"{self.name}.{call}", list, answer))  # a generator runs only here
+        return tuple(call_plugin(f"{self.name}.{call}", list, answer))  # a generator runs only here
 
     def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name}.{call} returned a wrong result", expected=expected, got=got)

@@ -1,4 +1,4 @@
-"""Tries a user method on a small problem before its campaign, so that it fails before a folder is created."""
+"""Trial of a user method on a small problem, so that a bad one fails before its campaign has a folder."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.host.worker_processes import fresh_processes
 from studies.accuracy.phantom import Markers, phantom, place
 from studies.accuracy.postures import postures
-from studies.campaign.workers import ENDED_ITS_PROCESS, Silence, Tell
+from studies.campaign.workers import PROCESS_ENDED, SilenceWatch, Tell
 from studies.correspondence.study import Method
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from studies.heads import NoiseReading, any_pose, draw_readings, sites_mm
-from studies.plugins.answers import OwnLocalizer, OwnPairing, OwnRegistration
+from studies.plugins.answers import PluginLocalizer, PluginPairing, PluginRegistration
 from studies.plugins.contracts import MethodKind
-from studies.plugins.method import OwnMethod, installed, own_method
-from studies.plugins.strategy import OwnStrategy
+from studies.plugins.method import PluginMethod, find_plugin, installed_plugins
+from studies.plugins.strategy import PluginStrategy
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
 Array = NDArray[np.float64]
@@ -38,27 +38,27 @@ BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
 
 
-def tried_apart(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> OwnMethod:
-    """Like `tried`, but first in a separate process: a crash there is reported and does not end the campaign.
+def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> PluginMethod:
+    """Try a method in a separate process first, so that a crash is reported and ends nothing else.
 
     `tell` is called if it does not respond.
     """
-    silence = Silence([text], tell)
+    silence = SilenceWatch([text], tell)
     with fresh_processes(1) as pool:
         try:
-            answer = pool.submit(tried, kind, text)
+            answer = pool.submit(try_plugin, kind, text)
             while not answer.done():
                 silence.under_way(["its trial"])
                 wait([answer], silence.limit_s)
             answer.result()
         except BrokenProcessPool as error:
-            raise MethodFailed(f"{text} {ENDED_ITS_PROCESS}, when it was tried") from error
-    return own_method(kind, text)
+            raise MethodFailed(f"{text} {PROCESS_ENDED}, when it was tried") from error
+    return find_plugin(kind, text)
 
 
-def tried(kind: MethodKind, text: str) -> OwnMethod:
+def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
     """The method that `text` names, after two equal answers to one problem. Raises STU-012 to STU-014."""
-    method = own_method(kind, text)
+    method = find_plugin(kind, text)
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:
         raise MethodRefused(
@@ -70,20 +70,20 @@ def tried(kind: MethodKind, text: str) -> OwnMethod:
     return method
 
 
-def _pairs(method: OwnMethod) -> object:
+def _pairs(method: PluginMethod) -> object:
     random = np.random.default_rng(TRIAL_SEED)
     seen = draw_readings(sites_mm(PATIENT), FIDUCIALS, OUTLIERS, NoiseReading.NORM, 1, random)
-    found = OwnPairing.of(method)(
+    found = PluginPairing.of(method)(
         seen.image_mm[0], seen.physical_mm[0], sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM
     )
     return None if found is None else found.tolist()
 
 
-def _transform(method: OwnMethod) -> object:
+def _transform(method: PluginMethod) -> object:
     image_mm = sites_mm(PATIENT)[:FIDUCIALS]
     physical_mm = any_pose(np.random.default_rng(TRIAL_SEED)).apply(image_mm)
     covariance_mm2 = np.tile(SIGMA_MM**2 * np.eye(3), (FIDUCIALS, 1, 1))
-    fitted = OwnRegistration.of(method)(image_mm, physical_mm, covariance_mm2=covariance_mm2)
+    fitted = PluginRegistration.of(method)(image_mm, physical_mm, covariance_mm2=covariance_mm2)
     _require_sense(method.name, fitted, image_mm, physical_mm)
     return fitted.as_matrix().tolist()
 
@@ -113,8 +113,8 @@ def _fits(transform: RigidTransform, image_mm: Array, physical_mm: Array) -> boo
     return float(np.linalg.norm(transform.apply(image_mm) - physical_mm, axis=1).max()) < FITTING_MM
 
 
-def _centres(method: OwnMethod) -> object:
-    """On a block of air with four balls."""
+def _centres(method: PluginMethod) -> object:
+    """Localize four balls in a block of air."""
     shape, centres = (TRIAL_VOXELS,) * 3, TRIAL_VOXELS * np.array(TRIAL_BALLS)
     places = np.moveaxis(np.indices(shape), 0, -1)
     away = np.min([np.linalg.norm(places - centre, axis=-1) for centre in centres], axis=0)
@@ -122,17 +122,17 @@ def _centres(method: OwnMethod) -> object:
     voxels = np.rint(AIR_HU + filled * (BALL_HU - AIR_HU)).astype(np.int16)
     voxels.setflags(write=False)
     geometry = VoxelGeometry(shape, np.full(3, -0.5 * TRIAL_VOXELS), np.eye(3)[:, ::-1], np.ones(3))
-    return OwnLocalizer.of(method)(Volume(voxels, geometry, "1.2.3", "1.2.4")).tolist()
+    return PluginLocalizer.of(method)(Volume(voxels, geometry, "1.2.3", "1.2.4")).tolist()
 
 
-def _poses(method: OwnMethod) -> object:
-    """On the free markers of the accuracy studies in their first position."""
-    strategy = OwnStrategy.of(method)
+def _poses(method: PluginMethod) -> object:
+    """Plan for the free markers of the accuracy studies in their first position."""
+    strategy = PluginStrategy.of(method)
     planned = postures(strategy, phantom(Markers.FREE, DEPTHS_MM, TARGETS), place(1))
     return planned.localizations.joints_rad.tolist()
 
 
-ANSWERS: dict[MethodKind, Callable[[OwnMethod], object]] = {
+ANSWERS: dict[MethodKind, Callable[[PluginMethod], object]] = {
     MethodKind.LOCALIZER: _centres,
     MethodKind.PAIRING: _pairs,
     MethodKind.REGISTRATION: _transform,
@@ -149,9 +149,9 @@ NAMES = {
 }
 
 
-def chosen_methods(
+def select_methods(
     names: Sequence[str], tell: Tell = lambda text: None
-) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
+) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
     """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
 
     `tell` is called with the name of a user method that does not respond.
@@ -161,7 +161,7 @@ def chosen_methods(
     wanted = tuple(dict.fromkeys(names))
     unknown = [name for name in wanted if name not in NAMES]
     for name in unknown:
-        if ":" not in name and name not in (there := installed()):
+        if ":" not in name and name not in (there := installed_plugins()):
             known = [*NAMES, *there]
             near = get_close_matches(name, known, n=1)
             raise MethodRefused(
@@ -169,5 +169,5 @@ def chosen_methods(
                 expected=f"{', '.join(known)} or module:function",
                 action=f"Did you mean {near[0]}? {MethodRefused.action}" if near else None,
             )
-    own = tuple(tried_apart(MethodKind.PAIRING, name, tell) for name in unknown)
+    own = tuple(try_in_subprocess(MethodKind.PAIRING, name, tell) for name in unknown)
     return tuple(NAMES[name] for name in wanted if name in NAMES), own

@@ -1,7 +1,10 @@
-"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and what remains unknown.
+"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and the errors that remain.
 
 A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
-identified once, at the phantom's first position, and used at all positions.
+identified once, at the phantom's first position, and used at all positions. Identification measures the
+phantom's own spheres with the simulator's true arm, the procedure's choice of poses and its fit, all in this
+process, without protocols or images. The controller then uses the identified arm in place of the true one,
+including the side of its backlash on which each joint rests.
 """
 
 from __future__ import annotations
@@ -29,7 +32,7 @@ from ronna_hw.frames import Transform
 from sim.world.arm.true_arm import TrueArm
 from studies.accuracy.phantom import Markers, phantom, place
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
-from studies.accuracy.random_arms import RandomArms, drawn_arm, solved
+from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
 from studies.accuracy.scene import FINE_CT_MM, Scene
 from studies.accuracy.trials import AXES, Sizes
 from studies.campaign import bounds
@@ -45,10 +48,11 @@ LOOKS_KEY = 9  # of the random numbers
 
 
 def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
-    """Arm `number` identified from measurements of spheres (n, 3) mm, robot frame. Raises
-    CAL-002 to CAL-004.
+    """Identify arm `number` from measurements of spheres (n, 3), mm in the robot frame.
+
+    Raises CAL-002 to CAL-004.
     """
-    truth, tool_error_mm = drawn_arm(seed, number)
+    truth, tool_error_mm = draw_numbered_arm(seed, number)
     arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
     model = ArmModel(ARM, TOOL)
     candidates = _candidates(spheres_mm)
@@ -100,7 +104,7 @@ class BelievedArm:
         return places, turned @ self.flange_from_tool.rotation_matrix
 
 
-def identified_errors(
+def identified_arm_errors(
     arm: RandomArms,
     believed: BelievedArm,
     planned: Postures,
@@ -116,7 +120,7 @@ def identified_errors(
     def true_places(joints: Array, flanks: Array) -> Array:
         return np.asarray(arm.tool_points_mm(joints[None], flanks[None])[0])
 
-    _, seen = solved(
+    _, seen = solve_joints(
         planned.localizations,
         lambda joints: believed.tool(joints, planned.arrival),
         lambda joints, _: np.tile(spheres, (sets, 1)) - true_places(joints, planned.arrival),
@@ -139,7 +143,7 @@ def identified_errors(
 
 def _at_targets(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
     """Joints (t, 6) that the controller commands to have its tool at these places."""
-    joints, _ = solved(
+    joints, _ = solve_joints(
         planned.targets,
         lambda joints: believed.tool(joints, planned.target_arrival),
         lambda _, at: places_mm - at,
@@ -166,7 +170,7 @@ class IdentifiedStudy:
     name: str = "strategies-identified"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -190,7 +194,9 @@ class IdentifiedStudy:
         found: Sums = defaultdict(float)
         for number in range(first, first + unit.runs):
             fit = identified(self.seed, number, spheres)
-            apart_rad = fit.deviations.backlash_rad - np.array(drawn_arm(self.seed, number)[0].backlash_rad)
+            apart_rad = fit.deviations.backlash_rad - np.array(
+                draw_numbered_arm(self.seed, number)[0].backlash_rad
+            )
             found[f"{OF_ARM}|{number}|backlash2"] = float(np.mean(np.degrees(apart_rad) ** 2))
             found[f"{OF_ARM}|{number}|scatter"] = fit.scatter_mm
             believed = BelievedArm(fit.deviations, fit.flange_from_tool)
@@ -200,7 +206,7 @@ class IdentifiedStudy:
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
-                    errors = identified_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
+                    errors = identified_arm_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
                     predicted = scene.predicted(poses, left, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"

@@ -1,4 +1,4 @@
-"""Tables and figure of the strategies study next to table 4 of the thesis."""
+"""Tables and figure of the strategies study, next to table 4 of the thesis."""
 
 from __future__ import annotations
 
@@ -243,7 +243,7 @@ def _sources(sums: Mapping[str, Sums]) -> Table:
 
 
 def _more_spheres(sums: Mapping[str, Sums]) -> Table:
-    """Does the error fall from 3 to 5 spheres as in the thesis, and do the rows keep their pattern?"""
+    """Compare the fall of the error from 3 to 5 spheres, and the pattern of the rows, with the thesis."""
     fewest, *_, most = counts_of(Markers.FREE)
     parts = {TRIALS: SETTLED} | {reading: reading for reading in READINGS}
     errors = {part: trial_errors(sums, part) for part in parts}

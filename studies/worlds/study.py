@@ -1,4 +1,4 @@
-"""The study of `ronna-campaign worlds`: one unit for each world, and its tables and goals."""
+"""The study of `ronna-campaign worlds`: each world run as a user would, by commands, and judged by truth."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
 KEPT = RANKS[Verdict.FALSE_FINDING]  # from here on the run is worth reading
 
 
-def carry_out(world: World, folder: Path) -> Judgement:
+def run_world(world: World, folder: Path) -> Judgement:
     """Run the case of a world in a new folder and judge it; raises STU-015 when no run was written.
 
     The folder keeps the fault script and the judgement, and the run where the verdict is bad.
@@ -134,17 +134,17 @@ class WorldsStudy:
         return "worlds-quiet" if self.quiet else "worlds"
 
     def settings(self) -> dict[str, object]:
-        """Everything that the results depend on."""
+        """Return all inputs of the results."""
         return {"cases": self.cases, "seed": self.seed, "scene": self.scene, "quiet": self.quiet}
 
     def units(self) -> Sequence[Unit]:
-        """One unit for each world."""
+        """Return one unit for each world."""
         return [Unit(f"world {number}", 0, 1) for number in range(self.cases)]
 
     def run(self, unit: Unit) -> Sums:
         """Carry out one world; its folder says more than the sums."""
         number = int(unit.condition.split()[1])
-        found = carry_out(self.world(number), self.place(number))
+        found = run_world(self.world(number), self.place(number))
         worst = found.worst
         sums = {"verdict": float(RANKS[found.verdict]), "happened": float(found.happened)}
         return sums if worst is None else {**sums, "error_mm": worst.error_mm, "limit_mm": worst.limit_mm}

@@ -53,7 +53,7 @@ RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 @dataclass(frozen=True)
 class Target:
-    """One target that an instrument reached: true error, the limit predicted for it, whether warned of.
+    """A target reached by an instrument: true error, predicted limit, and whether it was warned of.
 
     The limit is 0 where none was predicted.
     """
@@ -184,7 +184,7 @@ def _words(line: Line) -> str:
 
 
 def _localized_s(lines: Iterable[Line]) -> float:
-    """When the last re-localization was done; infinite without one."""
+    """Return the time of the last re-localization; infinite without one."""
     done = [
         theatre_time_s(line)
         for line in lines

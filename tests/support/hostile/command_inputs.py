@@ -14,7 +14,7 @@ import numpy as np
 from arm_looks import SPHERES_MM, LookingArm
 from console_requests import ORIGIN, Console
 from good_inputs import FAULTS, ORDERS
-from plan_desks import draw, scan
+from plan_editors import draw, scan
 from scipy.spatial.transform import Rotation
 
 from benchmarks.mount.frame_looks import FrameCell
@@ -23,7 +23,7 @@ from benchmarks.stereo_head.head_looks import observation_set, true_head
 from console.guard import ORDERS_PER_SECOND, Rate
 from console.planning.draft import Draft
 from console.planning.judging import judge
-from console.planning.plan_editor import PlanDesk
+from console.planning.plan_editor import PlanEditor
 from console.planning.structure_panel import imported
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
@@ -103,20 +103,20 @@ def _structure() -> Take:
 
 def _unsaved(folder: Path) -> tuple[tuple[bytes, ...], Take]:
     volume, plan = scan(), folder / "drawn.toml"
-    desk = PlanDesk(volume, plan, None)
-    draw(desk)
-    desk.change(imported(desk.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
-    kept = desk.close()
+    editor = PlanEditor(volume, plan, None)
+    draw(editor)
+    editor.change(imported(editor.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
+    kept = editor.close()
     assert kept is not None
 
     def take(data: bytes) -> None:
         for aside in folder.glob(f"{kept.name}-*"):
             aside.unlink()
         kept.write_bytes(data)
-        desk = PlanDesk(volume, plan, None)
-        judge(desk.draft, volume, None, thorough=False)
-        desk.change(replace(desk.draft, tool="other"))
-        desk.close()
+        editor = PlanEditor(volume, plan, None)
+        judge(editor.draft, volume, None, thorough=False)
+        editor.change(replace(editor.draft, tool="other"))
+        editor.close()
 
     return (kept.read_bytes(),), take
 

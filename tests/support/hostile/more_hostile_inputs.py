@@ -31,10 +31,10 @@ from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
 from procedures.planning.cart.proposed_place import ProposedPlace, read_place
-from procedures.reporting.calibration_figures import figures_if_readable
-from procedures.reporting.ending import ending_of
-from procedures.reporting.files import kept_truth
-from procedures.reporting.run_events import happenings, questions
+from procedures.reporting.calibration_figures import load_figures
+from procedures.reporting.ending import run_ending
+from procedures.reporting.files import load_truth
+from procedures.reporting.run_events import notable_events, questions
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.run_statistics import link_counters, timeline
 from procedures.steps.calibration.recipe import Recipe
@@ -159,8 +159,8 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (json.dumps(LEFT).encode(),),
             of("theatre/world.json", read_left_world, run / "theatre"),
         ),
-        "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", kept_truth)),
-        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", figures_if_readable)),
+        "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", load_truth)),
+        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", load_figures)),
         "room": (ROOM_REQUESTS, _asked(room)),
         "raw image": ((mono,), _raw_image),
         "conformance BX": ((body[:46],), _conformance),
@@ -180,7 +180,7 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "ledger": ((LEDGER,), of(study_folder.FILE, _ledger)),
         "recorded readings": (
             (b'{"seed": 1, "readings_mm": [[[1, 2, 3], [1, 2, 4], [1, 5, 3], [7, 2, 3]]]}',),
-            of(clinical.READINGS_FILE, lambda _run: clinical.recorded_readings(run, 1, 1)),
+            of(clinical.READINGS_FILE, lambda _run: clinical.load_or_take_readings(run, 1, 1)),
         ),
     }
 
@@ -199,8 +199,8 @@ def _read_run(run: Path) -> None:
                 lines.append(text)
     journal.write_bytes(b"".join(lines))
     reading = read_for_report(run)
-    ending_of(reading.run.journal)
-    happenings(reading.run.journal)
+    run_ending(reading.run.journal)
+    notable_events(reading.run.journal)
     questions(reading.run.journal)
     timeline(reading.run.journal)
     link_counters(reading.log)

@@ -52,7 +52,7 @@ def test_a_bad_input_gets_a_message_with_the_value_the_expectation_and_the_actio
 ) -> None:
     monkeypatch.chdir(bench)
     monkeypatch.delenv("RONNA_CONTROL", raising=False)
-    monkeypatch.setattr(trial, "tried_apart", lambda kind, text, _tell: trial.tried(kind, text))
+    monkeypatch.setattr(trial, "try_in_subprocess", lambda kind, text, _tell: trial.try_plugin(kind, text))
     before = sorted(bench.rglob("*"))
     name, *arguments = bad.arguments(names)
     done = in_this_process(app_of(name), *arguments)

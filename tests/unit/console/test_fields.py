@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 from nicegui import Client, ui
-from plan_desks import draw, scan
+from plan_editors import draw, scan
 
 from console.guard import Role, Session
 from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
-from console.planning.plan_editor import PlanDesk
+from console.planning.plan_editor import PlanEditor
 from ronna_hw.text.typed_number import typed_number
 
 
@@ -91,12 +91,12 @@ def test_a_fraction_of_a_sphere_is_refused() -> None:
 
 def test_a_plan_is_not_saved_while_a_field_shows_something_else_than_its_value(tmp_path: Path) -> None:
     file = tmp_path / "plan.toml"
-    desk = PlanDesk(scan(), file, None)
-    draw(desk)
+    editor = PlanEditor(scan(), file, None)
+    draw(editor)
 
     async def saved() -> tuple[str, bool]:
         with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(desk, Session(Role.OPERATOR, "session-1"), low=True)
+            page = PlannerPage(editor, Session(Role.OPERATOR, "session-1"), low=True)
             page.build()
             page._author.set_value("Dr Test")
             typed(page._ways.fields["target L"], "12o.5")

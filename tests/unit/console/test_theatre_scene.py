@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 from nicegui import Client, ui
 
-from console.case_view import CaseView, StoodPose
+from console.case_view import CaseView, ReportedPose
 from console.scene.theatre_scene import TheatreScene
 from procedures.engine.events import Bodies, Body, Pose, Questioned
 from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
@@ -54,10 +54,10 @@ def test_a_head_whose_place_is_no_longer_known_is_not_drawn_until_it_is_known_ag
 
 def test_the_clearance_disappears_when_nothing_is_near_and_when_it_is_not_known() -> None:
     def do(scene: TheatreScene) -> None:
-        near = CaseView(bodies=BODIES, pose=StoodPose(NEAR, 0.0))
+        near = CaseView(bodies=BODIES, pose=ReportedPose(NEAR, 0.0))
         for other in (
-            replace(near, pose=StoodPose(FAR, 0.0)),
-            replace(near, pose=StoodPose(OTHER_TOOL, 0.0)),
+            replace(near, pose=ReportedPose(FAR, 0.0)),
+            replace(near, pose=ReportedPose(OTHER_TOOL, 0.0)),
             replace(near, pose=None),
             replace(near, pose=None, bodies=BODIES.model_copy()),
         ):
@@ -82,7 +82,7 @@ def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target
     )
 
     def do(scene: TheatreScene) -> None:
-        view = CaseView(pose=StoodPose(pose, 0.0), question=asked)
+        view = CaseView(pose=ReportedPose(pose, 0.0), question=asked)
         scene.show(view, there, 0)
         assert scene._inserted == ((0.0, 0.0, 180.0), path.target_mm)
         rod, caption = scene._instrument

@@ -17,7 +17,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.operator.errors import OperatorAborted
-from procedures.reporting.ending import ending_of, resumes
+from procedures.reporting.ending import resumes, run_ending
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -39,7 +39,7 @@ def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None
     with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
         engine.run_to()
     engine.close(outcome)
-    ending = ending_of(read_for_report(cell.folder).run.journal)
+    ending = run_ending(read_for_report(cell.folder).run.journal)
     assert ending.sentence in write_report(cell.folder).read_text()
     return ending.word, ending.code
 
@@ -57,7 +57,7 @@ def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(ce
     engine.run_to()
     engine.close("done")
     sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
-    assert ending_of(read_for_report(cell.folder).run.journal).sentence == sentence
+    assert run_ending(read_for_report(cell.folder).run.journal).sentence == sentence
 
 
 def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on_count(
@@ -78,7 +78,7 @@ def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on
     engine.run_to()
     engine.close("done")
     journal = read_for_report(cell.folder).run.journal
-    assert ending_of(journal).sentence == "Every step was done, after 2 emergency stops, 1 resume."
+    assert run_ending(journal).sentence == "Every step was done, after 2 emergency stops, 1 resume."
     assert resumes(journal) == 1
 
 
@@ -94,7 +94,7 @@ def test_an_ending_by_a_fault_says_who_acknowledged_that_one(
     cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="EKI-010", what="The arm was stopped.")
     cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=fault, by="Ann")
     engine.close("failed")
-    sentence = ending_of(read_for_report(cell.folder).run.journal).sentence
+    sentence = run_ending(read_for_report(cell.folder).run.journal).sentence
     assert sentence == f"fit:T1 failed. The arm was stopped.{over}"
 
 

@@ -9,7 +9,7 @@ import pytest
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.reporting.run_statistics import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
 from studies.errors import NoRunToTime
-from studies.times import ALGORITHM_S, OPERATOR_S, times_of
+from studies.times import ALGORITHM_S, OPERATOR_S, time_tables
 
 
 @pytest.fixture
@@ -57,11 +57,11 @@ def test_a_step_cut_off_by_a_kill_counts_until_the_last_line_of_its_session(tmp_
 
 
 def test_a_campaign_shows_its_times_next_to_those_of_the_thesis(run: Path) -> None:
-    times, beside = times_of([run, run])
+    times, beside = time_tables([run, run])
     assert ("step", "at_target", 2.0, 30.0) in [tuple(row[:4]) for row in times.rows]
     assert beside.rows[0][:2] == (OPERATOR_S, ALGORITHM_S)
 
 
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoRunToTime, match="STU-011"):
-        times_of([tmp_path / "nowhere"])
+        time_tables([tmp_path / "nowhere"])

@@ -21,7 +21,7 @@ from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting import tables
-from procedures.reporting.files import LARGEST_PICTURE_BYTES, AfterTheOperation, keep_check
+from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
@@ -133,7 +133,7 @@ def test_the_page_shows_the_warnings_of_a_check_after_the_operation(registered: 
         trajectories=(),
         warnings=("T1 is 3.62 mm off its target: the plan accepts 2 mm",),
     )
-    keep_check(registered / "report", AfterTheOperation(found))
+    store_check(registered / "report", PostoperativeResult(found))
     assert f"<strong>{found.warnings[0]}.</strong>" in write_report(registered).read_text()
 
 

@@ -29,7 +29,7 @@ from studies.strategies.identified import (
     BelievedArm,
     IdentifiedStudy,
     identified,
-    identified_errors,
+    identified_arm_errors,
 )
 from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
 from studies.strategies.tables import PAIRED_SCENARIOS as PAIRED
@@ -208,7 +208,7 @@ def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
     arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)
     for strategy in ("nos", "improved"):
-        errors = identified_errors(
+        errors = identified_arm_errors(
             arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
         )
         assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM

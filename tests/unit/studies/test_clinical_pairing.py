@@ -74,23 +74,23 @@ def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refuse
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = readings(3)
-    monkeypatch.setattr(clinical, "read_frames", lambda *_: taken)
-    assert clinical.recorded_readings(tmp_path, 3, 1) is taken
-    assert np.array_equal(clinical.recorded_readings(tmp_path, 3, 1), taken)
+    monkeypatch.setattr(clinical, "take_readings", lambda *_: taken)
+    assert clinical.load_or_take_readings(tmp_path, 3, 1) is taken
+    assert np.array_equal(clinical.load_or_take_readings(tmp_path, 3, 1), taken)
     with pytest.raises(OtherStudy, match="STU-001"):
-        clinical.recorded_readings(tmp_path, 3, 2)
+        clinical.load_or_take_readings(tmp_path, 3, 2)
     (tmp_path / clinical.READINGS_FILE).write_text('{"seed": 1, "readings_mm": 5}')
     with pytest.raises(OtherStudy, match="STU-001"):
-        clinical.recorded_readings(tmp_path, 3, 1)
+        clinical.load_or_take_readings(tmp_path, 3, 1)
     (tmp_path / clinical.READINGS_FILE).write_text("{}")
     with pytest.raises(LedgerUnreadable, match="STU-002"):
-        clinical.recorded_readings(tmp_path, 3, 1)
+        clinical.load_or_take_readings(tmp_path, 3, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_simulated_unit_reads_the_frame_over_its_wire() -> None:
-    (seen,) = clinical.read_frames(1, seed=2)
+    (seen,) = clinical.take_readings(1, seed=2)
     expected = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)
     assert np.linalg.norm(seen[:, None] - seen[None], axis=2) == pytest.approx(expected, abs=1.5)
     assert -2400.0 < seen[:, 2].mean() < -950.0

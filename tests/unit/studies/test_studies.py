@@ -29,7 +29,7 @@ from studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
-from studies.heads import NoiseReading, disturbance, draw_readings, sites_mm
+from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
 from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
 
@@ -299,8 +299,8 @@ def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
 
 def test_both_readings_of_the_noise_have_their_stated_size() -> None:
     random = np.random.default_rng(1)
-    per_axis = disturbance((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
-    norm = disturbance((20_000, 3), 0.56, NoiseReading.NORM, random)
+    per_axis = draw_noise((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
+    norm = draw_noise((20_000, 3), 0.56, NoiseReading.NORM, random)
     assert per_axis.std() == pytest.approx(0.56, rel=0.02)
     assert np.sqrt((norm**2).sum(axis=1).mean()) == pytest.approx(0.56, rel=0.02)
 

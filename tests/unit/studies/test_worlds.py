@@ -205,4 +205,4 @@ def test_a_case_that_never_began_is_an_error_with_its_last_words(
     ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
     monkeypatch.setattr(worlds_study, "finished_command", lambda *_arguments: ended)
     with pytest.raises(WorldNotRun, match=r"STU-015.*no such scene"):
-        worlds_study.carry_out(draw_world(0, 0), tmp_path / "world")
+        worlds_study.run_world(draw_world(0, 0), tmp_path / "world")

@@ -10,9 +10,9 @@ import pytest
 from procedures.strategies.ocs import OrientationCorrection
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from studies.plugins.contracts import MethodKind
-from studies.plugins.method import own_method
-from studies.plugins.strategy import OwnStrategy
-from studies.plugins.trial import tried, tried_apart
+from studies.plugins.method import find_plugin
+from studies.plugins.strategy import PluginStrategy
+from studies.plugins.trial import try_in_subprocess, try_plugin
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY
@@ -56,13 +56,13 @@ def test_an_object_that_is_not_a_method_of_the_kind_is_refused(
     kind: MethodKind, text: str, said: str
 ) -> None:
     with pytest.raises(MethodRefused, match=f"STU-012: .*{said}"):
-        tried(kind, text)
+        try_plugin(kind, text)
 
 
 def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
     (folder / "half.py").write_text("import nowhere_at_all\n")
     with pytest.raises(MethodRefused, match=r"half of the pairing cannot be imported; .*nowhere_at_all"):
-        own_method(PAIRING, "half:pair")
+        find_plugin(PAIRING, "half:pair")
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
 )
 def test_a_result_of_the_wrong_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
     with pytest.raises(MethodAnswerWrong, match=f"STU-014: .*{said}"):
-        tried(kind, text)
+        try_plugin(kind, text)
 
 
 @pytest.mark.parametrize(
@@ -126,17 +126,17 @@ def test_a_result_of_the_wrong_kind_is_refused(kind: MethodKind, text: str, said
 )
 def test_an_exception_in_a_method_is_reported_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MethodFailed, match=f"STU-013: .*{said}"):
-        tried(PAIRING, text)
+        try_plugin(PAIRING, text)
 
 
 def test_an_exception_in_a_generator_is_reported_when_it_is_consumed() -> None:
     with pytest.raises(MethodFailed, match=r"STU-013: .*Later.turns_rad raised ZeroDivisionError"):
-        tried(STRATEGY, "mine:Later")
+        try_plugin(STRATEGY, "mine:Later")
 
 
 def test_an_exception_in_a_property_is_reported_with_its_line() -> None:
     with pytest.raises(MethodFailed, match=r"STU-013: .*Moody.controls_approach raised .*mine\.py, line"):
-        tried(STRATEGY, "mine:Moody")
+        try_plugin(STRATEGY, "mine:Moody")
 
 
 def test_a_property_that_fails_later_is_reported() -> None:
@@ -149,13 +149,13 @@ def test_a_property_that_fails_later_is_reported() -> None:
             return super().__getattribute__(name)
 
     with pytest.raises(MethodFailed, match=r"STU-013: tires.controls_approach raised OSError: tired"):
-        _ = OwnStrategy("tires", Tires()).controls_approach
+        _ = PluginStrategy("tires", Tires()).controls_approach
 
 
 def test_a_method_that_exits_its_process_is_reported_by_the_trial(folder: Path) -> None:
     (folder / "gone.py").write_text("import os\ndef gone(image_mm, physical_mm, **given):\n    os._exit(0)\n")
     with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: os\._exit, .* tried"):
-        tried_apart(PAIRING, "gone:gone")
+        try_in_subprocess(PAIRING, "gone:gone")
 
 
 def test_an_installed_method_is_found_by_its_name_for_its_own_kind_only(folder: Path) -> None:
@@ -164,9 +164,9 @@ def test_an_installed_method_is_found_by_its_name_for_its_own_kind_only(folder: 
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-methods\nVersion: 0.1\n")
     (information / "entry_points.txt").write_text("[ronna_hw.registrations]\nstaying = mine:stays\n")
     sys.path.append(str(folder))
-    assert tried(REGISTRATION, "staying").reference == "mine:stays"
+    assert try_plugin(REGISTRATION, "staying").reference == "mine:stays"
     with pytest.raises(MethodRefused, match="'staying' is the name of a registration; expected a pairing"):
-        tried(PAIRING, "staying")
+        try_plugin(PAIRING, "staying")
 
 
 def test_our_localizer_and_strategy_pass_the_trial_as_user_methods(folder: Path) -> None:
@@ -176,5 +176,5 @@ def test_our_localizer_and_strategy_pass_the_trial_as_user_methods(folder: Path)
         "def centres(volume):\n"
         "    return localize(volume).centres_mm\n"
     )
-    assert tried(LOCALIZER, "ours:centres").name == "ours:centres"
-    assert tried(STRATEGY, "ours:NeutralOrientation").name == "ours:NeutralOrientation"
+    assert try_plugin(LOCALIZER, "ours:centres").name == "ours:centres"
+    assert try_plugin(STRATEGY, "ours:NeutralOrientation").name == "ours:NeutralOrientation"

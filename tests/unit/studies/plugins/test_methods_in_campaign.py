@@ -10,19 +10,19 @@ import pytest
 
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Sums, add_up
-from studies.campaign.workers import Silence, run_study
+from studies.campaign.workers import SilenceWatch, run_study
 from studies.correspondence.study import CorrespondenceStudy
 from studies.errors import MethodFailed, MethodRefused, OtherStudy
 from studies.heads import NoiseReading
 from studies.plugins.contracts import MethodKind
-from studies.plugins.method import OwnMethod, modules_beside, own_method
-from studies.plugins.trial import tried
+from studies.plugins.method import PluginMethod, find_plugin, local_modules
+from studies.plugins.trial import try_plugin
 from studies.registration import RegistrationStudy
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 
 
-def study_of(method: OwnMethod) -> CorrespondenceStudy:
+def study_of(method: PluginMethod) -> CorrespondenceStudy:
     return CorrespondenceStudy(3, 5, (), readings=(NoiseReading.NORM,), fiducials=(4,), own=(method,))
 
 
@@ -33,7 +33,7 @@ def results(study: CorrespondenceStudy, folder: Path, **where: object) -> dict[s
 
 
 def test_random_numbers_of_a_method_do_not_depend_on_its_worker(folder: Path) -> None:
-    study = study_of(tried(PAIRING, "mine:in_order"))
+    study = study_of(try_plugin(PAIRING, "mine:in_order"))
     assert results(study, folder / "1", workers=1) == results(study, folder / "2", workers=2)
 
 
@@ -43,7 +43,7 @@ def test_a_user_file_runs_on_dask_workers_in_another_folder(
 ) -> None:
     from distributed import LocalCluster
 
-    study = study_of(tried(PAIRING, "mine:in_order"))
+    study = study_of(try_plugin(PAIRING, "mine:in_order"))
     here = results(study, folder / "here", workers=1)
     elsewhere = folder / "elsewhere"
     elsewhere.mkdir()
@@ -56,12 +56,12 @@ def test_a_user_file_runs_on_dask_workers_in_another_folder(
 
 
 def test_an_edited_method_is_another_study_and_its_old_version_does_not_run(folder: Path) -> None:
-    before = tried(PAIRING, "mine:in_order")
+    before = try_plugin(PAIRING, "mine:in_order")
     Ledger(folder / "out", study_of(before))
     (folder / "mine.py").write_text((folder / "mine.py").read_text().replace("[:3]", "[:4]"))
     with pytest.raises(MethodRefused, match="STU-012: mine:in_order is a different version here"):
         before.function()
-    after = tried(PAIRING, "mine:in_order")
+    after = try_plugin(PAIRING, "mine:in_order")
     with pytest.raises(OtherStudy, match=r"STU-001: .*own"):
         Ledger(folder / "out", study_of(after))
 
@@ -80,13 +80,13 @@ def test_local_imports_of_a_method_are_part_of_its_version(folder: Path) -> None
     (folder / "helping" / "__init__.py").write_text("from helping import pairs\n")
     pairs = folder / "helping" / "pairs.py"
     pairs.write_text("import numpy\nfirst = [(0, 0)]\n")
-    before = own_method(PAIRING, "lazy:pair")
-    assert set(modules_beside(sys.modules["lazy"])) == {"lazy", "helping", "helping.pairs"}
+    before = find_plugin(PAIRING, "lazy:pair")
+    assert set(local_modules(sys.modules["lazy"])) == {"lazy", "helping", "helping.pairs"}
     assert before.function()(None, None) == [(0, 0)]
     pairs.write_text("import numpy\nfirst = [(0, 0), (1, 1)]\n")
     with pytest.raises(MethodRefused, match="STU-012: lazy:pair is a different version here"):
         before.function()
-    after = own_method(PAIRING, "lazy:pair")
+    after = find_plugin(PAIRING, "lazy:pair")
     assert after.sha256 != before.sha256
     assert after.function()(None, None) == [(0, 0), (1, 1)]
 
@@ -94,7 +94,7 @@ def test_local_imports_of_a_method_are_part_of_its_version(folder: Path) -> None
 def test_a_failure_during_a_run_names_the_method_and_the_unit(folder: Path) -> None:
     late = "def late(image_mm, physical_mm, **given):\n    return [] if len(image_mm) == 5 else 1 / 0\n"
     (folder / "late.py").write_text(late)
-    study = study_of(tried(PAIRING, "late:late"))
+    study = study_of(try_plugin(PAIRING, "late:late"))
     with pytest.raises(MethodFailed, match=r"late raised ZeroDivisionError: .*, in unit norm\|1\|4\|0 #0: "):
         results(study, folder / "out", workers=1)
 
@@ -104,7 +104,7 @@ def test_a_method_that_exits_during_a_run_is_reported_with_its_unit_and_finished
 ) -> None:
     gone = "import os\ndef gone(image_mm, physical_mm, **given):\n    return [] if %s else os._exit(0)\n"
     (folder / "gone.py").write_text(gone % "len(physical_mm) < 6")
-    study = study_of(own_method(PAIRING, "gone:gone"))
+    study = study_of(find_plugin(PAIRING, "gone:gone"))
     ledger = Ledger(folder / "out", study)
     with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: .*, in norm\|1\|4\|2 #0"):
         run_study(study, ledger, workers=1)
@@ -115,8 +115,8 @@ def test_a_hanging_method_is_reported_once_and_ends_with_the_campaign(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (folder / "loops.py").write_text("def loops(image_mm, physical_mm, **given):\n    while True: pass\n")
-    study = study_of(own_method(PAIRING, "loops:loops"))
-    monkeypatch.setattr(Silence.__init__, "__defaults__", (0.1,))
+    study = study_of(find_plugin(PAIRING, "loops:loops"))
+    monkeypatch.setattr(SilenceWatch.__init__, "__defaults__", (0.1,))
     said = []
 
     def interrupt_after_the_first(text: str) -> None:
@@ -135,6 +135,6 @@ def test_a_user_registration_is_measured_on_the_same_points_as_ours(folder: Path
         "def same(image_mm, physical_mm, *, covariance_mm2):\n"
         "    return register(image_mm, physical_mm).transform\n"
     )
-    study = RegistrationStudy(2, fiducials=(4,), own=(tried(REGISTRATION, "same:same"),))
+    study = RegistrationStudy(2, fiducials=(4,), own=(try_plugin(REGISTRATION, "same:same"),))
     sums = study.run(study.units()[0])
     assert sums["own same:same2"] == sums["tre2"]

@@ -1,4 +1,4 @@
-"""The trajectories: which one is edited, its ends as numbers, its axis as two angles and a depth."""
+"""Panel of the trajectories: the one edited, its ends as numbers, its axis as two angles and a depth."""
 
 from __future__ import annotations
 
@@ -8,20 +8,22 @@ from functools import partial
 
 from nicegui import ui
 
-from console.planning.draft import Axis, Way
+from console.planning.draft import Axis, DraftTrajectory
 from console.planning.fields import NumberField
-from console.planning.plan_editor import PlanDesk
-from console.planning.slices import Look
+from console.planning.plan_editor import PlanEditor
+from console.planning.slices import PageView
 from procedures.strategies.trajectory import Point
 
 ENDS = (("entry", "Entry"), ("target", "Target"))
 
 
-class WayPanel:
+class TrajectoryPanel:
     """Numbers are LPS mm and degrees; each change is one undo step."""
 
-    def __init__(self, desk: PlanDesk, look: Look, looked: Callable[[], None], *, may_edit: bool) -> None:
-        self._desk, self._look, self._looked, self._may_edit = desk, look, looked, may_edit
+    def __init__(
+        self, editor: PlanEditor, look: PageView, looked: Callable[[], None], *, may_edit: bool
+    ) -> None:
+        self._editor, self._look, self._looked, self._may_edit = editor, look, looked, may_edit
         self._names: tuple[tuple[str, ...], str] = ((), "")
         self.fields: dict[str, NumberField] = {}
         with ui.element("section").classes("card ways").props('aria-label="Trajectories"'):
@@ -52,7 +54,7 @@ class WayPanel:
 
     def show(self) -> None:
         """Show the current draft."""
-        draft = self._desk.draft
+        draft = self._editor.draft
         names = tuple(one.identifier for one in draft.ways)
         if self._look.way not in names:
             self._look.way = names[0]
@@ -77,12 +79,12 @@ class WayPanel:
         self._change(way, goes_on=goes_on)
 
     @property
-    def _way(self) -> Way:
-        return self._desk.draft.way(self._look.way)
+    def _way(self) -> DraftTrajectory:
+        return self._editor.draft.way(self._look.way)
 
-    def _change(self, way: Way, *, goes_on: bool = False) -> None:
+    def _change(self, way: DraftTrajectory, *, goes_on: bool = False) -> None:
         if self._may_edit:
-            self._desk.change(self._desk.draft.with_way(way.identifier, way), goes_on=goes_on)
+            self._editor.change(self._editor.draft.with_way(way.identifier, way), goes_on=goes_on)
 
     def _build_tabs(self, names: tuple[str, ...]) -> None:
         self._tabs.clear()
@@ -102,11 +104,11 @@ class WayPanel:
         self._looked()
 
     def _add(self) -> None:
-        draft, self._look.way = self._desk.draft.with_new_way()
-        self._desk.change(draft)
+        draft, self._look.way = self._editor.draft.with_new_way()
+        self._editor.change(draft)
 
     def _remove(self) -> None:
-        self._desk.change(self._desk.draft.without_way(self._look.way))
+        self._editor.change(self._editor.draft.without_way(self._look.way))
 
     def _at_crosshair(self, end: str) -> None:
         self.place(end, self._look.place_mm)

@@ -1,4 +1,4 @@
-"""A planner's desk on a small scan, and what a person does at it."""
+"""A plan editor on a small scan, and a person's actions in it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from console.planning.plan_editor import PlanDesk
+from console.planning.plan_editor import PlanEditor
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"
@@ -28,16 +28,16 @@ def scan(series: str = SERIES) -> Volume:
     )
 
 
-def draw(desk: PlanDesk, standoff_mm: float = 30.0) -> None:
-    draft = replace(desk.draft, instrument_length_mm=250.0, standoff_mm=standoff_mm)
-    desk.change(draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET)))
+def draw(editor: PlanEditor, standoff_mm: float = 30.0) -> None:
+    draft = replace(editor.draft, instrument_length_mm=250.0, standoff_mm=standoff_mm)
+    editor.change(draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET)))
 
 
-def save(desk: PlanDesk, author: str = "Dr Test") -> None:
-    asyncio.run(desk.save(author))
+def save(editor: PlanEditor, author: str = "Dr Test") -> None:
+    asyncio.run(editor.save(author))
 
 
-def reopened(desk: PlanDesk) -> PlanDesk:
+def reopened(editor: PlanEditor) -> PlanEditor:
     """By the next planner."""
-    desk.close()
-    return PlanDesk(scan(), desk.file, None)
+    editor.close()
+    return PlanEditor(scan(), editor.file, None)
