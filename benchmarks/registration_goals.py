@@ -12,14 +12,7 @@ from benchmarks.figures import Figure
 from procedures.planning.markers.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import match, register
 from studies.campaign.study import add_up
-from studies.correspondence.study import (
-    FALSE,
-    SUCCESS,
-    UNSUCCESSFUL,
-    CorrespondenceStudy,
-    Method,
-    verdict,
-)
+from studies.correspondence.study import FALSE, SUCCESS, UNSUCCESSFUL, CorrespondenceStudy, Method, verdict
 from studies.heads import (
     IMAGE_SIGMA_MM,
     PHYSICAL_SIGMA_MM,

@@ -9,12 +9,7 @@ import typer
 
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import run
-from ronna_hw.command_line.viewers_address import (
-    BindOption,
-    CertificateOption,
-    KeyOption,
-    viewers_address,
-)
+from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
 
 app = typer.Typer(
     name="ronna-console",

@@ -69,8 +69,7 @@ def correspondence(
         typer.Option("--runs", min=1, help="Runs per patient and cell [10000], or readings [1415]."),
     ] = None,
     sweep: Annotated[
-        bool,
-        typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
+        bool, typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm.")
     ] = False,
     template: Annotated[
         bool,
@@ -108,8 +107,7 @@ def correspondence(
         ),
     ] = None,
     xframe: Annotated[
-        bool,
-        typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
+        bool, typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker.")
     ] = False,
     *,
     asked: StudyOptions,
@@ -121,11 +119,7 @@ def correspondence(
     from procedures.registration.pairing_validation import REFUSED_SHARE
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
-    from studies.correspondence.study import (
-        OF_THE_THESIS,
-        USUAL_TOLERANCES_MM,
-        CorrespondenceStudy,
-    )
+    from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugins.trial import select_methods
 
     if xframe + sweep + template > 1:
@@ -158,10 +152,7 @@ def correspondence(
     _run(study, correspondence_tables.tables, plots, asked)
 
 
-def _clinical(
-    readings: int | None,
-    asked: StudyOptions,
-) -> None:
+def _clinical(readings: int | None, asked: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
     from studies.correspondence.clinical import load_or_take_readings
@@ -357,12 +348,7 @@ def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
-def _run(
-    study: Study,
-    tables: Tables,
-    plots: Plots,
-    asked: StudyOptions,
-) -> Mapping[str, Sums]:
+def _run(study: Study, tables: Tables, plots: Plots, asked: StudyOptions) -> Mapping[str, Sums]:
     from studies.campaign.folder import Ledger, publish
     from studies.campaign.study import add_up
     from studies.campaign.workers import run_study

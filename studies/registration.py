@@ -90,11 +90,9 @@ def _one(
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
     right = truth.apply(target)
     plain = register(image, measured)
-    sums = {
-        "runs": 1.0,
-        "fre": plain.fre_mm,
-        "fle2": plain.fle_mm**2,
-    } | _missed(PLAIN, plain.transform, target, right)
+    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _missed(
+        PLAIN, plain.transform, target, right
+    )
     for method in own:
         fitted = method(image, measured, covariance_mm2=covariance)
         sums |= _missed(f"{OWN}{method.name}", fitted, target, right)

@@ -103,9 +103,7 @@ class TipCell(FrameCell):
         in_tool = (inverse(tool) @ np.append(self.scene.stand.ball_mm, 1.0))[:3]
         x, y, z = self.seen_mm(in_tool, noise_px=0.02).tolist()
         return BallLook(
-            joints_rad=joints,
-            robot_from_flange=pose_record(self.arm.flange_pose(joints)),
-            ball_mm=(x, y, z),
+            joints_rad=joints, robot_from_flange=pose_record(self.arm.flange_pose(joints)), ball_mm=(x, y, z)
         )
 
     def _reading(self, observed: TipLooks, number: int, look: BallLook) -> DivotReading:

@@ -187,9 +187,7 @@ def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
     there = sum(one.there for one in ours.values())
     missed, false = sum(one.missed for one in ours.values()), sum(one.false for one in ours.values())
     found = Figure(f"found of {there} spheres, {len(ours)} cases", OURS, 100.0 * (1 - missed / there), "%")
-    figures = [
-        replace(found, goal=f"all, none false ({false})", met=missed == false == 0),
-    ]
+    figures = [replace(found, goal=f"all, none false ({false})", met=missed == false == 0)]
     for words, streaks in (("without streaks on posts", False), ("with streaks on posts", True)):
         squares = [
             one

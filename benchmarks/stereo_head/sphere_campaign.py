@@ -86,10 +86,7 @@ OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
 def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0) -> Tally:
     """Measure `count` pairs of a case; the alternatives get the first `others` of them."""
     calibration = studio.calibration()
-    cameras = (
-        Camera(calibration.left, Frame.CAMERA_LEFT),
-        Camera(calibration.right, Frame.CAMERA_RIGHT),
-    )
+    cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
     for number, pair in enumerate(studio.pairs(case, count, seed)):
         outlines = [_measured(view, tally) for view in pair.views]

@@ -92,11 +92,7 @@ def _accuracy(studio: Studio) -> list[Figure]:
     ):
         tally = campaign(studio, case, count, others=ALTERNATIVES)
         what = f"point error rms, {case.name}"
-        more = {
-            "pairs": float(count),
-            "points": float(len(tally.errors_mm)),
-            "largest_um": tally.largest_um,
-        }
+        more = {"pairs": float(count), "points": float(len(tally.errors_mm)), "largest_um": tally.largest_um}
         figures.append(Figure(what, OURS, tally.rms_um, "µm", more=more).at_most(goal_um))
         figures.append(Figure(what, BOUND, tally.bound_um, "µm"))
         figures += [

@@ -96,11 +96,7 @@ def _angle_deg(volume: Volume, planned: PlannedTrajectory) -> float | None:
 
 
 def _checked(
-    plan: Plan,
-    volume: Volume,
-    markers_mm: NDArray[np.float64],
-    theatre: TheatreArm | None,
-    thorough: bool,
+    plan: Plan, volume: Volume, markers_mm: NDArray[np.float64], theatre: TheatreArm | None, thorough: bool
 ) -> tuple[PlanCheck, PathCheck | None]:
     enough = len(markers_mm) >= FEWEST_PAIRS
     if theatre is None:

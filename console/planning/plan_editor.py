@@ -18,13 +18,7 @@ from procedures.imaging import Candidate, Volume, likeliest_first, localize, loc
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker
-from procedures.planning.errors import (
-    PlanInUse,
-    PlanMistakes,
-    PlanNotSaved,
-    UnsavedChanges,
-    WrongSeries,
-)
+from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
 from procedures.planning.head.tissue import sampled_hu
 from procedures.planning.plan.file import parse_plan, read_plan, write_plan
 from procedures.planning.plan.lock import PlannerLock, plan_in_use, replaced_plan

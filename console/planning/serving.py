@@ -17,9 +17,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.command()
-def open_planner(
-    request: Annotated[str, typer.Argument(help="What to open, as JSON.")],
-) -> None:
+def open_planner(request: Annotated[str, typer.Argument(help="What to open, as JSON.")]) -> None:
     """Read the CT and serve the planner."""
     from console.app import serve_pages
     from console.planning.page import add_planner

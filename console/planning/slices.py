@@ -117,10 +117,7 @@ def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
         return np.full((SIZE_PX, SIZE_PX), UNSCANNED_HU, np.int16)
     row, column = (one for one in range(3) if one != axis)
     mapping = np.array(
-        [
-            [per_px[0, column], per_px[1, column], first[column]],
-            [per_px[0, row], per_px[1, row], first[row]],
-        ]
+        [[per_px[0, column], per_px[1, column], first[column]], [per_px[0, row], per_px[1, row], first[row]]]
     )
     return np.asarray(
         cv2.warpAffine(

@@ -37,9 +37,7 @@ class TrajectoryPanel:
                 with ui.element("div").classes("under"):
                     if self._may_edit:
                         self._button(
-                            f"{title} here",
-                            partial(self._at_crosshair, end),
-                            f"{end} at the crosshair",
+                            f"{title} here", partial(self._at_crosshair, end), f"{end} at the crosshair"
                         )
                     self._button("show", partial(self._go, end), f"crosshair to the {end}")
             with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):

@@ -166,10 +166,7 @@ class CasePage:
                         "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
                     )
                     self._section(
-                        "Timeline",
-                        lambda _view: course(self._figures_then),
-                        self._measured,
-                        "coursebox",
+                        "Timeline", lambda _view: course(self._figures_then), self._measured, "coursebox"
                     )
                 self._section(
                     "Stereo pictures",

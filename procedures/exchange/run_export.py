@@ -30,11 +30,7 @@ from procedures.exchange.dicom_objects import (
     write,
 )
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.sphere_files import (
-    document,
-    slicer_markups,
-    table,
-)
+from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.reporting.run_reading import UsedRegistration, used_registrations
 from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart

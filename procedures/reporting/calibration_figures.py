@@ -373,9 +373,7 @@ class BallFigures(Figures):
         for number, axis in enumerate(AXES):
             sigma_mm = math.sqrt(self.covariance_mm2[number][number])
             yield Figure(
-                f"ball in the tool frame, {axis}, mm",
-                f"{self.position_mm[number]:.4f}",
-                f"{sigma_mm:.4f}",
+                f"ball in the tool frame, {axis}, mm", f"{self.position_mm[number]:.4f}", f"{sigma_mm:.4f}"
             )
         yield Figure("gap of the lines of sight, µm", micrometres(self.ray_gap_mm))
         yield Figure("radius, mm", millimetres(self.radius_mm))

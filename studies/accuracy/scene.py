@@ -42,20 +42,13 @@ def predictions(
         looks = slice(first, first + count)
         target = robot_from_ct.apply(trajectory.target_mm)
         at_spheres = ArmPoses(
-            planned.localizations.joints_rad[looks],
-            spheres[:count],
-            planned.arrival[looks],
+            planned.localizations.joints_rad[looks], spheres[:count], planned.arrival[looks]
         )
         at_target = ArmPoses(
-            planned.targets.joints_rad[[number]],
-            target[None],
-            planned.target_arrival[[number]],
+            planned.targets.joints_rad[[number]], target[None], planned.target_arrival[[number]]
         )
         ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
-        sources = [
-            *arm_sources(ARM.chain, at_spheres, at_target, left),
-            ct_errors(ct),
-        ]
+        sources = [*arm_sources(ARM.chain, at_spheres, at_target, left), ct_errors(ct)]
         found.append(predict_target_error(spheres[:count], target, sources))
     return found
 
@@ -183,13 +176,7 @@ class Scene:
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 
     def errors_mm(
-        self,
-        arms: RandomArms,
-        planned: Postures,
-        chance: Chance,
-        sizes: Sizes,
-        *,
-        any_side: bool = False,
+        self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, *, any_side: bool = False
     ) -> Array:
         """Error vectors (a, t, c, 3) of all arms, targets and numbers of spheres."""
         return target_errors(

@@ -140,11 +140,7 @@ class CorrespondenceStudy:
             answers = {Method.THESIS: found}
             if Method.VALIDATED in self.methods:
                 answers[Method.VALIDATED] = validate_many(
-                    seen.image_mm,
-                    seen.physical_mm,
-                    found,
-                    stated_variance_mm2(noise),
-                    self.refused_share,
+                    seen.image_mm, seen.physical_mm, found, stated_variance_mm2(noise), self.refused_share
                 )
             for method in answers.keys() & set(self.methods):
                 for right, one in zip(rights, answers[method], strict=True):

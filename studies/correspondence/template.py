@@ -34,12 +34,7 @@ from studies.correspondence.study import (
     condition_of,
     verdict,
 )
-from studies.correspondence.tables import (
-    GOAL_FALSE,
-    GOAL_UNSUCCESSFUL,
-    THESIS_FALSE,
-    THESIS_UNSUCCESSFUL,
-)
+from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
 from studies.heads import (
     HALF_AXES_MM,
     IMAGE_SIGMA_MM,

@@ -16,14 +16,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging import (
-    Localization,
-    ThesisFit,
-    Volume,
-    localize,
-    localize_as_thesis,
-    localize_picks,
-)
+from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register

@@ -22,14 +22,7 @@ from studies.localization.thesis_protocol import (
     draw_scale,
     points_of,
 )
-from studies.thesis_tables import (
-    AVERAGE_OPERATOR,
-    HUMAN_OPERATORS,
-    LINE_FIT,
-    SPHERE_FIT,
-    TABLE_2,
-    TABLE_3,
-)
+from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, LINE_FIT, SPHERE_FIT, TABLE_2, TABLE_3
 
 Array = NDArray[np.float64]
 

@@ -47,12 +47,7 @@ class Pairing(Protocol):
     """Pairs the points of two sets, in any order, with outliers in both."""
 
     def __call__(
-        self,
-        image_mm: Array,
-        physical_mm: Array,
-        *,
-        sigma_image_mm: float,
-        sigma_physical_mm: float,
+        self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> ArrayLike | None:
         """Indices (k, 2) of pairs image, physical; None without a unique answer.
 

@@ -245,9 +245,7 @@ def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: Clinica
     assert f"{first}; after a restart {second}." in write_report(cell.folder).read_text()
 
 
-def test_incidents_are_listed_with_the_time_and_routine_entries_are_left_out(
-    cell: ClinicalCell,
-) -> None:
+def test_incidents_are_listed_with_the_time_and_routine_entries_are_left_out(cell: ClinicalCell) -> None:
     cell.journal.write(Entry.INTENT, 1.0, step="at_target:T1")
     cell.journal.write(Entry.STAGE, 1.1, trajectory="T1", stop={"bore_mm": 85.0})
     cell.journal.write(Entry.INSTRUMENT, 1.2, trajectory="T1", inside=True)

@@ -16,13 +16,7 @@ from studies.errors import NotForJudging, PhantomFailed, UnitFailed
 from studies.localization import phantom_scans
 from studies.localization import study as study_module
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
-from studies.localization.study import (
-    AUTOMATIC,
-    JUDGING,
-    TUNING,
-    LocalizationStudy,
-    Method,
-)
+from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
 from studies.localization.tables import goals, plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
@@ -206,10 +200,7 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
 
 
 def test_a_phantom_failure_is_reported_with_the_generators_own_message() -> None:
-    with (
-        pytest.raises(PhantomFailed, match="unknown family 'martian'"),
-        phantom_scan("martian", "poor", 1),
-    ):
+    with pytest.raises(PhantomFailed, match="unknown family 'martian'"), phantom_scan("martian", "poor", 1):
         pass
 
 

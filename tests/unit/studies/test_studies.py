@@ -22,13 +22,7 @@ from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
 from studies.correspondence.tables import Series, bars_beside_thesis, plots, shares, tables
-from studies.errors import (
-    ExtraMissing,
-    LedgerUnreadable,
-    OtherStudy,
-    SchedulerUnreachable,
-    UnitFailed,
-)
+from studies.errors import ExtraMissing, LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
 from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
 from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy

@@ -16,14 +16,7 @@ from studies.errors import WorldNotRun
 from studies.worlds import study as worlds_study
 from studies.worlds.study import WorldsStudy
 from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
-from studies.worlds.world import (
-    MOST_BENT_MM,
-    MOST_DEG,
-    MOST_MM,
-    STEPS_S,
-    What,
-    draw_world,
-)
+from studies.worlds.world import MOST_BENT_MM, MOST_DEG, MOST_MM, STEPS_S, What, draw_world
 
 LIMITS_MM = {"T1": 0.3, "T2": 0.4}
 CHANGE = ("positioning:T1", 1.0)  # begins at 11 s

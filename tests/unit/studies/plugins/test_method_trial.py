@@ -21,22 +21,14 @@ LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY
 @pytest.mark.parametrize(
     ("kind", "text", "said"),
     [
-        (
-            PAIRING,
-            "mine:two_points",
-            r"called as a pairing: .*sigma_image_mm.* got \(image_mm, phys",
-        ),
+        (PAIRING, "mine:two_points", r"called as a pairing: .*sigma_image_mm.* got \(image_mm, phys"),
         (PAIRING, "mine:stays", r"cannot be called as a pairing: .*\(image_mm, physical_mm, \*, sigma_image"),
         (REGISTRATION, "mine:in_order", "cannot be called as a registration: "),
         (LOCALIZER, "mine:stays", r"cannot be called as a localizer: .* expected a function \(volume\)"),
         (STRATEGY, "mine:nothing", r"cannot be called as a strategy: .* expected a class \(\)"),
         (PAIRING, "mine:in_ordr", r"mine\.py has no 'in_ordr'; expected in_order"),
         (PAIRING, "mine:number", "mine:number is not a pairing; expected a function .* got int"),
-        (
-            PAIRING,
-            "theirs:pair",
-            r"theirs of the pairing cannot be imported; .* ModuleNotFoundError",
-        ),
+        (PAIRING, "theirs:pair", r"theirs of the pairing cannot be imported; .* ModuleNotFoundError"),
         (PAIRING, "mine:", "'mine:' does not name a pairing; expected module:function"),
         (PAIRING, "mine", "there is no pairing 'mine'; expected module:function"),
         (PAIRING, "mine:remembers", "returns different results for the same input"),
@@ -85,11 +77,7 @@ def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
         (REGISTRATION, "mine:strings", "did not return a rigid transform; .* got text"),
         (REGISTRATION, "mine:imaginary", "did not return a rigid transform; .* got complex numbers"),
         (LOCALIZER, "mine:words", "did not return centres; .* got text"),
-        (
-            LOCALIZER,
-            "mine:indices",
-            r"got \(500.0, 20.0, 30.0\), which is outside the volume",
-        ),
+        (LOCALIZER, "mine:indices", r"got \(500.0, 20.0, 30.0\), which is outside the volume"),
         (LOCALIZER, "mine:flat", r"did not return centres; .* got shape \(2,\)"),
         (LOCALIZER, "mine:nothing", "did not return centres; .* got NoneType"),
         (
@@ -97,16 +85,8 @@ def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
             "mine:Beside",
             r"localization_poses returned a wrong result; expected the tool's origin at each",
         ),
-        (
-            STRATEGY,
-            "mine:Once",
-            "localized_along returned a wrong result; expected 10 Trajectory, got 1 of",
-        ),
-        (
-            STRATEGY,
-            "mine:Still",
-            "turns_rad returned a wrong result; expected at least one finite angle",
-        ),
+        (STRATEGY, "mine:Once", "localized_along returned a wrong result; expected 10 Trajectory, got 1 of"),
+        (STRATEGY, "mine:Still", "turns_rad returned a wrong result; expected at least one finite angle"),
         (STRATEGY, "mine:Endless", "turns_rad returned a wrong result; expected angles within ±2π rad"),
         (STRATEGY, "mine:Degrees", r"turns_rad .* expected angles within ±2π rad, got 90: degrees\?"),
     ],
