@@ -1,4 +1,4 @@
-"""Pages about what Python programs may call: signatures and docstrings, as they stand in the modules.
+"""Pages of the Python API: signatures and docstrings, as they stand in the modules.
 
 A member without a docstring has that of the interface it fulfils: drivers inherit nothing but the words.
 """
@@ -130,7 +130,7 @@ def _fields(one: type[DataclassInstance]) -> Iterator[str]:
 
 
 def _signature(function: Any) -> str:
-    """Without `self` and without types: they are in the module, and the words say what they are."""
+    """Return the signature without `self` and types: those are in the module and in the words."""
     given = inspect.signature(function)
     kept = [
         one.replace(annotation=one.empty, default=_default(one.default))

@@ -14,7 +14,7 @@ _TEST = re.compile(r"^ *def (test_\w+)", re.MULTILINE)
 
 @dataclass(frozen=True)
 class Disturbance:
-    """One line of the table; `faults` are names of fault kinds, `tests` names of test functions."""
+    """A line of the table; `faults` are names of fault kinds, `tests` names of test functions."""
 
     disturbance: str
     arm: str

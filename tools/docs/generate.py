@@ -1,4 +1,4 @@
-"""Writes the tables of the reference pages, below the mark; the words above it are written by hand.
+"""Write the tables of the reference pages below the mark; the words above it are written by hand.
 
 `make docs` runs it; a test compares the committed pages with its output.
 """
@@ -94,7 +94,7 @@ def with_table(page: str, content: str) -> str:
 
 
 def step_results() -> list[type[StepResult]]:
-    """What all steps leave behind: those of a case in their order, then those of calibrations by name."""
+    """Collect the results of all steps: of a case in order, then of calibrations by name."""
     for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
         importlib.import_module(module.name)
     ours = [model for model in StepResult.__subclasses__() if model.__module__.startswith("procedures.")]
@@ -125,7 +125,7 @@ def _error_codes() -> str:
 
 
 def _exported_fields() -> str:
-    """What may leave a run folder."""
+    """Tabulate the fields that may leave a run folder."""
     rows = [
         (f"`{name}`", where, meaning)
         for where, fields in (

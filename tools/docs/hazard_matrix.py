@@ -20,7 +20,7 @@ _MARK = re.compile(r"pytest\.mark\.(\w+)(?:\((\d+)\))?")
 
 
 class Status(StrEnum):
-    """How far a hazard is under control."""
+    """Control status of a hazard."""
 
     COVERED = "covered"
     PARTLY = "partly"
@@ -28,7 +28,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Hazard:
-    """One line of the table; `remains` is empty only when the hazard is covered."""
+    """A line of the table; `remains` is empty only when the hazard is covered."""
 
     number: int
     hazard: str

@@ -14,7 +14,7 @@ from sim.named_parameters import rows
 
 @dataclass(frozen=True)
 class Question:
-    """One open question; at least one of the answers is given."""
+    """An open question; at least one of the answers is given."""
 
     subject: str
     question: str

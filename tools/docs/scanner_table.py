@@ -1,4 +1,4 @@
-"""What faults of a scanner cost, from the figures that `benchmarks/scans/scanner_faults.py` wrote."""
+"""Cost of scanner faults, from the figures that `benchmarks/scans/scanner_faults.py` wrote."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from page_tables import table
 
 
 def scanner_faults() -> str:
-    """What means nothing, and the table; a fault that refuses every scan has no figures."""
+    """Word the quiet limits and tabulate the faults; one that refuses every scan has no figures."""
     data = tomllib.loads((REFERENCE / "scanner-faults.toml").read_text(encoding="utf-8"))
     quiet, rows = data["quiet"], data["fault"]
     without = (

@@ -17,8 +17,8 @@ from good_inputs import FAULTS, ORDERS
 from plan_editors import draw, scan
 from scipy.spatial.transform import Rotation
 
-from benchmarks.mount.frame_looks import FrameCell
-from benchmarks.mount.tip_looks import TipCell
+from benchmarks.mount.tool_tip_calibration import TipCell
+from benchmarks.mount.tracker_frame_calibration import FrameCell
 from benchmarks.stereo_head.head_looks import observation_set, true_head
 from console.guard import ORDERS_PER_SECOND, Rate
 from console.planning.draft import Draft
