@@ -10,14 +10,17 @@ import pkgutil
 from types import ModuleType
 
 from api_pages import devices, numerics
-from checklists import checklist
-from data_files import REFERENCE
-from disturbance_table import disturbances
 from hazard_matrix import hazard_table
 from model_tables import model_tables
-from open_questions import parameter_table, robot_parameters
-from page_tables import table
-from scanner_table import scanner_faults
+from reference_tables import (
+    REFERENCE,
+    checklist,
+    disturbances,
+    parameter_table,
+    robot_parameters,
+    scanner_faults,
+    table,
+)
 
 import conformance
 import console

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from data_files import REFERENCE, TESTS, read_rows
-from page_tables import table
+from reference_tables import REFERENCE, TESTS, read_rows, table
 
 WHERE_IT_RUNS = {"soak": "make soak", "slow": "make test-all"}  # by mark; without one: make test
 _MARK = re.compile(r"pytest\.mark\.(\w+)(?:\((\d+)\))?")
