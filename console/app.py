@@ -38,6 +38,110 @@ from ronna_hw.errors import RonnaError
 
 LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
 PAIR = b'{"pair":"'
+AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
+AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
+Work = Callable[[], Coroutine[Any, Any, None]]
+
+
+def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None = None) -> None:
+    """Serve the console of a running case until the engine has ended. Raises CON-001."""
+    hub = Hub(folder)
+
+    async def work() -> None:
+        await follow_engine(feed, hub)
+        await asyncio.sleep(AFTER_CLOSED_S if hub.view.outcome else AFTER_LOST_S)
+
+    serve_hub(hub, port, work, _print_ready, viewers)
+
+
+def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
+    """Serve until the command ends. Raises CON-001, CON-002, PRO-018."""
+    try:
+        followed = FollowedRun(folder)
+    except RonnaError as error:
+        raise NothingToShow(f"{folder} contains no run that can be shown: {error.what}") from error
+    batches = followed.batches(whole=True)
+    recorded, hub = RecordedCase(), Hub(folder)
+    recorded.extend(next(batches))
+    if not len(recorded):
+        raise NothingToShow(f"{folder} has no events yet")
+    hub.review = recorded
+    hub.show(recorded.latest)
+
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+
+        def take(events: list[Event]) -> None:
+            recorded.extend(events)
+            hub.heard()
+            for event in events:
+                hub.take(event)
+
+        def follow() -> None:
+            try:
+                for events in batches:
+                    loop.call_soon_threadsafe(take, list(events))
+            except (RonnaError, OSError) as error:  # still being written; what was read before stays valid
+                words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
+                loop.call_soon_threadsafe(hub.break_off, words)
+            recorded.over = True
+
+        threading.Thread(target=follow, name="follow the run", daemon=True).start()
+        await asyncio.Event().wait()
+
+    serve_hub(hub, port, work, tell_address, viewers)
+
+
+def serve_hub(
+    hub: Hub,
+    port: int,
+    work: Work | None,
+    ready: Callable[[dict[str, str]], None],
+    viewers: ViewersAddress | None = None,
+) -> None:
+    """Serve a case until `work` is done, or without it until the process ends. Raises CON-001.
+
+    `viewers` watch from other computers, through a separate port.
+    """
+    serve_pages(lambda app: _add_case(app, hub), port, work, ready, viewers)
+
+
+def serve_pages(
+    add: Callable[[FastAPI], None],
+    port: int,
+    work: Work | None,
+    ready: Callable[[dict[str, str]], None],
+    viewers: ViewersAddress | None = None,
+    largest_body_bytes: int = LARGEST_BODY_BYTES,
+) -> None:
+    """Serve what `add` adds to an application, behind the guard, like `serve_hub`. Raises CON-001."""
+    listening = listen(HOST, port)
+    port = listening.getsockname()[1]
+    sessions = Sessions()
+    pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    add(pages)
+    guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
+    served = [(server_of(guard), listening)]
+    local = f"http://{HOST}:{port}/?token="
+    addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
+    if viewers is not None:
+        theirs = listen(viewers.address, 0, viewers.family)
+        host = viewers.host(theirs.getsockname()[1])
+        served.append((server_of(guard.for_viewers(host, theirs.trust), viewers), theirs))
+        addresses["remote_viewer_url"] = f"https://{host}/?token={sessions.viewer_token}"
+
+    async def run() -> None:
+        tasks = [asyncio.create_task(server.serve(sockets=[bound])) for server, bound in served]
+        while not all(server.started for server, _ in served) and not any(one.done() for one in tasks):
+            await asyncio.sleep(0.01)
+        ready(addresses)
+        if work is not None:
+            await work()
+            for server, _ in served:
+                server.should_exit = True
+        await asyncio.gather(*tasks)
+
+    asyncio.run(run())
 
 
 async def follow_engine(descriptor: int, hub: Hub) -> None:
@@ -124,122 +228,11 @@ def _state(hub: Hub) -> dict[str, Any]:
     }
 
 
-AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
-AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
-Work = Callable[[], Coroutine[Any, Any, None]]
-
-
-def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None = None) -> None:
-    """Serve the console of a running case until the engine has ended. Raises CON-001."""
-    hub = Hub(folder)
-
-    async def work() -> None:
-        await follow_engine(feed, hub)
-        await asyncio.sleep(AFTER_CLOSED_S if hub.view.outcome else AFTER_LOST_S)
-
-    serve_hub(hub, port, work, _print_ready, viewers)
-
-
 def _print_ready(ready: dict[str, str]) -> None:
     sys.stdout.write(f"READY {json.dumps(ready)}\n")
     sys.stdout.flush()
 
 
-def serve_hub(
-    hub: Hub,
-    port: int,
-    work: Work | None,
-    ready: Callable[[dict[str, str]], None],
-    viewers: ViewersAddress | None = None,
-) -> None:
-    """Serve a case until `work` is done, or without it until the process ends. Raises CON-001.
-
-    `viewers` watch from other computers, through a separate port.
-    """
-    serve_pages(lambda app: _add_case(app, hub), port, work, ready, viewers)
-
-
-def serve_pages(
-    add: Callable[[FastAPI], None],
-    port: int,
-    work: Work | None,
-    ready: Callable[[dict[str, str]], None],
-    viewers: ViewersAddress | None = None,
-    largest_body_bytes: int = LARGEST_BODY_BYTES,
-) -> None:
-    """Serve what `add` adds to an application, behind the guard, like `serve_hub`. Raises CON-001."""
-    listening = listen(HOST, port)
-    port = listening.getsockname()[1]
-    sessions = Sessions()
-    pages = _application(add)
-    guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
-    served = [(server_of(guard), listening)]
-    local = f"http://{HOST}:{port}/?token="
-    addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
-    if viewers is not None:
-        theirs = listen(viewers.address, 0, viewers.family)
-        host = viewers.host(theirs.getsockname()[1])
-        served.append((server_of(guard.for_viewers(host, theirs.trust), viewers), theirs))
-        addresses["remote_viewer_url"] = f"https://{host}/?token={sessions.viewer_token}"
-
-    async def run() -> None:
-        tasks = [asyncio.create_task(server.serve(sockets=[bound])) for server, bound in served]
-        while not all(server.started for server, _ in served) and not any(one.done() for one in tasks):
-            await asyncio.sleep(0.01)
-        ready(addresses)
-        if work is not None:
-            await work()
-            for server, _ in served:
-                server.should_exit = True
-        await asyncio.gather(*tasks)
-
-    asyncio.run(run())
-
-
-def _application(add: Callable[[FastAPI], None]) -> FastAPI:
-    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    add(app)
-    return app
-
-
 def _add_case(app: FastAPI, hub: Hub) -> None:
     add_order_routes(app, hub)
     add_page(app, hub)
-
-
-def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
-    """Serve until the command ends. Raises CON-001, CON-002, PRO-018."""
-    try:
-        followed = FollowedRun(folder)
-    except RonnaError as error:
-        raise NothingToShow(f"{folder} contains no run that can be shown: {error.what}") from error
-    batches = followed.batches(whole=True)
-    recorded, hub = RecordedCase(), Hub(folder)
-    recorded.extend(next(batches))
-    if not len(recorded):
-        raise NothingToShow(f"{folder} has no events yet")
-    hub.review = recorded
-    hub.show(recorded.latest)
-
-    async def work() -> None:
-        loop = asyncio.get_running_loop()
-
-        def take(events: list[Event]) -> None:
-            recorded.extend(events)
-            hub.heard()
-            for event in events:
-                hub.take(event)
-
-        def follow() -> None:
-            try:
-                for events in batches:
-                    loop.call_soon_threadsafe(take, list(events))
-            except (RonnaError, OSError) as error:  # still being written; what was read before stays valid
-                words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
-                loop.call_soon_threadsafe(hub.break_off, words)
-            recorded.over = True
-
-        threading.Thread(target=follow, name="follow the run", daemon=True).start()
-        await asyncio.Event().wait()
-
-    serve_hub(hub, port, work, tell_address, viewers)

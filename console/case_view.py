@@ -35,6 +35,11 @@ from procedures.engine.events import (
 )
 
 RATE_OVER_S = 1.0  # theatre time
+NOTICES_KEPT = 40
+JOURNAL_KEPT = 200
+MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
+BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
+EVERY = 100  # events between stored views
 
 
 @dataclass(frozen=True)
@@ -143,12 +148,6 @@ class CaseView:
         if self.waiting is not None:
             return self.waiting.upcoming or ""
         return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")
-
-
-NOTICES_KEPT = 40
-JOURNAL_KEPT = 200
-MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
-BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
 
 
 def fold(view: CaseView, event: Event) -> CaseView:
@@ -304,9 +303,6 @@ def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     elif entry == CLOSED:
         changes["outcome"] = str(line.get("outcome") or "")
     return changes
-
-
-EVERY = 100  # events between stored views
 
 
 class RecordedCase:

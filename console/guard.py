@@ -22,6 +22,32 @@ TOKEN_BYTES = 32
 MOST_SESSIONS = 64  # per role; the oldest is dropped for a new one
 ORDERS_PER_SECOND = 10
 PAGES, PAGES_S = 8, 4.0  # of a role in so many seconds: making one holds up everything else for tens of ms
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+OVERLOADED = 503
+LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
+LARGEST_BODY_BYTES = 65_536
+MOST_FIELDS = 8  # of a query
+SESSION = "ronna.session"  # key of a request's session in its scope
+READING = ("GET", "HEAD")
+SOCKET_PATH = "/_nicegui_ws/"
+HEADERS = {
+    # The page library builds its page from inline scripts and compiles its templates: both must be allowed.
+    "content-security-policy": "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "permissions-policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
+    "cache-control": "no-store",
+}
 
 
 class Rate:
@@ -92,35 +118,10 @@ class Sessions:
         return None if cookie is None else self._sessions.get(cookie)
 
 
-Scope = MutableMapping[str, Any]
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-App = Callable[[Scope, Receive, Send], Awaitable[None]]
 Trust = Callable[[object, Role], bool]  # of a connection, by host and port, that has shown the key of a role
 
+
 MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
-OVERLOADED = 503
-LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
-LARGEST_BODY_BYTES = 65_536
-MOST_FIELDS = 8  # of a query
-SESSION = "ronna.session"  # key of a request's session in its scope
-READING = ("GET", "HEAD")
-SOCKET_PATH = "/_nicegui_ws/"
-HEADERS = {
-    # The page library builds its page from inline scripts and compiles its templates: both must be allowed.
-    "content-security-policy": "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
-    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
-    "connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
-    "frame-ancestors 'none'",
-    "cross-origin-opener-policy": "same-origin",
-    "cross-origin-resource-policy": "same-origin",
-    "x-content-type-options": "nosniff",
-    "x-frame-options": "DENY",
-    "referrer-policy": "no-referrer",
-    "permissions-policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
-    "cache-control": "no-store",
-}
 
 
 class Guard:

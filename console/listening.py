@@ -22,6 +22,97 @@ from ronna_hw.host.connection_account import account_at
 
 REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
 ANSWER_LIMIT_S = 60.0  # host time from there until the answer was taken: five megabytes by a slow line
+HOST = "127.0.0.1"
+BACKLOG = 32  # also the most that the loop accepts at a time
+MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
+MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a browser opens seven
+SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
+
+
+def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
+    """A listening socket; port 0 is any free one. Raises CON-001."""
+    listening = ListeningSocket(family)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((address, port))
+    except OSError as error:
+        listening.close()
+        raise PortTaken(f"port {port} of {address} cannot be used: {error.strerror}") from error
+    listening.listen(BACKLOG)
+    return listening
+
+
+def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
+    """The server with everything behind the guard; that of `viewers` uses TLS."""
+    tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
+    return uvicorn.Server(
+        uvicorn.Config(
+            guard,
+            http=Connection,
+            h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
+            backlog=BACKLOG,
+            proxy_headers=False,  # an address in a header is anyone's claim
+            log_config=None,
+            access_log=False,  # an address may contain a key
+            lifespan="on" if viewers is None else "off",  # the pages start once
+            ws="websockets-sansio",  # `Connection` knows its protocol
+            ws_max_size=SOCKET_BYTES,
+            ws_per_message_deflate=False,  # all clients are near
+            timeout_graceful_shutdown=1,
+            server_header=False,
+            **tls,  # type: ignore[arg-type]  # files by name, as uvicorn takes them
+        )
+    )
+
+
+class ListeningSocket(socket.socket):
+    """A listening socket that drops the oldest of too many connections that have not shown the key.
+
+    On loopback it remembers which connections are of another account of this computer.
+    """
+
+    def __init__(self, family: socket.AddressFamily) -> None:
+        # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
+        # an answer for 40 ms.
+        super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
+        self._foreign: dict[object, socket.socket] = {}  # likewise, of other accounts
+        self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection: a stranger, before any handshake of TLS."""
+        connection, address = super().accept()
+        self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
+        if len(self._strangers) >= MOST_STRANGERS:
+            oldest = self._strangers.pop(next(iter(self._strangers)))
+            with contextlib.suppress(OSError):  # has just gone by itself
+                oldest.shutdown(socket.SHUT_RDWR)
+        self._strangers[address[:2]] = connection
+        here = connection.getsockname()
+        if here[0] == HOST and account_at(address, here) != os.geteuid():
+            self._foreign[address[:2]] = connection
+        return connection, address
+
+    def is_foreign(self, peer: object) -> bool:
+        """Whether the connection from this host and port is of another account of this computer.
+
+        Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
+        """
+        return peer in self._foreign
+
+    def trust(self, peer: object, role: Role) -> bool:
+        """The connection from this host and port has shown a session; whether its role may have one more."""
+        if peer not in self._strangers:
+            return True
+        known = self._known[role] = _still_open(self._known[role])
+        if len(known) >= MOST_CONNECTIONS[role]:
+            return False
+        known[peer] = self._strangers.pop(peer)
+        return True
+
+
+def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket.socket]:
+    return {peer: one for peer, one in connections.items() if one.fileno() != -1}
 
 
 class Connection(H11Protocol):
@@ -82,96 +173,3 @@ class Connection(H11Protocol):
     def _stop_waiting(self) -> None:
         if self._deadline is not None:
             self._deadline.cancel()
-
-
-HOST = "127.0.0.1"
-BACKLOG = 32  # also the most that the loop accepts at a time
-MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
-MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a browser opens seven
-SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
-
-
-class ListeningSocket(socket.socket):
-    """A listening socket that drops the oldest of too many connections that have not shown the key.
-
-    On loopback it remembers which connections are of another account of this computer.
-    """
-
-    def __init__(self, family: socket.AddressFamily) -> None:
-        # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
-        # an answer for 40 ms.
-        super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
-        self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
-        self._foreign: dict[object, socket.socket] = {}  # likewise, of other accounts
-        self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
-
-    def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection: a stranger, before any handshake of TLS."""
-        connection, address = super().accept()
-        self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
-        if len(self._strangers) >= MOST_STRANGERS:
-            oldest = self._strangers.pop(next(iter(self._strangers)))
-            with contextlib.suppress(OSError):  # has just gone by itself
-                oldest.shutdown(socket.SHUT_RDWR)
-        self._strangers[address[:2]] = connection
-        here = connection.getsockname()
-        if here[0] == HOST and account_at(address, here) != os.geteuid():
-            self._foreign[address[:2]] = connection
-        return connection, address
-
-    def is_foreign(self, peer: object) -> bool:
-        """Whether the connection from this host and port is of another account of this computer.
-
-        Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
-        """
-        return peer in self._foreign
-
-    def trust(self, peer: object, role: Role) -> bool:
-        """The connection from this host and port has shown a session; whether its role may have one more."""
-        if peer not in self._strangers:
-            return True
-        known = self._known[role] = _still_open(self._known[role])
-        if len(known) >= MOST_CONNECTIONS[role]:
-            return False
-        known[peer] = self._strangers.pop(peer)
-        return True
-
-
-def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket.socket]:
-    return {peer: one for peer, one in connections.items() if one.fileno() != -1}
-
-
-def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
-    """A listening socket; port 0 is any free one. Raises CON-001."""
-    listening = ListeningSocket(family)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((address, port))
-    except OSError as error:
-        listening.close()
-        raise PortTaken(f"port {port} of {address} cannot be used: {error.strerror}") from error
-    listening.listen(BACKLOG)
-    return listening
-
-
-def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """The server with everything behind the guard; that of `viewers` uses TLS."""
-    tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
-    return uvicorn.Server(
-        uvicorn.Config(
-            guard,
-            http=Connection,
-            h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
-            backlog=BACKLOG,
-            proxy_headers=False,  # an address in a header is anyone's claim
-            log_config=None,
-            access_log=False,  # an address may contain a key
-            lifespan="on" if viewers is None else "off",  # the pages start once
-            ws="websockets-sansio",  # `Connection` knows its protocol
-            ws_max_size=SOCKET_BYTES,
-            ws_per_message_deflate=False,  # all clients are near
-            timeout_graceful_shutdown=1,
-            server_header=False,
-            **tls,  # type: ignore[arg-type]  # files by name, as uvicorn takes them
-        )
-    )

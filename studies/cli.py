@@ -137,7 +137,7 @@ def correspondence(
         from studies.correspondence import template as by_template
 
         implanted = by_template.TemplateStudy(runs, asked.seed)
-        _run(implanted, by_template.tables, by_template.plots, asked)
+        _run(implanted, by_template.tables, None, asked)
         return
     chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
@@ -232,7 +232,7 @@ def localization(
 
         protocol = ThesisLocalizationStudy(asked.seed)
         protocol_tables = thesis_localization_tables
-        _run(protocol, protocol_tables.tables, protocol_tables.plots, asked)
+        _run(protocol, protocol_tables.tables, None, asked)
         return
     study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:
@@ -314,7 +314,7 @@ def worlds(
     Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
     once, or a finding where nothing changed.
     """
-    from studies.worlds.study import WorldsStudy, document, no_plots, run_world
+    from studies.worlds.study import WorldsStudy, document, run_world
     from studies.worlds.world import SCENES
 
     if scene not in SCENES:
@@ -331,7 +331,7 @@ def worlds(
         terminal.tell(f"{found.verdict}: {place}")
         return
     sums = _run(
-        study, study.tables, no_plots, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
+        study, study.tables, None, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
     )
     if missed := study.missed_goals(sums):
         terminal.tell(f"missed: {'; '.join(missed)}")
@@ -348,7 +348,7 @@ def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
-def _run(study: Study, tables: Tables, plots: Plots, asked: StudyOptions) -> Mapping[str, Sums]:
+def _run(study: Study, tables: Tables, plots: Plots | None, asked: StudyOptions) -> Mapping[str, Sums]:
     from studies.campaign.folder import Ledger, publish
     from studies.campaign.study import add_up
     from studies.campaign.workers import run_study
@@ -376,7 +376,7 @@ def _run(study: Study, tables: Tables, plots: Plots, asked: StudyOptions) -> Map
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
-    report = publish(folder, study.name, study.settings(), found, plots(sums))
+    report = publish(folder, study.name, study.settings(), found, {} if plots is None else plots(sums))
     if asked.as_json:
         terminal.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}

@@ -25,7 +25,10 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
 
     Raises the errors of an unreadable journal.
     """
-    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs if _is_run(run)]
+    for run in runs:
+        if not (run / JOURNAL_FILE).is_file():
+            raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
+    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs]
     keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)
     rows = []
     for kind, name in keys:
@@ -42,12 +45,6 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
         )
     columns = ("what", "name", "times in a run", "theatre s in a run", "computer s in a run")
     return Table("Times", columns, tuple(rows)), _beside_thesis(each)
-
-
-def _is_run(run: Path) -> bool:
-    if not (run / JOURNAL_FILE).is_file():
-        raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
-    return True
 
 
 def _beside_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:

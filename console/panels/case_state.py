@@ -8,6 +8,19 @@ from console.case_view import CaseView, DeviceRow, Rate, StepRow
 from console.panels.html import table_of, tag, text
 
 OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
+MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
+    "done": ("✓", "done", "ok"),
+    "begun": ("▶", "now", "now"),
+    "failed": ("✗", "failed", "bad"),
+    "interrupted": ("■", "interrupted", "bad"),
+    "superseded": ("~", "superseded", "warn"),
+    "next": ("→", "next", "next"),
+    "": ("·", "pending", "dim"),
+}
+OLD_S = 2.0  # theatre time after which a reading is shown as old
+SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
+HEAD = ("device", "state", "reading", "rate", "says", "fault")
+WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def banner(view: CaseView) -> str:
@@ -53,17 +66,6 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
     else:
         words, kind = "You are viewing; no one is operating from a page", "dim"
     return tag("div", text(words), class_=f"seat {kind}", role="status")
-
-
-MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
-    "done": ("✓", "done", "ok"),
-    "begun": ("▶", "now", "now"),
-    "failed": ("✗", "failed", "bad"),
-    "interrupted": ("■", "interrupted", "bad"),
-    "superseded": ("~", "superseded", "warn"),
-    "next": ("→", "next", "next"),
-    "": ("·", "pending", "dim"),
-}
 
 
 def chart(view: CaseView) -> str:
@@ -127,12 +129,6 @@ def _step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
 def _place(row: StepRow) -> str:
     _, _, place = row.step.partition(":")
     return tag("b", text(place)) + " " if place else ""
-
-
-OLD_S = 2.0  # theatre time after which a reading is shown as old
-SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
-HEAD = ("device", "state", "reading", "rate", "says", "fault")
-WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def devices(view: CaseView) -> str:

@@ -11,6 +11,7 @@ import math
 import time
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
+from functools import partial
 from typing import Any
 
 from nicegui import ui
@@ -25,64 +26,114 @@ from ronna_hw.text.typed_number import typed_number
 HOLD_S = 1.0  # host time for which an answer must be held
 ARMED_S = 0.7  # host time after appearing before it can be given
 DIGEST_SHOWN = 12  # characters; the journal has all of them
-
 Give = Callable[[dict[str, Any]], Awaitable[None]]
+AT_PAUSE = "pause"  # topic of the question answered by Resume: no button here answers it
+NOT_EMERGENCY = (
+    "Stop motion makes the driver bring the arm to rest. "
+    "It is not an emergency stop: for that, press the red button."
+)
 
 
-class HeldButton:
-    """A button that acts after being held by pointer or space bar for a second."""
+class SeatPanel:
+    """The operator: taking the seat requires a name and a button press."""
 
-    def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
-        self._act = act
-        self._tell = tell
-        self._appeared_s = time.monotonic()
-        self._down_ms: float | None = None  # by the browser's clock: the hold time is measured, not reported
-        self._by_key = False
-        self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
-        self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
-        self.button.on("pointerdown", self._down, args=["timeStamp"])
-        self.button.on("pointerup", self._up, args=["timeStamp"])
-        for gone in ("pointerleave", "pointercancel"):
-            self.button.on(gone, self._pointer_gone)
-        self.button.on("blur", self._let_go)
-        self.button.on("keydown", self._key_down, args=["key", "repeat", "timeStamp"])
-        self.button.on("keyup", self._key_up, args=["key", "timeStamp"])
+    def __init__(self, give: Give, *, may_operate: bool) -> None:
+        self._give = give
+        self._may_operate = may_operate
+        with ui.element("div").classes("seatbox"):
+            self._line = ui.html("", sanitize=False)
+            self._name = (
+                ui.input("Your name").props("dense outlined maxlength=60 autocomplete=off").classes("name")
+            )
+            self._claim = _button("Take the seat", self._claim_seat, "claim")
+            self._release = _button("Leave the seat", partial(give, {"kind": "release"}), "release")
 
-    def _down(self, event: Any) -> None:
-        armed = time.monotonic() - self._appeared_s >= ARMED_S
-        self._down_ms = _moment_ms(event) if armed else None
-        self._by_key = False
+    def show(self, view: CaseView, *, is_mine: bool, orders: bool) -> None:
+        """Show who is in the seat."""
+        self._line.set_content(seat_line(view, is_mine=is_mine, may_operate=self._may_operate))
+        free = self._may_operate and orders and view.seat is None
+        self._name.set_visibility(free)
+        self._claim.set_visibility(free)
+        self._release.set_visibility(is_mine and orders)
 
-    async def _up(self, event: Any) -> None:
-        down_ms, self._down_ms = self._down_ms, None
-        if down_ms is None:
-            return
-        if not _moment_ms(event) - down_ms >= 1000.0 * HOLD_S:  # also rejects NaN
-            self._tell("Hold the button for one second.")
-            return
-        await self._act()
-
-    def _let_go(self) -> None:
-        self._down_ms = None
-
-    def _pointer_gone(self) -> None:
-        if not self._by_key:  # a page that moves under a resting pointer does not release the space bar
-            self._let_go()
-
-    def _key_down(self, event: Any) -> None:
-        if event.args.get("key") == " " and not event.args.get("repeat"):
-            self._down(event)
-            self._by_key = True
-
-    async def _key_up(self, event: Any) -> None:
-        if event.args.get("key") == " ":
-            await self._up(event)
+    async def _claim_seat(self) -> None:
+        await self._give({"kind": "claim", "name": str(self._name.value or "")})
 
 
-def _moment_ms(event: Any) -> float:
-    """Time of the event by the browser's clock; NaN if not reported."""
-    moment = event.args.get("timeStamp")
-    return float(moment) if isinstance(moment, int | float) else math.nan
+class OrderPanel:
+    """Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
+
+    def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
+        self._give = give
+        with ui.element("div").classes("orders").props('role=toolbar aria-label="Orders"'):
+            self._next_place = ui.element("div").style("display: contents")
+            self._to = ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
+            self._run_place = ui.element("div").style("display: contents")
+            self._pause = _button("Pause", partial(give, {"kind": "pause"}), "pause")
+            self._acknowledge = _button(
+                "Acknowledge faults", partial(give, {"kind": "acknowledge"}), "acknowledge"
+            )
+            self._abort = HeldButton("Abort (hold)", partial(give, {"kind": "abort"}), tell).button
+            self._abort.props("data-do=abort").classes("plain")
+        self._build("")
+
+    def _build(self, upcoming: str) -> None:
+        """New buttons for the present state: a late click on the old ones has no effect."""
+        self._quoted = upcoming
+
+        async def order_next() -> None:
+            await self._give({"kind": "next", "upcoming": upcoming})
+
+        async def order_run_to() -> None:
+            await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._to.value)})
+
+        async def order_resume() -> None:
+            await self._give({"kind": "resume", "upcoming": upcoming})
+
+        self._next_place.clear()
+        with self._next_place:
+            self._next = _button(f"Next: {upcoming}" if upcoming else "Next", order_next, "next", "go")
+        self._run_place.clear()
+        with self._run_place:
+            self._run_to = _button("Run to", order_run_to, "run_to")
+            self._resume = _button("Run on", order_resume, "resume")
+
+    def show(self, view: CaseView, *, is_mine: bool) -> None:
+        """Enable what is possible now; each button's order quotes the state it was shown with."""
+        paused = view.question is not None and view.question.topic == AT_PAUSE
+        waits = view.waiting is not None and bool(view.upcoming) and view.question is None
+        ended = view.state in ("finished", "aborted") or bool(view.outcome)
+        quoted = view.upcoming if waits and is_mine else ""
+        if quoted != self._quoted:
+            self._build(quoted)
+        self._next.set_enabled(is_mine and waits and not ended)
+        self._run_to.set_enabled(is_mine and waits and not ended)
+        self._resume.set_enabled(is_mine and waits and not ended)
+        self._pause.set_enabled(is_mine and not waits and not paused and not ended)
+        faulty = any(row.seen.fault for row in view.devices.values())
+        self._acknowledge.set_visibility(faulty)
+        self._acknowledge.set_enabled(is_mine and (waits or paused) and not ended)
+        self._abort.set_enabled(is_mine and not ended)
+        options = [row.step for row in view.steps if row.state != "done"]
+        if options != self._to.options:
+            kept = self._to.value if self._to.value in options else (options[-1] if options else None)
+            self._to.set_options(options, value=kept)
+
+
+def stop_button(give: Give) -> None:
+    """Add the stop button, always visible and enabled for operators."""
+
+    async def stop() -> None:
+        await give({"kind": "stop"})
+
+    with ui.element("div").classes("stopbox"):
+        ui.button("Stop motion", on_click=stop, color=None).classes("stop").props(
+            "no-caps unelevated data-do=stop"
+        ).tooltip(NOT_EMERGENCY)
+        ui.html(
+            '<div class="stopnote">not an emergency stop:<br>for that, press the red button</div>',
+            sanitize=False,
+        )
 
 
 class QuestionPanel:
@@ -172,6 +223,62 @@ class QuestionPanel:
         button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')
 
 
+class HeldButton:
+    """A button that acts after being held by pointer or space bar for a second."""
+
+    def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
+        self._act = act
+        self._tell = tell
+        self._appeared_s = time.monotonic()
+        self._down_ms: float | None = None  # by the browser's clock: the hold time is measured, not reported
+        self._by_key = False
+        self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
+        self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
+        self.button.on("pointerdown", self._down, args=["timeStamp"])
+        self.button.on("pointerup", self._up, args=["timeStamp"])
+        for gone in ("pointerleave", "pointercancel"):
+            self.button.on(gone, self._pointer_gone)
+        self.button.on("blur", self._let_go)
+        self.button.on("keydown", self._key_down, args=["key", "repeat", "timeStamp"])
+        self.button.on("keyup", self._key_up, args=["key", "timeStamp"])
+
+    def _down(self, event: Any) -> None:
+        armed = time.monotonic() - self._appeared_s >= ARMED_S
+        self._down_ms = _moment_ms(event) if armed else None
+        self._by_key = False
+
+    async def _up(self, event: Any) -> None:
+        down_ms, self._down_ms = self._down_ms, None
+        if down_ms is None:
+            return
+        if not _moment_ms(event) - down_ms >= 1000.0 * HOLD_S:  # also rejects NaN
+            self._tell("Hold the button for one second.")
+            return
+        await self._act()
+
+    def _let_go(self) -> None:
+        self._down_ms = None
+
+    def _pointer_gone(self) -> None:
+        if not self._by_key:  # a page that moves under a resting pointer does not release the space bar
+            self._let_go()
+
+    def _key_down(self, event: Any) -> None:
+        if event.args.get("key") == " " and not event.args.get("repeat"):
+            self._down(event)
+            self._by_key = True
+
+    async def _key_up(self, event: Any) -> None:
+        if event.args.get("key") == " ":
+            await self._up(event)
+
+
+def _moment_ms(event: Any) -> float:
+    """Time of the event by the browser's clock; NaN if not reported."""
+    moment = event.args.get("timeStamp")
+    return float(moment) if isinstance(moment, int | float) else math.nan
+
+
 def _left(question: Questioned, view: CaseView) -> str:
     if question.timeout_s is None:
         return tag("p", "No time limit.", class_="dim")
@@ -180,136 +287,6 @@ def _left(question: Questioned, view: CaseView) -> str:
     return tag("p", f"{left_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num")
 
 
-AT_PAUSE = "pause"  # topic of the question answered by Resume: no button here answers it
-NOT_EMERGENCY = (
-    "Stop motion makes the driver bring the arm to rest. "
-    "It is not an emergency stop: for that, press the red button."
-)
-
-
-class SeatPanel:
-    """The operator: taking the seat requires a name and a button press."""
-
-    def __init__(self, give: Give, *, may_operate: bool) -> None:
-        self._give = give
-        self._may_operate = may_operate
-        with ui.element("div").classes("seatbox"):
-            self._line = ui.html("", sanitize=False)
-            self._name = (
-                ui.input("Your name").props("dense outlined maxlength=60 autocomplete=off").classes("name")
-            )
-            self._claim = self._button("Take the seat", self._claim_seat, "claim")
-            self._release = self._button("Leave the seat", self._release_seat, "release")
-
-    def show(self, view: CaseView, *, is_mine: bool, orders: bool) -> None:
-        """Show who is in the seat."""
-        self._line.set_content(seat_line(view, is_mine=is_mine, may_operate=self._may_operate))
-        free = self._may_operate and orders and view.seat is None
-        self._name.set_visibility(free)
-        self._claim.set_visibility(free)
-        self._release.set_visibility(is_mine and orders)
-
-    def _button(self, label: str, work: Callable[[], Awaitable[None]], name: str) -> ui.button:
-        return (
-            ui.button(label, on_click=work, color=None)
-            .classes("plain")
-            .props(f"no-caps unelevated data-do={name}")
-        )
-
-    async def _claim_seat(self) -> None:
-        await self._give({"kind": "claim", "name": str(self._name.value or "")})
-
-    async def _release_seat(self) -> None:
-        await self._give({"kind": "release"})
-
-
-class OrderPanel:
-    """Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
-
-    def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
-        self._give = give
-        with ui.element("div").classes("orders").props('role=toolbar aria-label="Orders"'):
-            self._next_place = ui.element("div").style("display: contents")
-            self._to = ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
-            self._run_place = ui.element("div").style("display: contents")
-            self._pause = self._button("Pause", self._order_pause, "pause")
-            self._acknowledge = self._button("Acknowledge faults", self._order_acknowledge, "acknowledge")
-            self._abort = HeldButton("Abort (hold)", self._order_abort, tell).button
-            self._abort.props("data-do=abort").classes("plain")
-        self._build("")
-
-    def _build(self, upcoming: str) -> None:
-        """New buttons for the present state: a late click on the old ones has no effect."""
-        self._quoted = upcoming
-
-        async def order_next() -> None:
-            await self._give({"kind": "next", "upcoming": upcoming})
-
-        async def order_run_to() -> None:
-            await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._to.value)})
-
-        async def order_resume() -> None:
-            await self._give({"kind": "resume", "upcoming": upcoming})
-
-        self._next_place.clear()
-        with self._next_place:
-            self._next = self._button(f"Next: {upcoming}" if upcoming else "Next", order_next, "next", "go")
-        self._run_place.clear()
-        with self._run_place:
-            self._run_to = self._button("Run to", order_run_to, "run_to")
-            self._resume = self._button("Run on", order_resume, "resume")
-
-    def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable what is possible now; each button's order quotes the state it was shown with."""
-        paused = view.question is not None and view.question.topic == AT_PAUSE
-        waits = view.waiting is not None and bool(view.upcoming) and view.question is None
-        ended = view.state in ("finished", "aborted") or bool(view.outcome)
-        quoted = view.upcoming if waits and is_mine else ""
-        if quoted != self._quoted:
-            self._build(quoted)
-        self._next.set_enabled(is_mine and waits and not ended)
-        self._run_to.set_enabled(is_mine and waits and not ended)
-        self._resume.set_enabled(is_mine and waits and not ended)
-        self._pause.set_enabled(is_mine and not waits and not paused and not ended)
-        faulty = any(row.seen.fault for row in view.devices.values())
-        self._acknowledge.set_visibility(faulty)
-        self._acknowledge.set_enabled(is_mine and (waits or paused) and not ended)
-        self._abort.set_enabled(is_mine and not ended)
-        options = [row.step for row in view.steps if row.state != "done"]
-        if options != self._to.options:
-            kept = self._to.value if self._to.value in options else (options[-1] if options else None)
-            self._to.set_options(options, value=kept)
-
-    def _button(
-        self, label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain"
-    ) -> ui.button:
-        return (
-            ui.button(label, on_click=work, color=None)
-            .classes(kind)
-            .props(f"no-caps unelevated data-do={name}")
-        )
-
-    async def _order_pause(self) -> None:
-        await self._give({"kind": "pause"})
-
-    async def _order_acknowledge(self) -> None:
-        await self._give({"kind": "acknowledge"})
-
-    async def _order_abort(self) -> None:
-        await self._give({"kind": "abort"})
-
-
-def stop_button(give: Give) -> None:
-    """Add the stop button, always visible and enabled for operators."""
-
-    async def stop() -> None:
-        await give({"kind": "stop"})
-
-    with ui.element("div").classes("stopbox"):
-        ui.button("Stop motion", on_click=stop, color=None).classes("stop").props(
-            "no-caps unelevated data-do=stop"
-        ).tooltip(NOT_EMERGENCY)
-        ui.html(
-            '<div class="stopnote">not an emergency stop:<br>for that, press the red button</div>',
-            sanitize=False,
-        )
+def _button(label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain") -> ui.button:
+    button = ui.button(label, on_click=work, color=None).classes(kind)
+    return button.props(f"no-caps unelevated data-do={name}")

@@ -14,6 +14,12 @@ from ronna_hw.host.regular_file import open_regular
 from ronna_hw.log_output import LOG_FILE
 
 NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether the fit is consistent."
+MOST = 4
+LIVE_OLD_S = 2.0  # host time after which a live image no longer shows the head's view
+SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
+JOURNAL_LINES = LOG_LINES = 60
+TAIL_BYTES = 16_384  # about eighty lines
+HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
 def accuracy(figures: CaseFigures | None) -> str:
@@ -40,16 +46,12 @@ def accuracy(figures: CaseFigures | None) -> str:
     return total + "".join(map(evidence_table, figures.tables)) + tag("p", NOTE, class_="dim")
 
 
-MOST = 4
-OLD_S = 2.0  # host time after which a live image no longer shows the head's view
-
-
 def live_pair(hub: Hub) -> str:
     """The last pair, with the outlines found in it."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
-    old = age_s > OLD_S
+    old = age_s > LIVE_OLD_S
     words = f"taken {age_s:.0f} s ago" if old else "now"
     image = f'<img src="/picture/pair?n={hub.pairs}" alt="Both cameras of the stereo head, {words}">'
     caption = tag("figcaption", f"stereo head, {words}", class_="warn" if old else "ok")
@@ -59,7 +61,7 @@ def live_pair(hub: Hub) -> str:
 def live_key(hub: Hub) -> object:
     """Changes when it does."""
     age_s = hub.pair_age_s
-    return hub.pairs, int(age_s) if age_s > OLD_S else 0
+    return hub.pairs, int(age_s) if age_s > LIVE_OLD_S else 0
 
 
 def pictures(figures: CaseFigures | None) -> str:
@@ -103,10 +105,6 @@ def course(figures: CaseFigures | None) -> str:
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")
-
-
-SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
-JOURNAL_LINES = LOG_LINES = 60
 
 
 def notices(view: CaseView) -> str:
@@ -153,10 +151,6 @@ def journal(view: CaseView) -> str:
     """The last lines, newest first."""
     lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
     return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")
-
-
-TAIL_BYTES = 16_384  # about eighty lines
-HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
 class LogTail:

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from procedures.imaging.markers import Marker
 from procedures.planning.errors import UnsavedChanges
 from procedures.planning.head.structures import Structure
-from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.records import write_whole
@@ -25,6 +25,7 @@ from ronna_hw.records import write_whole
 USUAL_MARGIN_MM = 2.0
 USUAL_STANDOFF_MM = 30.0
 MOST_STEPS_BACK = 200
+LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,10 @@ class Draft:
             tool=plan.tool,
             standoff_mm=plan.standoff_mm,
             instrument_length_mm=plan.instrument_length_mm,
-            ways=tuple(_way(one) for one in plan.trajectories),
+            ways=tuple(
+                DraftTrajectory(one.id, one.entry_mm, one.target_mm, one.free_angle_deg, one.margin_mm)
+                for one in plan.trajectories
+            ),
             structures=plan.structures or (),
             table_position=plan.table_position or "",
         )
@@ -154,12 +158,6 @@ class Draft:
         return content
 
 
-def _way(planned: PlannedTrajectory) -> DraftTrajectory:
-    return DraftTrajectory(
-        planned.id, planned.entry_mm, planned.target_mm, planned.free_angle_deg, planned.margin_mm
-    )
-
-
 class History:
     """The current draft, with undo and redo."""
 
@@ -233,9 +231,6 @@ class Axis:
         )
         x, y, z = (t + depth_mm * a for t, a in zip(target_mm, along, strict=True))
         return x, y, z
-
-
-LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
 class _Kept(BaseModel):

@@ -29,6 +29,8 @@ from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
 
+SHARES_SHOWN = 6
+
 
 @dataclass(frozen=True)
 class Expected:
@@ -167,9 +169,6 @@ def _in_words(check: PlanCheck) -> tuple[str, ...]:
 
 def _degrees(angle_rad: float) -> float:
     return float(np.degrees(angle_rad))
-
-
-SHARES_SHOWN = 6
 
 
 def verdict(judged: Judged, draft: Draft) -> str:

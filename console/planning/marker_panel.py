@@ -13,7 +13,7 @@ from nicegui import ui
 
 from console.panels.html import table, tag, text
 from console.planning.draft import Draft
-from console.planning.fields import NumberField
+from console.planning.fields import NumberField, small_button
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
 from procedures.planning.head.shape import head_shape
@@ -24,6 +24,11 @@ from procedures.strategies.trajectory import Point, Trajectory
 from ronna_hw.errors import RonnaError
 
 MOST_CANDIDATES = 12  # as many as a person will look at
+MARKER_ERROR_MM = 0.1  # per marker, 3-D rms, as in `ronna-plan markers`
+NOTE = f"expected with markers of {MARKER_ERROR_MM:g} mm each; the arm's error is not included"
+COUNTS = (3, 4, 5, 6, 7, 8)
+USUAL_COUNT = 5
+Found = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class MarkerPanel:
@@ -81,7 +86,7 @@ class MarkerPanel:
             with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
                 self._place(f"{number}", (x, y, z), about)
                 if self._may_edit:
-                    self._button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
+                    small_button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
         others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]
         if not others:
             return
@@ -90,18 +95,13 @@ class MarkerPanel:
                 with ui.element("div").classes("sphere"):
                     self._place(f"c{number}", one.centre_mm, one.reason)
                     if self._may_edit:
-                        self._button("accept", partial(self._pick, one.centre_mm), f"accept c{number}")
+                        small_button("accept", partial(self._pick, one.centre_mm), f"accept c{number}")
 
     def _place(self, name: str, centre_mm: Point, about: str) -> None:
         place = ", ".join(f"{value:.1f}" for value in centre_mm)
-        self._button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
+        small_button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
         ui.html(
             tag("span", text(place), class_="num") + tag("div", text(about), class_="dim"), sanitize=False
-        )
-
-    def _button(self, words: str, act: Callable[[], object], name: str) -> None:
-        ui.button(words, on_click=act, color=None).classes("plain small").props(
-            f'no-caps unelevated aria-label="{name}"'
         )
 
     def _set_implanted(self, value: float) -> None:
@@ -117,22 +117,6 @@ class MarkerPanel:
 
     def _set_length(self, value: float) -> None:
         self._editor.change(replace(self._editor.draft, instrument_length_mm=value))
-
-
-def _state(editor: PlanEditor) -> str:
-    if editor.searching:
-        return tag("p", "searching for spheres…", class_="warn", id="searching")
-    found = len(editor.draft.markers)
-    return tag(
-        "p", f"{found} spheres accepted as markers", class_="ok" if found else "bad", data_found=str(found)
-    )
-
-
-MARKER_ERROR_MM = 0.1  # per marker, 3-D rms, as in `ronna-plan markers`
-NOTE = f"expected with markers of {MARKER_ERROR_MM:g} mm each; the arm's error is not included"
-COUNTS = (3, 4, 5, 6, 7, 8)
-USUAL_COUNT = 5
-Found = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class ProposalPanel:
@@ -199,5 +183,13 @@ class ProposalPanel:
         with self._sites:
             for number, centre_mm in enumerate(centres_mm, start=1):
                 place = ", ".join(f"{value:.0f}" for value in centre_mm)
-                button = ui.button(f"{place}", on_click=partial(self._go, centre_mm), color=None)
-                button.classes("plain small").props(f'no-caps unelevated aria-label="site {number}"')
+                small_button(place, partial(self._go, centre_mm), f"site {number}")
+
+
+def _state(editor: PlanEditor) -> str:
+    if editor.searching:
+        return tag("p", "searching for spheres…", class_="warn", id="searching")
+    found = len(editor.draft.markers)
+    return tag(
+        "p", f"{found} spheres accepted as markers", class_="ok" if found else "bad", data_found=str(found)
+    )

@@ -112,8 +112,8 @@ class PlannerPage:
         client.on_delete(gone)
 
     def _file_buttons(self) -> None:
-        self._undo = self._button("Undo", self._step_back, "undo")
-        self._redo = self._button("Redo", self._step_forth, "redo")
+        self._undo = self._button("Undo", self._editor.undo, "undo")
+        self._redo = self._button("Redo", self._editor.redo, "redo")
         self._author = ui.input("Your name").classes("name")
         self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
@@ -188,12 +188,6 @@ class PlannerPage:
             self._say(refused)
         else:
             self._say(None)
-
-    def _step_back(self) -> None:
-        self._editor.undo()
-
-    def _step_forth(self) -> None:
-        self._editor.redo()
 
     def _go(self, place_mm: Point) -> None:
         self._look.go_to(place_mm)

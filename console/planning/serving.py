@@ -12,8 +12,22 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import tell_address
 
 FORM_BYTES = 10_000  # in addition to an imported file
-
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
+SixNumbers = tuple[float, float, float, float, float, float]
+
+
+class PlannerRequest(BaseModel):
+    """A CT, the plan on it, and the arm that should follow it, if known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series: Path
+    plan: Path
+    port: int = 0
+    config: Path | None = None
+    strategy: str = "ocs"
+    robot_from_ct: SixNumbers | None = None
+    home_deg: SixNumbers | None = None
 
 
 @app.command()
@@ -50,20 +64,3 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
 
 if __name__ == "__main__":
     terminal.run(app)
-
-
-SixNumbers = tuple[float, float, float, float, float, float]
-
-
-class PlannerRequest(BaseModel):
-    """A CT, the plan on it, and the arm that should follow it, if known."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    series: Path
-    plan: Path
-    port: int = 0
-    config: Path | None = None
-    strategy: str = "ocs"
-    robot_from_ct: SixNumbers | None = None
-    home_deg: SixNumbers | None = None

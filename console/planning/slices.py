@@ -21,13 +21,11 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.strategies.trajectory import Point
 
 Array = NDArray[np.float64]
-
 SIZE_PX = 400  # of an image, which is square
 UNSCANNED_HU = -32768  # no CT has this value
 UNSCANNED_GREY = 40  # unlike the black of air
 ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
 PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
-
 WINDOWS_HU = {
     "spheres": (-1000.0, 600.0),
     "soft tissue": (-160.0, 240.0),
@@ -35,6 +33,11 @@ WINDOWS_HU = {
     "bone": (-500.0, 2000.0),
     "everything": (-1024.0, 3071.0),
 }
+ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
+TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
+FARTHEST_MM = 10_000.0
+LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
+UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
 
 
 class Plane(StrEnum):
@@ -149,10 +152,6 @@ def _between_slices(volume: Volume, first: Array, per_px: Array) -> NDArray[np.i
     return np.asarray(hu[..., 0])
 
 
-ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
-TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
-
-
 @dataclass
 class PageView:
     """The view of one page. Every image but the one along a trajectory passes through the crosshair."""
@@ -226,11 +225,6 @@ class PageView:
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else point((low + high) / 2.0)
-
-
-FARTHEST_MM = 10_000.0
-LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
-UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
 
 
 def add_pictures(app: Any, editor: PlanEditor) -> None:

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 
 from console.panels.html import table_of, tag, text
 from console.planning.draft import Draft
-from console.planning.fields import NumberField
+from console.planning.fields import NumberField, small_button
 from console.planning.judging import marked
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
@@ -36,63 +36,6 @@ from ronna_hw.errors import RonnaError
 
 STEP_MM = 1.0  # between two points of a stroke
 USUAL_MARGIN_MM = 3.0  # to a vessel
-
-
-def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
-    """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
-    steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
-    points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
-    known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
-    if known is not None:
-        points = np.concatenate([np.array(known.points_mm), points])
-        within_mm, margin_mm = known.within_mm, known.margin_mm
-    with _mistakes_as_refusals():
-        return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
-
-
-def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
-    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
-    if draft.structure(name) is not None:
-        raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
-    with _mistakes_as_refusals():
-        return _bounded(
-            draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
-        )
-
-
-def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
-    """Set the margin of a structure. Raises PLAN-002."""
-    known = draft.structure(name)
-    if known is None:
-        return draft
-    with _mistakes_as_refusals():
-        changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
-    raise_together(structure_in_another_unit(changed), "the structure")
-    return draft.with_structure(changed)
-
-
-def free_name(draft: Draft) -> str:
-    """A name for one more structure."""
-    return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
-
-
-def _bounded(draft: Draft) -> Draft:
-    if len(draft.structures) > MOST_STRUCTURES:
-        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
-    points = sum(len(one.points_mm) for one in draft.structures)
-    if points > MOST_POINTS_TOGETHER:
-        raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
-    return draft
-
-
-@contextmanager
-def _mistakes_as_refusals() -> Iterator[None]:
-    try:
-        yield
-    except ValidationError as error:
-        raise PlanMistakes("; ".join(describe_mistakes(error))) from error
-
-
 PICK_JS = "() => getElement({number}).$refs.qRef.pickFiles()"  # only a person's click opens the dialog
 Say = Callable[[RonnaError | None], None]
 
@@ -153,16 +96,11 @@ class StructurePanel:
 
     def _build(self, name: str) -> None:
         with ui.element("div").classes("sphere").props(f'role=group aria-label="structure {name}"'):
-            self._button(name, partial(self._look_at, name), f"crosshair to {name}")
+            small_button(name, partial(self._look_at, name), f"crosshair to {name}")
             self.margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
             self.margins[name].enable(self._may_edit)
             if self._may_edit:
-                self._button("−", partial(self._remove, name), f"remove {name}")
-
-    def _button(self, words: str, act: Callable[[], object], name: str) -> None:
-        ui.button(words, on_click=act, color=None).classes("plain small").props(
-            f'no-caps unelevated aria-label="{name}"'
-        )
+                small_button("−", partial(self._remove, name), f"remove {name}")
 
     def _look_at(self, name: str) -> None:
         """Go where the current trajectory comes closest to it; without one, to its first point."""
@@ -230,3 +168,58 @@ def _cell(distance: StructureDistance | None) -> str:
         data_distance=f"{distance.structure}/{distance.trajectory}",
         data_mm=f"{distance.distance_mm:.3f}",
     )
+
+
+def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
+    """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
+    steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
+    points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
+    known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
+    if known is not None:
+        points = np.concatenate([np.array(known.points_mm), points])
+        within_mm, margin_mm = known.within_mm, known.margin_mm
+    with _mistakes_as_refusals():
+        return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
+
+
+def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
+    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    if draft.structure(name) is not None:
+        raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
+    with _mistakes_as_refusals():
+        return _bounded(
+            draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
+        )
+
+
+def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
+    """Set the margin of a structure. Raises PLAN-002."""
+    known = draft.structure(name)
+    if known is None:
+        return draft
+    with _mistakes_as_refusals():
+        changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
+    raise_together(structure_in_another_unit(changed), "the structure")
+    return draft.with_structure(changed)
+
+
+def free_name(draft: Draft) -> str:
+    """A name for one more structure."""
+    return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
+
+
+def _bounded(draft: Draft) -> Draft:
+    if len(draft.structures) > MOST_STRUCTURES:
+        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
+    points = sum(len(one.points_mm) for one in draft.structures)
+    if points > MOST_POINTS_TOGETHER:
+        raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
+    return draft
+
+
+@contextmanager
+def _mistakes_as_refusals() -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        raise PlanMistakes("; ".join(describe_mistakes(error))) from error

@@ -9,7 +9,7 @@ from functools import partial
 from nicegui import ui
 
 from console.planning.draft import Axis, DraftTrajectory
-from console.planning.fields import NumberField
+from console.planning.fields import NumberField, small_button
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.strategies.trajectory import Point
@@ -154,5 +154,4 @@ class TrajectoryPanel:
         self.fields[name] = field
 
     def _button(self, sign: str, act: Callable[[], None], name: str) -> ui.button:
-        button = ui.button(sign, on_click=act, color=None).classes("plain small")
-        return button.props(f'no-caps unelevated aria-label="{name}"').tooltip(name)
+        return small_button(sign, act, name).tooltip(name)

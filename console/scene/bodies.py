@@ -14,6 +14,8 @@ Point = tuple[float, float, float]
 Rows = list[list[float]]
 METRES = 0.001  # per millimetre
 CLOSE_MM = 500.0  # farther apart it is of no interest
+ROUND = 16  # segments around a capsule
+Call = list[Any]  # to a method of the scene, with its arguments
 
 
 @dataclass(frozen=True)
@@ -109,10 +111,6 @@ def _cross(a: tuple[float, ...], b: tuple[float, ...]) -> Point:
 def _unit(a: Point) -> Point:
     length = math.hypot(*a)
     return (a[0] / length, a[1] / length, a[2] / length)
-
-
-ROUND = 16  # segments around a capsule
-Call = list[Any]  # to a method of the scene, with its arguments
 
 
 class Capsule:

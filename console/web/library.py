@@ -19,8 +19,43 @@ from nicegui import core, ui
 from console.guard import SESSION
 
 FROM_PAGES = ("event", "javascript_response", "ack", "log")
-
 _owners: dict[str, str] = {}  # page -> session; the library's own pages are also global
+HERE = Path(__file__).parent
+RECONNECT_S = 10.0  # as long as the seat is kept: a busy computer may delay a page for seconds
+RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; otherwise the page is reloaded
+
+
+def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:
+    """Serve the pages added to an application. `title` is the same for every patient.
+
+    A page that has not been heard from for `reconnect_s` of host time is rebuilt.
+    """
+    ui.run_with(
+        app,
+        title=title,
+        dark=None,
+        tailwind=False,
+        favicon=str(HERE / "icon.svg"),
+        reconnect_timeout=reconnect_s,
+        message_history_length=RESENT_MESSAGES,
+        show_welcome_message=False,
+        gzip_middleware_factory=None,
+    )
+    page_app.add_exception_handler(404, _not_found)
+    page_app.config.socket_io_js_transports = ["websocket"]
+    bind_sockets(core.sio)
+
+
+def page_head() -> str:
+    """Style and script common to all pages."""
+    style = (HERE / "style.css").read_text(encoding="utf-8")
+    script = (HERE / "fresh.js").read_text(encoding="utf-8")
+    return f"<style>{style}</style><script>{script}</script>"
+
+
+async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
+    """Answer 404 in text: the library's own page would hold up everything else."""
+    return PlainTextResponse("Not found.", 404)
 
 
 def own_page(client: Any, session: str) -> None:
@@ -73,41 +108,3 @@ def _may_speak(sio: Any, sid: str, client: Any) -> bool:
 def _session_of(environ: dict[str, Any]) -> str | None:
     session = environ.get("asgi.scope", {}).get(SESSION)
     return None if session is None else str(session.identifier)
-
-
-HERE = Path(__file__).parent
-RECONNECT_S = 10.0  # as long as the seat is kept: a busy computer may delay a page for seconds
-RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; otherwise the page is reloaded
-
-
-def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:
-    """Serve the pages added to an application. `title` is the same for every patient.
-
-    A page that has not been heard from for `reconnect_s` of host time is rebuilt.
-    """
-    ui.run_with(
-        app,
-        title=title,
-        dark=None,
-        tailwind=False,
-        favicon=str(HERE / "icon.svg"),
-        reconnect_timeout=reconnect_s,
-        message_history_length=RESENT_MESSAGES,
-        show_welcome_message=False,
-        gzip_middleware_factory=None,
-    )
-    page_app.add_exception_handler(404, _not_found)
-    page_app.config.socket_io_js_transports = ["websocket"]
-    bind_sockets(core.sio)
-
-
-async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
-    """Answer 404 in text: the library's own page would hold up everything else."""
-    return PlainTextResponse("Not found.", 404)
-
-
-def page_head() -> str:
-    """Style and script common to all pages."""
-    style = (HERE / "style.css").read_text(encoding="utf-8")
-    script = (HERE / "fresh.js").read_text(encoding="utf-8")
-    return f"<style>{style}</style><script>{script}</script>"

@@ -35,48 +35,6 @@ from console.scene.theatre_scene import ScenePanel
 from console.web.library import own_page, page_head, use_library
 from procedures.reporting.case_figures import CaseFigures
 
-
-class MomentPanel:
-    """Slider through a recorded case; at its end it follows the live case."""
-
-    def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
-        self._recorded = recorded
-        self._changed = changed
-        with ui.element("section").classes("moment card").props('aria-label="Playback position"'):
-            self._back = self._button("◀", -1, "previous event")
-            self._slider = ui.slider(min=0, max=len(recorded), value=len(recorded), step=1)
-            self._slider.on_value_change(self._moved).props('aria-label="Playback position"').classes("slide")
-            self._on = self._button("▶", +1, "next event")
-            self._text = ui.label("").classes("num")
-
-    def view(self, latest: CaseView) -> CaseView:
-        """The view at the selected moment."""
-        count, chosen = len(self._recorded), int(self._slider.value)
-        if self._slider.props["max"] != count:
-            at_end = chosen >= self._slider.props["max"]
-            self._slider.props(f"max={count}")
-            self._slider.props["max"] = count
-            if at_end:
-                self._slider.set_value(count)
-                chosen = count
-        goes_on = "" if self._recorded.over else ", running"
-        self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{goes_on}")
-        return latest if chosen >= count else self._recorded.at(chosen)
-
-    def _button(self, sign: str, by: int, name: str) -> ui.button:
-        def move() -> None:
-            self._slider.set_value(min(max(int(self._slider.value) + by, 0), len(self._recorded)))
-
-        return (
-            ui.button(sign, on_click=move, color=None)
-            .classes("plain")
-            .props(f'unelevated aria-label="{name}"')
-        )
-
-    def _moved(self) -> None:
-        self._changed()
-
-
 TITLE = "RONNA console"  # the same for every case: titles are visible in window lists
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
 VIEWER_PERIOD_S = 0.1
@@ -271,3 +229,44 @@ class CasePage:
         self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
         self._beat += 1
         self._clock.set_content(clock(view, self._beat))
+
+
+class MomentPanel:
+    """Slider through a recorded case; at its end it follows the live case."""
+
+    def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
+        self._recorded = recorded
+        self._changed = changed
+        with ui.element("section").classes("moment card").props('aria-label="Playback position"'):
+            self._back = self._button("◀", -1, "previous event")
+            self._slider = ui.slider(min=0, max=len(recorded), value=len(recorded), step=1)
+            self._slider.on_value_change(self._moved).props('aria-label="Playback position"').classes("slide")
+            self._on = self._button("▶", +1, "next event")
+            self._text = ui.label("").classes("num")
+
+    def view(self, latest: CaseView) -> CaseView:
+        """The view at the selected moment."""
+        count, chosen = len(self._recorded), int(self._slider.value)
+        if self._slider.props["max"] != count:
+            at_end = chosen >= self._slider.props["max"]
+            self._slider.props(f"max={count}")
+            self._slider.props["max"] = count
+            if at_end:
+                self._slider.set_value(count)
+                chosen = count
+        goes_on = "" if self._recorded.over else ", running"
+        self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{goes_on}")
+        return latest if chosen >= count else self._recorded.at(chosen)
+
+    def _button(self, sign: str, by: int, name: str) -> ui.button:
+        def move() -> None:
+            self._slider.set_value(min(max(int(self._slider.value) + by, 0), len(self._recorded)))
+
+        return (
+            ui.button(sign, on_click=move, color=None)
+            .classes("plain")
+            .props(f'unelevated aria-label="{name}"')
+        )
+
+    def _moved(self) -> None:
+        self._changed()

@@ -23,6 +23,9 @@ from ronna_hw.records import write_whole
 
 AXES = ("x", "y", "z")
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+SLIP_OF_CHECK_MM = 0.05  # noticed by `ronna-stereo check`, whatever the arm: it compares equal poses
+NOTHING_LEARNT = 0.97  # of a parameter's prior uncertainty
+RESULT_FILE = "result.json"  # in the folder of the run
 
 
 class Figure(NamedTuple):
@@ -77,9 +80,6 @@ class RecordFigures(Figures):
 def expected_mm(value_mm: float, predicted_mm: float) -> str:
     """An rms error in millimetres next to the one that was predicted."""
     return f"{millimetres(value_mm)}, expected {millimetres(predicted_mm)}"
-
-
-SLIP_OF_CHECK_MM = 0.05  # noticed by `ronna-stereo check`, whatever the arm: it compares equal poses
 
 
 class HeadFigures(RecordFigures):
@@ -199,9 +199,6 @@ class HeadCheckFigures(Figures):
                 f"limit {sign.limit:.1f}",
             )
         yield Figure("ball moved in $ROBROOT, mm", " ".join(map(millimetres, self.ball_moved_mm)))
-
-
-NOTHING_LEARNT = 0.97  # of a parameter's prior uncertainty
 
 
 class ParameterFigures(Numbers):
@@ -379,7 +376,6 @@ class BallFigures(Figures):
         yield Figure("radius, mm", millimetres(self.radius_mm))
 
 
-RESULT_FILE = "result.json"  # in the folder of the run
 KINDS: dict[str, type[Figures]] = {
     "residuals_px": HeadFigures,
     "signs": HeadCheckFigures,

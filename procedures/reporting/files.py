@@ -23,6 +23,9 @@ REPORT_FOLDER = "report"
 TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
 KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
+LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
+SUMMARY_FILE = "postoperative.json"
+PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 def store_truth(run: Path, truth: Truth) -> Path:
@@ -132,9 +135,6 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     return text.getvalue()
 
 
-LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
-
-
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
     """A picture's file; None, and with a note, for one that is too large or cannot be read."""
     try:
@@ -147,10 +147,6 @@ def load_picture(reading: RunReading, path: Path) -> bytes | None:
 def data_url(picture: bytes) -> str:
     """A PNG as the address of an image."""
     return "data:image/png;base64," + base64.b64encode(picture).decode()
-
-
-SUMMARY_FILE = "postoperative.json"
-PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,44 @@ from procedures.strategies.trajectory import Trajectory
 
 WIDTH = 420.0  # user units, equal to CSS pixels on a phone
 TEXT_SIZE = 11.0
+# Mean application error of published work on phantoms, mm. Sources in docs/reference/published-figures.md.
+PUBLISHED_MM = (
+    ("RONNA, OCS, 5 fiducials, phantom", 0.260),
+    ("RONNA, JDMS, 5 fiducials, phantom", 0.369),
+    ("RONNA, NOS, 5 fiducials, phantom", 1.327),
+    ("RONNA G3, targets < 50 mm deep, phantom", 0.43),
+    ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
+)
+GRID = "#dfe5e8"
+VALUE_ROOM = 70.0  # for the number after a bar
+LEFT, TOP = 44.0, 20.0  # of the plots with axes
+# Errors at the targets: colours, heights of a row and of its bar
+OURS, PREDICTED, PUBLISHED = "#1f6f8b", "#9cc5d3", "#b9b9b9"
+TARGET_ROW, TARGET_BAR = 31.0, 12.0
+# Clearance of the motions
+HEAD, OTHER = "#1f6f8b", "#9cc5d3"
+MOTION_ROW, MOTION_BAR = 40.0, 10.0
+LONGEST_MM = 200.0  # a longer bar carries no information
+# Timeline
+STEP, MOTION, REST, BROKEN = "#d3e3e9", "#1f6f8b", "#e0a030", "#b3261e"
+SPAN_ROW, SPAN_BAR, AXIS, MARGIN = 30.0, 11.0, 20.0, 12.0
+LEAST_WIDTH = 1.5  # so that what took no theatre time is still visible
+MOST_TICKS = 6
+# Histograms of the robot link
+TURNAROUND, JITTER = "#1f6f8b", "#b3541e"
+LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have
+HISTOGRAM_HEIGHT = 150.0
+# Residuals of a calibration's views
+USED, LEFT_OUT = "#1f6f8b", "#b3261e"
+LOOKS_HEIGHT = 120.0
+GAP = 0.2  # of a bar's width
+# Proposed markers
+DOTS_PER_INCH, SIZE_IN = 110, (10.0, 3.8)
+VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
+    ("from the right", 1, 2, (True, False)),
+    ("from the front", 0, 2, (False, False)),
+    ("from above", 0, 1, (True, True)),
+)
 
 
 class Canvas:
@@ -65,19 +103,6 @@ class Canvas:
         )
 
 
-# Mean application error of published work on phantoms, mm. Sources in docs/reference/published-figures.md.
-PUBLISHED_MM = (
-    ("RONNA, OCS, 5 fiducials, phantom", 0.260),
-    ("RONNA, JDMS, 5 fiducials, phantom", 0.369),
-    ("RONNA, NOS, 5 fiducials, phantom", 1.327),
-    ("RONNA G3, targets < 50 mm deep, phantom", 0.43),
-    ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
-)
-OURS, PREDICTED, PUBLISHED = "#1f6f8b", "#9cc5d3", "#b9b9b9"
-TARGET_ROW, TARGET_BAR = 31.0, 12.0
-VALUE_ROOM = 70.0
-
-
 def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
     """Bars with their numbers, in mm."""
     bars: list[tuple[str, float, str]] = []
@@ -95,11 +120,6 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
         canvas.rectangle(0, top + 16, value * scale, TARGET_BAR, colour)
         canvas.text(value * scale + 4, top + 26, f"{millimetres(value)} mm")
     return canvas.svg
-
-
-HEAD, OTHER = "#1f6f8b", "#9cc5d3"
-MOTION_ROW, MOTION_BAR = 40.0, 10.0
-LONGEST_MM = 200.0  # a longer bar carries no information
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
@@ -133,13 +153,6 @@ def _place(name: str) -> str:
 
 def _named(one: MotionRow) -> str:
     return "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
-
-
-STEP, MOTION, REST, BROKEN = "#d3e3e9", "#1f6f8b", "#e0a030", "#b3261e"
-GRID = "#dfe5e8"
-SPAN_ROW, SPAN_BAR, AXIS, MARGIN = 30.0, 11.0, 20.0, 12.0
-LEAST_WIDTH = 1.5  # so that what took no theatre time is still visible
-MOST_TICKS = 6
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
@@ -189,12 +202,6 @@ def _ticks(length_s: float) -> list[float]:
     return [number * step for number in range(int(length_s / step) + 1)]
 
 
-TURNAROUND, JITTER = "#1f6f8b", "#b3541e"
-LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have
-LEFT, TOP = 44.0, 20.0
-HISTOGRAM_HEIGHT = 150.0
-
-
 def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
     """Bins (from us, to us, turnaround, jitter) over all streams; empty ends are dropped."""
     edges = links[0].histogram_edges_us
@@ -241,11 +248,6 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
     return canvas.svg
 
 
-USED, LEFT_OUT = "#1f6f8b", "#b3261e"
-LOOKS_HEIGHT = 120.0
-GAP = 0.2  # of a bar's width
-
-
 def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
     """A bar for each view, its rms in px; red: left out, and cut at the height of the picture."""
     canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
@@ -269,14 +271,6 @@ def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
     canvas.text(LEFT, TOP + LOOKS_HEIGHT + 14, "1", anchor="start")
     canvas.text(WIDTH, TOP + LOOKS_HEIGHT + 14, str(len(looks_px)), anchor="end")
     return canvas.svg
-
-
-DOTS_PER_INCH, SIZE_IN = 110, (10.0, 3.8)
-VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
-    ("from the right", 1, 2, (True, False)),
-    ("from the front", 0, 2, (False, False)),
-    ("from above", 0, 1, (True, True)),
-)
 
 
 def marker_picture(

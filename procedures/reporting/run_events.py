@@ -9,6 +9,16 @@ from datetime import datetime
 from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
 from procedures.reporting.numbers import NOT_KNOWN
 
+_NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+    Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
+    Entry.SEAT: (
+        "seat",
+        lambda line: (
+            f"{line['by']} took the operator's seat" if line.get("by") else "The operator's seat became free"
+        ),
+    ),
+}
+
 
 @dataclass(frozen=True)
 class RunEvent:
@@ -130,15 +140,6 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.RESTARTED: ("fault", _restarted),
     Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
-}
-_NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
-    Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
-    Entry.SEAT: (
-        "seat",
-        lambda line: (
-            f"{line['by']} took the operator's seat" if line.get("by") else "The operator's seat became free"
-        ),
-    ),
 }
 
 

@@ -17,6 +17,16 @@ from ronna_hw.text.counting import counted
 
 BETWEEN_STEPS = "between steps"
 STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "interrupted"}
+PHASE, STEP, QUESTION, HANDS = "phase", "step", "question", "hands"
+# Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
+OPERATOR_S, ALGORITHM_S = 191.5, 28.8
+LOCALIZATION = "fiducial_localization"
+OUTSIDE = "outside the steps"
+PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_steps(measure_targets=True)}
+ACTIVE = "active"  # the state that a device left
+CONNECTED = "connected"  # the event with which counters of the connection begin
+LINK = "link"  # what a connection counts, from its beginning
+FRAME = ("timestamp", "level", "event", "device", "before")
 
 
 @dataclass(frozen=True)
@@ -77,14 +87,6 @@ def _end(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, e
     place = open_now.pop(key, None)
     if place is not None:
         spans[place] = replace(spans[place], end_s=max(time_s, spans[place].begin_s), ended=ended)
-
-
-PHASE, STEP, QUESTION, HANDS = "phase", "step", "question", "hands"
-# Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
-OPERATOR_S, ALGORITHM_S = 191.5, 28.8
-LOCALIZATION = "fiducial_localization"
-OUTSIDE = "outside the steps"
-PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_steps(measure_targets=True)}
 
 
 @dataclass(frozen=True)
@@ -158,12 +160,6 @@ def _host_s(begin: Line, end: Line) -> float:
     except (KeyError, ValueError):
         return 0.0
     return max(0.0, (moments[1] - moments[0]).total_seconds())
-
-
-ACTIVE = "active"  # the state that a device left
-CONNECTED = "connected"  # the event with which counters of the connection begin
-LINK = "link"  # what a connection counts, from its beginning
-FRAME = ("timestamp", "level", "event", "device", "before")
 
 
 def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:

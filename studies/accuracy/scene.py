@@ -25,6 +25,16 @@ from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.trials import AXES, CT_FLE_MM, Chance, Sizes, target_errors
 from studies.campaign.study import Sums
 
+CALIBRATED = ArmResidual()
+# Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
+CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
+FINE_CT_MM = 0.05  # 3-D rms
+ANY_APPROACH = "thesis-ocs"
+Array = NDArray[np.float64]
+DIGITS = 6  # of an error in mm
+BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
+FROM = tuple(one.name for one in CANDIDATES)
+
 
 def predictions(
     planned: Postures,
@@ -51,13 +61,6 @@ def predictions(
         sources = [*arm_sources(ARM.chain, at_spheres, at_target, left), ct_errors(ct)]
         found.append(predict_target_error(spheres[:count], target, sources))
     return found
-
-
-CALIBRATED = ArmResidual()
-# Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
-CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
-FINE_CT_MM = 0.05  # 3-D rms
-ANY_APPROACH = "thesis-ocs"
 
 
 @dataclass(frozen=True)
@@ -110,6 +113,8 @@ class Scenario:
 
 
 SET_S = Scenario("set S")
+
+
 SCENARIOS = (
     SET_S,
     Scenario("tool calibrated", tool=True),
@@ -119,13 +124,6 @@ SCENARIOS = (
     Scenario("tool and kinematics calibrated, fine CT", tool=True, kinematics=True, ct_mm=FINE_CT_MM),
     Scenario("the same, backlash known too", tool=True, kinematics=True, known=True, ct_mm=FINE_CT_MM),
 )
-
-
-Array = NDArray[np.float64]
-
-DIGITS = 6  # of an error in mm
-BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
-FROM = tuple(one.name for one in CANDIDATES)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,9 @@ from studies.errors import LedgerUnreadable, OtherStudy
 
 PROGRAM = "ronna-hw"
 PACKAGES = ("procedures", "ronna_hw", "sim", "studies")  # what results may depend on
+FILE = "units.jsonl"
+MOST_DAMAGED_LINES = 1000  # crashes leave a few; each is parsed in vain
+RESULTS, REPORT = "results.json", "report.md"
 
 
 def source_files(root: Path) -> list[Path]:
@@ -36,10 +39,6 @@ def code() -> str:
     for file in source_files(root):
         digest.update(file.relative_to(root).as_posix().encode() + b"\0" + file.read_bytes())
     return f"{version(PROGRAM)}, {digest.hexdigest()[:16]}"
-
-
-FILE = "units.jsonl"
-MOST_DAMAGED_LINES = 1000  # crashes leave a few; each is parsed in vain
 
 
 def fingerprint(study: Study) -> str:
@@ -153,9 +152,6 @@ def _difference(there: Any, head: Mapping[str, Any]) -> str:
         if before.get(name) != now.get(name)
     ]
     return f"a study with other settings: {'; '.join(differ)}"
-
-
-RESULTS, REPORT = "results.json", "report.md"
 
 
 def publish(

@@ -16,6 +16,7 @@ from typing import Protocol
 import numpy as np
 
 Sums = dict[str, float]  # additive over units: counts and sums of squares
+Cell = str | float | int | None
 
 
 @dataclass(frozen=True)
@@ -79,9 +80,6 @@ def add_up(finished: Iterable[tuple[Unit, Mapping[str, float]]]) -> dict[str, Su
     return {condition: dict(counter) for condition, counter in total.items()}
 
 
-Cell = str | float | int | None
-
-
 @dataclass(frozen=True)
 class Table:
     """Rows of plain values; `note` explains the figures and cites the source of published ones."""
@@ -114,6 +112,11 @@ class Table:
             "rows": [list(row) for row in self.rows],
             "note": self.note,
         }
+
+
+def yes_or_no(met: bool) -> str:
+    """Word a goal so that a missed one is seen."""
+    return "yes" if met else "NO"
 
 
 def format_cell(value: Cell) -> str:

@@ -58,7 +58,6 @@ from studies.localization.thesis_protocol import (
 )
 
 Array = NDArray[np.float64]
-
 PHANTOM_SCANS = 5
 SCANS: tuple[ThesisScan, ...] = tuple(
     scan for scan in THESIS_SCANS if scan.kind == PATIENT or scan.number <= PHANTOM_SCANS
@@ -67,6 +66,16 @@ SCANS: tuple[ThesisScan, ...] = tuple(
 THESIS_RANGES_MM = {PHANTOM: (1.8, 4.5), PATIENT: (2.5, 4.0)}
 THESIS_READINGS = 1415
 NOISE = NoiseReading.NORM  # the interpretation that reproduces the thesis' other figures
+READINGS_FILE = "frame-readings.json"
+ORIENTATIONS = 28
+SPHERES = len(FRAME_MM)
+# The Spectra's pyramid reaches from 0.95 to 2.4 m and is at least half as wide as the distance: the whole
+# frame stays inside it. NDI's brochure.
+DEPTH_MM = (1050.0, 2300.0)
+HALF_WIDTH, MARGIN_MM = 0.24, 60.0  # share of the distance; the frame's half width
+LARGEST_TILT_RAD = radians(60.0)  # of the frame from facing the tracker
+ATTEMPTS = 20
+LIMIT_S = 60.0  # host time, as a safeguard
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,18 +228,6 @@ def _success(sums: Mapping[str, Sums], kind: str, method: Method, tolerance: str
                 runs += number
                 success += number if key.endswith(f"|{SUCCESS}") else 0.0
     return int(runs), success / runs if runs else 0.0
-
-
-READINGS_FILE = "frame-readings.json"
-ORIENTATIONS = 28
-SPHERES = len(FRAME_MM)
-# The Spectra's pyramid reaches from 0.95 to 2.4 m and is at least half as wide as the distance: the whole
-# frame stays inside it. NDI's brochure.
-DEPTH_MM = (1050.0, 2300.0)
-HALF_WIDTH, MARGIN_MM = 0.24, 60.0  # share of the distance; the frame's half width
-LARGEST_TILT_RAD = radians(60.0)  # of the frame from facing the tracker
-ATTEMPTS = 20
-LIMIT_S = 60.0  # host time, as a safeguard
 
 
 def load_or_take_readings(

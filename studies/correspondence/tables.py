@@ -13,6 +13,48 @@ from studies.correspondence.study import FALSE, LOST, PART, Method, condition_of
 from studies.heads import NoiseReading
 
 Range = tuple[float, float]
+# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.2.
+THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
+    range(5, 9), (0.0, 0.81)
+)
+THESIS_FALSE: dict[int, Range] = {3: (0.05, 0.89), 4: (0.01, 0.06)} | dict.fromkeys(range(5, 9), (0.0, 0.026))
+POOLED = range(5, 9)  # numbers of fiducials pooled by the thesis and by the goal
+GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a partial result counts as false
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
+    found = shares(sums)
+    made = [
+        Table(
+            f"Correspondence, noise {noise}",
+            (
+                "method",
+                "e mm",
+                "fiducials",
+                "runs",
+                "unsuccessful %",
+                bounds.column("unsuccessful"),
+                "over 0 to 4 outliers",
+                "thesis %",
+                "false %",
+                bounds.column("false"),
+                "over 0 to 4 outliers",
+                "thesis %",
+                "a part %",
+            ),
+            [_row(series, one) for series, one in found.items() if series.noise is noise],
+            (
+                "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the "
+                "thesis; our goals count it as false. The thesis' heads are not published, and it does not "
+                "state its noise model. "
+            )
+            + bounds.NOTE,
+        )
+        for noise in dict.fromkeys(series.noise for series in found)
+    ]
+    of_the_thesis = [_reached(found)] if any(series.tolerance for series in found) else []
+    return [*made, _pooled(found), *of_the_thesis]
 
 
 @dataclass(frozen=True)
@@ -88,51 +130,6 @@ def _shares(conditions: list[dict[str, float]]) -> Shares:
         (min(false), max(false)),
         share((PART,), conditions),
     )
-
-
-# Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.2.
-THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
-    range(5, 9), (0.0, 0.81)
-)
-THESIS_FALSE: dict[int, Range] = {3: (0.05, 0.89), 4: (0.01, 0.06)} | dict.fromkeys(range(5, 9), (0.0, 0.026))
-
-POOLED = range(5, 9)  # numbers of fiducials pooled by the thesis and by the goal
-GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a partial result counts as false
-
-
-def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
-    found = shares(sums)
-    made = [
-        Table(
-            f"Correspondence, noise {noise}",
-            (
-                "method",
-                "e mm",
-                "fiducials",
-                "runs",
-                "unsuccessful %",
-                bounds.column("unsuccessful"),
-                "over 0 to 4 outliers",
-                "thesis %",
-                "false %",
-                bounds.column("false"),
-                "over 0 to 4 outliers",
-                "thesis %",
-                "a part %",
-            ),
-            [_row(series, one) for series, one in found.items() if series.noise is noise],
-            (
-                "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the "
-                "thesis; our goals count it as false. The thesis' heads are not published, and it does not "
-                "state its noise model. "
-            )
-            + bounds.NOTE,
-        )
-        for noise in dict.fromkeys(series.noise for series in found)
-    ]
-    of_the_thesis = [_reached(found)] if any(series.tolerance for series in found) else []
-    return [*made, _pooled(found), *of_the_thesis]
 
 
 def _row(series: Series, one: Shares) -> list[Cell]:

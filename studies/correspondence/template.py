@@ -22,7 +22,7 @@ from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
-from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, yes_or_no
 from studies.correspondence.study import (
     BLOCK_RUNS,
     FALSE,
@@ -162,8 +162,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
                 false,
                 bounds.percent(pooled[FALSE], pooled.total()).text,
-                _word(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
-                _word(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
+                yes_or_no(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
+                yes_or_no(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
             )
         )
     return [
@@ -191,14 +191,5 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     ]
 
 
-def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Draw nothing: the table is enough."""
-    return {}
-
-
 def _percent(outcomes: Counter[str], *which: str) -> float:
     return 100.0 * sum(outcomes[one] for one in which) / outcomes.total()
-
-
-def _word(held: bool) -> str:
-    return "yes" if held else "NO"

@@ -29,7 +29,6 @@ from studies.plugins.method import PluginMethod
 from studies.thesis_tables import OPERATORS, TABLE_3
 
 Array = NDArray[np.float64]
-
 BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
 COVERED = ("bandage", "soaked")
 STREAKED = ("streaks", "rays", "posts")  # families whose posts cause streaks
@@ -50,6 +49,7 @@ CHI2_AT_TAIL = 11.345  # of three degrees of freedom
 BIN_MM = 0.001
 SEED_BOUND = 2**31
 OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
+SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 
 
 class Method(StrEnum):
@@ -62,7 +62,6 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
-SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 
@@ -108,7 +107,8 @@ class LocalizationStudy:
         return {key: float(value) for key, value in sums.items()}
 
 
-def _localized(method: Method, volume: Volume) -> Localization | None:
+def localize_by(method: Method, volume: Volume) -> Localization | None:
+    """Localize by a built-in method; None without a plausible number of markers."""
     try:
         if method is Method.OURS:
             return localize(volume)
@@ -119,7 +119,7 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
     """Run a built-in method on one volume."""
-    result = _localized(method, scan.volume)
+    result = localize_by(method, scan.volume)
     return _counted(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
     )
@@ -170,7 +170,7 @@ def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ())
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
             for method in AUTOMATIC:
-                result = _localized(method, scan.volume)
+                result = localize_by(method, scan.volume)
                 ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
                 if ordered is not None:
                     points.setdefault(method.value, []).append(ordered)

@@ -8,7 +8,7 @@ from math import sqrt
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from studies.campaign import bounds
 from studies.campaign.plots import bars
-from studies.campaign.study import Cell, Sums, Table
+from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.localization.study import (
     AUTOMATIC,
     BIN_MM,
@@ -39,6 +39,21 @@ COLUMNS = (
     "rms / CRB",
     "chi² / 3n",
 )
+RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
+COVERED_RMS_UM = 40.0  # half buried
+LARGEST_UM = 150.0
+SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
+CHI2 = (0.7, 1.4)
+LEAST_OF_A_FAMILY = 60  # spheres: right covariances leave the range once in 900 times (20: once in 17)
+CHANCE = 1e-3  # of right covariances to miss a goal for the tail
+LEAST_SPHERES, LEAST_OBJECTS, LEAST_VOLUMES = 500, 500, 100
+FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
+
+
+def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
+    """All tables of the study; the goals come last, if evaluation families were scanned."""
+    held = goals(sums)
+    return [*tables(sums), held] if held is not None else tables(sums)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
@@ -108,6 +123,36 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     if frames := pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)]):
         pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
     return pictures
+
+
+def goals(sums: Mapping[str, Sums]) -> Table | None:
+    """Ours against the goals, on families not used for tuning; None without them."""
+    conditions = [condition for condition in sums if condition.split("|")[0] in JUDGING]
+    if not conditions:
+        return None
+    rows: list[Sequence[Cell]] = []
+    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
+        for streaked in (False, True):
+            chosen = [
+                condition
+                for condition in conditions
+                if condition.endswith(f"|{protocol}") and (condition.split("|")[0] in STREAKED) == streaked
+            ]
+            total = pooled(sums, chosen)
+            found = of_method(total, Method.OURS, "found")
+            if found:
+                rows += _accuracy(total, protocol, streaked, found)
+        rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
+    for family in dict.fromkeys(condition.split("|")[0] for condition in conditions):
+        of_family = [condition for condition in conditions if condition.startswith(f"{family}|")]
+        rows += _covariances(pooled(sums, of_family), family)
+    rows.append(_tail(pooled(sums, conditions), "all families"))
+    return Table(
+        "Goals",
+        ("figure", "value", "goal", "met"),
+        [*rows, *_detection(pooled(sums, conditions))],
+        "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
+    )
 
 
 def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
@@ -233,53 +278,6 @@ def of_method(total: Sums, method: str, key: str) -> float:
     return total.get(f"{method}|{key}", 0.0)
 
 
-RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
-COVERED_RMS_UM = 40.0  # half buried
-LARGEST_UM = 150.0
-SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
-CHI2 = (0.7, 1.4)
-LEAST_OF_A_FAMILY = 60  # spheres: right covariances leave the range once in 900 times (20: once in 17)
-CHANCE = 1e-3  # of right covariances to miss a goal for the tail
-LEAST_SPHERES, LEAST_OBJECTS, LEAST_VOLUMES = 500, 500, 100
-FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
-
-
-def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """All tables of the study; the goals come last, if evaluation families were scanned."""
-    held = goals(sums)
-    return [*tables(sums), held] if held is not None else tables(sums)
-
-
-def goals(sums: Mapping[str, Sums]) -> Table | None:
-    """Ours against the goals, on families not used for tuning; None without them."""
-    conditions = [condition for condition in sums if condition.split("|")[0] in JUDGING]
-    if not conditions:
-        return None
-    rows: list[Sequence[Cell]] = []
-    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
-        for streaked in (False, True):
-            chosen = [
-                condition
-                for condition in conditions
-                if condition.endswith(f"|{protocol}") and (condition.split("|")[0] in STREAKED) == streaked
-            ]
-            total = pooled(sums, chosen)
-            found = of_method(total, Method.OURS, "found")
-            if found:
-                rows += _accuracy(total, protocol, streaked, found)
-        rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
-    for family in dict.fromkeys(condition.split("|")[0] for condition in conditions):
-        of_family = [condition for condition in conditions if condition.startswith(f"{family}|")]
-        rows += _covariances(pooled(sums, of_family), family)
-    rows.append(_tail(pooled(sums, conditions), "all families"))
-    return Table(
-        "Goals",
-        ("figure", "value", "goal", "met"),
-        [*rows, *_detection(pooled(sums, conditions))],
-        "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
-    )
-
-
 def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
     where = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
     rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
@@ -316,10 +314,10 @@ def _covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
         return []
     (low, high), chi2 = CHI2, of_method(total, Method.OURS, "chi2") / (3.0 * found)
     spheres = int(of_method(total, Method.OURS, "spheres"))
-    enough = _word(spheres >= LEAST_OF_A_FAMILY)
+    enough = yes_or_no(spheres >= LEAST_OF_A_FAMILY)
     return [
         (f"spheres, {family}", spheres, f"at least {LEAST_OF_A_FAMILY}", enough),
-        (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)),
+        (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", yes_or_no(low <= chi2 <= high)),
         _tail(total, family),
     ]
 
@@ -338,22 +336,18 @@ def _detection(total: Sums) -> list[Sequence[Cell]]:
     )
     objects, volumes = total.get("objects", 0.0), total.get("volumes", 0.0)
     rows: list[Sequence[Cell]] = [
-        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", _word(spheres >= LEAST_SPHERES)),
-        ("other objects", int(objects), f"at least {LEAST_OBJECTS}", _word(objects >= LEAST_OBJECTS)),
-        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", _word(volumes >= LEAST_VOLUMES)),
-        ("missed", int(missed), "0", _word(missed == 0)),
-        ("false", int(false), "0", _word(false == 0)),
+        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", yes_or_no(spheres >= LEAST_SPHERES)),
+        ("other objects", int(objects), f"at least {LEAST_OBJECTS}", yes_or_no(objects >= LEAST_OBJECTS)),
+        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", yes_or_no(volumes >= LEAST_VOLUMES)),
+        ("missed", int(missed), "0", yes_or_no(missed == 0)),
+        ("false", int(false), "0", yes_or_no(false == 0)),
     ]
     if large:
         share = 100.0 * of_method(total, Method.OURS, "large flagged") / large
         goal = f"at least {FLAGGED_PERCENT:g}"
-        rows.append(("errors above 0.1 mm flagged, %", share, goal, _word(share >= FLAGGED_PERCENT)))
+        rows.append(("errors above 0.1 mm flagged, %", share, goal, yes_or_no(share >= FLAGGED_PERCENT)))
     return rows
 
 
 def _at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
-    return (what, value, f"at most {most:g}", _word(value <= most))
-
-
-def _word(met: bool) -> str:
-    return "yes" if met else "NO"
+    return (what, value, f"at most {most:g}", yes_or_no(value <= most))

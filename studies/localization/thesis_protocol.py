@@ -7,7 +7,6 @@ a real scanner; the spheres' positions are scaled, not the images.
 
 from __future__ import annotations
 
-import contextlib
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -15,17 +14,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging import Localization, ThesisFit, localize, localize_as_thesis
-from procedures.imaging.errors import MarkerCountWrong
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.campaign.study import Sums, Unit, generator
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
-from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, Method
+from studies.localization.study import AUTOMATIC, SAME_SPHERE_MM, SEED_BOUND, Method, localize_by
 
 Array = NDArray[np.float64]
-
 PHANTOM, PATIENT = "phantom", "patient"
 FRAME = "xframe-close"
 FRAME_MM: Array = np.array(CLOSE_SPHERE_CENTRES_MM)
@@ -35,6 +31,8 @@ PATIENT_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "bandage", "streak
 # up to 1 mm over the width of a head are equally likely. The thesis states nothing about its scanners: this
 # is what it takes to come near both of its tables, and more than a scanner in good order has.
 LARGEST_SCALE_ERROR = 1.0 / 150.0
+SCALE_DRAWS = 100
+AXES = "LPS"
 
 
 @dataclass(frozen=True)
@@ -88,21 +86,10 @@ def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
     found = {}
     for method in AUTOMATIC:
         began_s = time.process_time()
-        centres_mm = np.empty((0, 3))
-        with contextlib.suppress(MarkerCountWrong):
-            centres_mm = _localization(method, scan).centres_mm
+        result = localize_by(method, scan.volume)
+        centres_mm = np.empty((0, 3)) if result is None else result.centres_mm
         found[method] = LocalizedScan(centres_mm, time.process_time() - began_s)
     return found
-
-
-def _localization(method: Method, scan: PhantomScan) -> Localization:
-    if method is Method.OURS:
-        return localize(scan.volume)
-    return localize_as_thesis(scan.volume, ThesisFit(method.value))
-
-
-SCALE_DRAWS = 100
-AXES = "LPS"
 
 
 @dataclass(frozen=True)

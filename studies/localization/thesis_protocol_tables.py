@@ -13,6 +13,7 @@ from procedures.registration.rigid_fit import fit_rigid, residuals
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table
 from studies.localization.study import AUTOMATIC, Method
+from studies.localization.tables import IN_THE_THESIS
 from studies.localization.thesis_protocol import (
     FRAME_MM,
     LARGEST_SCALE_ERROR,
@@ -22,11 +23,10 @@ from studies.localization.thesis_protocol import (
     draw_scale,
     points_of,
 )
-from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, LINE_FIT, SPHERE_FIT, TABLE_2, TABLE_3
+from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, TABLE_2, TABLE_3
 
 Array = NDArray[np.float64]
 
-IN_THE_THESIS = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 PERSON_S, PROGRAM_S = 191.5, 28.8  # thesis 5.1: a person, its program on an i7-6700HQ
 WITHIN_PERCENT = 30.0  # of the thesis' figure: the goal for the copy
 SPHERES = len(FRAME_MM)
@@ -37,11 +37,6 @@ SCALE_ERRORS = (0.0, 1.0 / 500.0, 1.0 / 250.0, LARGEST_SCALE_ERROR)
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Detection, the localization errors of tables 2 and 3, gains over people, times."""
     return [_detection(sums), _errors(sums), _gains(sums), _times(sums)]
-
-
-def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """Draw nothing: the tables are enough."""
-    return {}
 
 
 def _detection(sums: Mapping[str, Sums]) -> Table:

@@ -26,7 +26,6 @@ from studies.plugins.strategy import PluginStrategy
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
 Array = NDArray[np.float64]
-
 TRIAL_SEED = 17
 PATIENT = 1
 FIDUCIALS, OUTLIERS = 4, 1
@@ -36,6 +35,13 @@ TRIAL_VOXELS = 60  # along each axis, 1 mm
 TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0.75, 0.7))  # of the edge
 BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
+NAMES = {
+    "clique": Method.CLIQUE,
+    "orientation": Method.PRIOR,
+    "count": Method.COUNT,
+    "thesis": Method.THESIS,
+    "thesis-validated": Method.VALIDATED,
+}
 
 
 def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: None) -> PluginMethod:
@@ -68,6 +74,30 @@ def try_plugin(kind: MethodKind, text: str) -> PluginMethod:
             action="Seed its random numbers, and keep no state between calls.",
         )
     return method
+
+
+def select_methods(
+    names: Sequence[str], tell: Tell = lambda text: None
+) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
+    """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
+
+    `tell` is called with the name of a user method that does not respond.
+    """
+    if not names:
+        return tuple(Method), ()
+    wanted = tuple(dict.fromkeys(names))
+    unknown = [name for name in wanted if name not in NAMES]
+    for name in unknown:
+        if ":" not in name and name not in (there := installed_plugins()):
+            known = [*NAMES, *there]
+            near = get_close_matches(name, known, n=1)
+            raise MethodRefused(
+                f"--method: there is no method {name!r}",
+                expected=f"{', '.join(known)} or module:function",
+                action=f"Did you mean {near[0]}? {MethodRefused.action}" if near else None,
+            )
+    own = tuple(try_in_subprocess(MethodKind.PAIRING, name, tell) for name in unknown)
+    return tuple(NAMES[name] for name in wanted if name in NAMES), own
 
 
 def _pairs(method: PluginMethod) -> object:
@@ -138,36 +168,3 @@ ANSWERS: dict[MethodKind, Callable[[PluginMethod], object]] = {
     MethodKind.REGISTRATION: _transform,
     MethodKind.STRATEGY: _poses,
 }
-
-
-NAMES = {
-    "clique": Method.CLIQUE,
-    "orientation": Method.PRIOR,
-    "count": Method.COUNT,
-    "thesis": Method.THESIS,
-    "thesis-validated": Method.VALIDATED,
-}
-
-
-def select_methods(
-    names: Sequence[str], tell: Tell = lambda text: None
-) -> tuple[tuple[Method, ...], tuple[PluginMethod, ...]]:
-    """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
-
-    `tell` is called with the name of a user method that does not respond.
-    """
-    if not names:
-        return tuple(Method), ()
-    wanted = tuple(dict.fromkeys(names))
-    unknown = [name for name in wanted if name not in NAMES]
-    for name in unknown:
-        if ":" not in name and name not in (there := installed_plugins()):
-            known = [*NAMES, *there]
-            near = get_close_matches(name, known, n=1)
-            raise MethodRefused(
-                f"--method: there is no method {name!r}",
-                expected=f"{', '.join(known)} or module:function",
-                action=f"Did you mean {near[0]}? {MethodRefused.action}" if near else None,
-            )
-    own = tuple(try_in_subprocess(MethodKind.PAIRING, name, tell) for name in unknown)
-    return tuple(NAMES[name] for name in wanted if name in NAMES), own

@@ -33,47 +33,8 @@ from studies.thesis_tables import TABLE_4, StrategyRow
 
 PAIRS = (("improved", "ocs"), ("improved", "jdms"), ("best", "ocs"), ("best", "improved"))
 PAIRED_SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
-
-
-def pairs(sums: Mapping[str, Sums]) -> Table:
-    """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
-    totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for condition, content in sums.items():
-        if condition.split("|")[0] != SCENARIO:
-            continue
-        for key, sum_mm in content.items():
-            scenario, strategy, spheres, what = key.split("|")
-            if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
-                totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
-    rows: list[list[Cell]] = []
-    for scenario in PAIRED_SCENARIOS:
-        for count in sorted({one[2] for one in totals if one[0] == scenario}):
-            for one, other in PAIRS:
-                mine, others = totals[scenario, one, count], totals[scenario, other, count]
-                apart = np.array([mine[arm] - others[arm] for arm in sorted(mine)])
-                rows.append([scenario, f"{one} - {other}", count, *_judged(apart)])
-    return Table(
-        "Two strategies on the same arms",
-        ("scenario", "pair", "spheres", "difference mm", "95 % from", "to", "arms where it is less %", "p"),
-        rows,
-        "Free spheres, the mean of each arm over 8 positions and 10 targets. p: Wilcoxon signed-rank "
-        "test, two-sided. Best chooses by the predicted error; if it chooses the same everywhere, "
-        "nothing differs.",
-    )
-
-
-def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
-    count, mean = len(apart_mm), float(apart_mm.mean())
-    if count < 2 or not apart_mm.any():
-        return [mean, mean, mean, 0.0, None]
-    bound = bounds.mean(apart_mm)
-    p = f"{float(wilcoxon(apart_mm).pvalue):.1e}"
-    return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
-
-
 Array = NDArray[np.float64]
 Series = tuple[str, str, int]  # markers, strategy, number of spheres
-
 # OCS in the thesis does not control the approach, so its table is compared with that.
 OF_TABLE_4 = {"nos": "NOS", "thesis-ocs": "OCS", "jdms": "JDMS"}
 LOW_SHARE, HIGH_SHARE = 5.0, 95.0  # per cent of the arms
@@ -122,6 +83,42 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
         shape = tuple(len({place[axis] for place in trials}) for axis in range(3))
         arrays[series] = np.array([trials[one] for one in sorted(trials)]).reshape(shape)
     return arrays
+
+
+def pairs(sums: Mapping[str, Sums]) -> Table:
+    """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
+    totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for condition, content in sums.items():
+        if condition.split("|")[0] != SCENARIO:
+            continue
+        for key, sum_mm in content.items():
+            scenario, strategy, spheres, what = key.split("|")
+            if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
+                totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
+    rows: list[list[Cell]] = []
+    for scenario in PAIRED_SCENARIOS:
+        for count in sorted({one[2] for one in totals if one[0] == scenario}):
+            for one, other in PAIRS:
+                mine, others = totals[scenario, one, count], totals[scenario, other, count]
+                apart = np.array([mine[arm] - others[arm] for arm in sorted(mine)])
+                rows.append([scenario, f"{one} - {other}", count, *_judged(apart)])
+    return Table(
+        "Two strategies on the same arms",
+        ("scenario", "pair", "spheres", "difference mm", "95 % from", "to", "arms where it is less %", "p"),
+        rows,
+        "Free spheres, the mean of each arm over 8 positions and 10 targets. p: Wilcoxon signed-rank "
+        "test, two-sided. Best chooses by the predicted error; if it chooses the same everywhere, "
+        "nothing differs.",
+    )
+
+
+def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
+    count, mean = len(apart_mm), float(apart_mm.mean())
+    if count < 2 or not apart_mm.any():
+        return [mean, mean, mean, 0.0, None]
+    bound = bounds.mean(apart_mm)
+    p = f"{float(wilcoxon(apart_mm).pvalue):.1e}"
+    return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
 
 
 def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[str], Sums]]:

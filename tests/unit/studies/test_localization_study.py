@@ -65,7 +65,7 @@ def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> No
         one = {"volumes": 1.0, "bound2": 0.002**2}
         for method in AUTOMATIC:
             points = CENTRES + random.normal(size=(4, 3)) * 0.01
-            monkeypatch.setattr(study_module, "_localized", lambda *_, p=points: found_at(p, 0.01))
+            monkeypatch.setattr(study_module, "localize_by", lambda *_, p=points: found_at(p, 0.01))
             one |= study_module._judged(method, scan_of(CENTRES, [True] * 4))
         sums[f"{family}|good"] = one
     together, single = tables(sums)
