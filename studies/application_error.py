@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.accuracy.phantom import Markers, phantom
+from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.scene import Scene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
@@ -56,7 +56,7 @@ class ApplicationErrorStudy:
         """Length of every error in mm: strategy|spheres|arm|target."""
         depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
-        drawn = phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
+        drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
         first = unit.block * BLOCK_ARMS
         scene = Scene.of(self.seed, drawn, markers, int(number))
         return scene.trials(range(first, first + unit.runs), STRATEGIES)

@@ -186,7 +186,7 @@ def verdict(judged: Judged, draft: Draft) -> str:
     parts += [tag("li", text(one), class_="ok") for one in judged.reached]
     current = judged.draft is draft
     head = _outcome(judged) if current else tag("p", "Checking…", class_="dim")
-    more = marked(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
+    more = mark_outdated(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
     state = "judged" if current and judged.thorough else "judging"
     return tag("div", head + more, data_state=state, data_findings=str(len(judged.findings)))
 
@@ -201,10 +201,10 @@ def expected(judged: Judged, draft: Draft) -> str:
         for one in judged.draft.ways
         if one.identifier in judged.expected
     )
-    return marked(rows + tag("p", _basis(judged.expected.values()), class_="dim"), judged, draft)
+    return mark_outdated(rows + tag("p", _basis(judged.expected.values()), class_="dim"), judged, draft)
 
 
-def marked(content: str, judged: Judged, draft: Draft) -> str:
+def mark_outdated(content: str, judged: Judged, draft: Draft) -> str:
     """Mark findings as outdated, in grey and in words, once their draft is not the current one."""
     if judged.draft is draft or not content:
         return content

@@ -152,7 +152,7 @@ class SlicePanel:
             self._begun = True
         elif kind == "mousedown" and args.get("button") == 0:
             way = next((one for one in draft.ways if one.identifier == self._look.way), None)
-            self._dragged = grasped(cut, way, x, y) if way is not None else ""
+            self._dragged = grasped_end(cut, way, x, y) if way is not None else ""
             self._begun = False
             if not self._dragged:
                 await self._act(cut.to_patient_mm(x, y))
@@ -201,7 +201,7 @@ def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
     return "".join(parts)
 
 
-def grasped(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
+def grasped_end(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
     """Return the trajectory end at a point of the image: `entry`, `target`, or empty."""
     best, name = HANDLE_PX, ""
     for end, place in (("target", way.target_mm), ("entry", way.entry_mm)):

@@ -75,7 +75,7 @@ class Cut:
         """The position of a point in the image; (0, 0) is the corner of its first pixel."""
         half = SIZE_PX / 2.0
         place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
-        return point(place)
+        return as_point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
         """Image position of a point, px, and its distance behind the image, mm."""
@@ -88,7 +88,7 @@ class Cut:
         )
 
 
-def point(place: ArrayLike) -> Point:
+def as_point(place: ArrayLike) -> Point:
     """Three plain numbers."""
     x, y, z = (float(value) for value in np.asarray(place))
     return x, y, z
@@ -169,7 +169,7 @@ class PageView:
         corners = np.array(np.meshgrid(*[(-0.5, n - 0.5) for n in self.geometry.shape])).reshape(3, -1).T
         places = self.geometry.to_patient_mm(corners)
         self._bounds = places.min(axis=0), places.max(axis=0)
-        self.place_mm = self.focus_mm = point((self._bounds[0] + self._bounds[1]) / 2.0)
+        self.place_mm = self.focus_mm = as_point((self._bounds[0] + self._bounds[1]) / 2.0)
 
     @property
     def step_mm(self) -> float:
@@ -201,7 +201,7 @@ class PageView:
     def go_to(self, place_mm: Point) -> None:
         """Move the crosshair, within the scan."""
         low, high = self._bounds
-        self.place_mm = point(np.clip(place_mm, low, high))
+        self.place_mm = as_point(np.clip(place_mm, low, high))
 
     def scroll(self, plane: Plane, steps: int) -> None:
         """Scroll by this many slices."""
@@ -211,20 +211,20 @@ class PageView:
         right, down = (np.array(one) for one in DIRECTIONS[plane])
         normal = np.cross(right, down)
         axis = int(np.abs(normal @ self.geometry.axes).argmax())
-        self.go_to(point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
+        self.go_to(as_point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
 
     def move(self, plane: Plane, right: int, down: int) -> None:
         """Move the crosshair within an image, by its pixels."""
         if plane is Plane.ALONG:
             return
         across, downwards = (np.array(one) for one in DIRECTIONS[plane])
-        self.go_to(point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
+        self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
         """Zoom about the crosshair; fully zoomed out, show the whole scan."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
-        self.focus_mm = self.place_mm if self.zoom else point((low + high) / 2.0)
+        self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)
 
 
 def add_pictures(app: Any, editor: PlanEditor) -> None:

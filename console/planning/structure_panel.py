@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from console.panels.html import table_of, tag, text
 from console.planning.draft import Draft
 from console.planning.fields import NumberField, small_button
-from console.planning.judging import marked
+from console.planning.judging import mark_outdated
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
@@ -72,7 +72,7 @@ class StructurePanel:
         """A stroke in an image begins, or continues."""
         start_mm = self._last_mm if goes_on else None
         self._last_mm = place_mm
-        self._change(lambda draft: drawn(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
+        self._change(lambda draft: draw_stroke(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
 
     def show(self) -> None:
         """Show the current draft and the known distances."""
@@ -88,7 +88,7 @@ class StructurePanel:
         for one in structures:
             self.margins[one.name].show(one.margin_mm)
         table = _table(structures, judged.distances)
-        self._distances.set_content(marked(table, judged, self._editor.draft))
+        self._distances.set_content(mark_outdated(table, judged, self._editor.draft))
 
     @property
     def _chosen(self) -> str:
@@ -114,7 +114,7 @@ class StructurePanel:
             self._name.set_value(name)
 
     def _set(self, name: str, margin_mm: float) -> None:
-        self._change(lambda draft: with_margin(draft, name, margin_mm))
+        self._change(lambda draft: set_margin(draft, name, margin_mm))
 
     def _remove(self, name: str) -> None:
         self._change(lambda draft: draft.without_structure(name))
@@ -123,7 +123,9 @@ class StructurePanel:
         content = await event.file.read()
         event.sender.reset()
         geometry = self._editor.volume.geometry
-        if self._change(lambda draft: imported(draft, self._chosen, content, event.file.name, geometry)):
+        if self._change(
+            lambda draft: import_structure(draft, self._chosen, content, event.file.name, geometry)
+        ):
             self._name.set_value(free_name(self._editor.draft))
 
     def _too_large(self) -> None:
@@ -170,7 +172,7 @@ def _cell(distance: StructureDistance | None) -> str:
     )
 
 
-def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
+def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
     """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
@@ -182,7 +184,9 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
         return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
 
 
-def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
+def import_structure(
+    draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry
+) -> Draft:
     """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
@@ -192,7 +196,7 @@ def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: 
         )
 
 
-def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
+def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
     """Set the margin of a structure. Raises PLAN-002."""
     known = draft.structure(name)
     if known is None:

@@ -29,13 +29,13 @@ class Closest:
     to_mm: Point
 
 
-def ends(values: tuple[float, ...]) -> tuple[Point, Point]:
+def axis_ends(values: tuple[float, ...]) -> tuple[Point, Point]:
     """Split six numbers into the ends of an axis."""
     a, b, c, d, e, f = values
     return (a, b, c), (d, e, f)
 
 
-def upright(start: Point, end: Point) -> Rows:
+def rotation_along(start: Point, end: Point) -> Rows:
     """A rotation, by rows, that turns z into the direction from start to end."""
     length = math.dist(start, end)
     if length == 0.0:
@@ -53,7 +53,7 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
     shares = [
         sum((p - t) * (e - t) for p, t, e in zip(point, target, entry, strict=True)) / depth_mm**2
         for axis in tool_mm
-        for point in ends(axis)
+        for point in axis_ends(axis)
     ]
     return _along(target, entry, min(shares)) if shares else None
 
@@ -62,8 +62,8 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
     """Find the closest of the pairs checked for the arm's motion; None if nothing is near."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
-    moving = [ends(one) for one in pose.bodies_mm]
-    fixed = [ends(one.ends_mm) for one in bodies.fixed]
+    moving = [axis_ends(one) for one in pose.bodies_mm]
+    fixed = [axis_ends(one.ends_mm) for one in bodies.fixed]
     best: Closest | None = None
     for first, second in bodies.pairs:
         a, b = moving[first]
@@ -129,7 +129,7 @@ class Capsule:
 
     def place(self, start: Point, end: Point) -> list[Call]:
         """Store its pose; returns the calls that place it on an open page."""
-        return placed(self.group, start, upright(start, end))
+        return placing_calls(self.group, start, rotation_along(start, end))
 
     def delete(self) -> None:
         """Delete the capsule."""
@@ -153,10 +153,14 @@ class Rod:
         self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
         self.group.visible_ = True
         scaled = ["scale", self.group.id, 1.0, 1.0, length]
-        return [*placed(self.group, start, upright(start, end)), scaled, ["visible", self.group.id, True]]
+        return [
+            *placing_calls(self.group, start, rotation_along(start, end)),
+            scaled,
+            ["visible", self.group.id, True],
+        ]
 
 
-def placed(thing: Any, at_mm: Point, rotation: Rows) -> list[Call]:
+def placing_calls(thing: Any, at_mm: Point, rotation: Rows) -> list[Call]:
     """Store a pose for pages opened later, and return the calls that apply it on an open one."""
     thing.x, thing.y, thing.z = (value * METRES for value in at_mm)
     thing.R = rotation

@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from console.case_view import CaseView
-from console.scene.bodies import METRES, Call, Point, Rod, ends, placed
+from console.scene.bodies import METRES, Call, Point, Rod, axis_ends, placing_calls
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
@@ -108,7 +108,7 @@ class Sights:
         calls: list[Call] = []
         for group in self._frusta:
             group.visible_ = True
-            calls += [*placed(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
+            calls += [*placing_calls(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
         self._scene.run_method("run_methods", calls)
 
     def _line(self, start: Point, end: Point, colour: str, opacity: float) -> Any:
@@ -131,7 +131,7 @@ def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
     if len(pose.bodies_mm) != len(bodies.moving):
         return False
     capsules = zip(bodies.moving, pose.bodies_mm, strict=True)
-    return any(segment_distance_mm(eye, place, *ends(axis)) < body.radius_mm for body, axis in capsules)
+    return any(segment_distance_mm(eye, place, *axis_ends(axis)) < body.radius_mm for body, axis in capsules)
 
 
 def _point(values: Any) -> Point:

@@ -15,10 +15,10 @@ from console.scene.bodies import (
     Closest,
     Point,
     Rod,
+    axis_ends,
     closest_pair,
-    ends,
     guide_end,
-    placed,
+    placing_calls,
 )
 from console.scene.sights import HIDDEN, VOLUME, Sights
 from procedures.engine.events import Bodies, Pose
@@ -176,7 +176,7 @@ class TheatreScene:
             one.delete()
         self._bodies, self._moving, self._pose, self._grey = bodies, [], None, None
         self._fixed = [
-            Capsule(self.scene, body, *ends(body.ends_mm), ROOM, 1.0)
+            Capsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
             for body in bodies.fixed
             if not body.is_head
         ]
@@ -185,7 +185,7 @@ class TheatreScene:
 
     def _build_moving(self, bodies: Bodies, pose: Pose) -> None:
         self._moving = [
-            Capsule(self.scene, body, *ends(place), ARM if number < LINKS else TOOL, 1.0)
+            Capsule(self.scene, body, *axis_ends(place), ARM if number < LINKS else TOOL, 1.0)
             for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
         ]
 
@@ -198,7 +198,7 @@ class TheatreScene:
             self._build_moving(bodies, pose)
         calls: list[Call] = []
         for capsule, place in zip(self._moving, pose.bodies_mm, strict=True):
-            calls += capsule.place(*ends(place))
+            calls += capsule.place(*axis_ends(place))
         self.scene.run_method("run_methods", calls + self._show_closest(closest_pair(bodies, pose)))
 
     def _show_closest(self, closest: Closest | None) -> list[Call]:
@@ -247,7 +247,7 @@ class TheatreScene:
         self._head.visible()
         rotation = pose.rotation_matrix.tolist()
         x, y, z = pose.translation_mm.tolist()
-        self.scene.run_method("run_methods", placed(self._head, (x, y, z), rotation))
+        self.scene.run_method("run_methods", placing_calls(self._head, (x, y, z), rotation))
 
     def _sphere(self, sphere: SphereFigure) -> None:
         ct = sphere.ct_mm

@@ -28,7 +28,7 @@ from pydicom.uid import (
 )
 from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import label_of, only_allowed
+from procedures.exchange.allowed_fields import label_of, require_allowed
 from procedures.exchange.errors import NotWritable
 from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
@@ -180,7 +180,7 @@ def _item(
     step.FrameOfReferenceTransformationMatrixType = "RIGID"
     step.FrameOfReferenceTransformationMatrix = decimals(matrix.ravel().tolist())
     transform = Dataset()
-    transform.RegistrationTypeCodeSequence = [code(*alignment)]
+    transform.RegistrationTypeCodeSequence = [code_item(*alignment)]
     transform.MatrixSequence = [step]
     item = Dataset()
     item.FrameOfReferenceUID = frame_of_reference_uid
@@ -206,13 +206,13 @@ def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], fold
     points = spatial_fiducials(
         _points(check), origin, label="POSTOPERATIVE", description="planned and found entries and targets"
     )
-    written = [write(only_allowed(points), folder / POINTS_FILE)]
+    written = [write(require_allowed(points), folder / POINTS_FILE)]
     if frames[0] != frames[1]:
         pre_from_post = RigidTransform.from_matrix(np.array(check.post_from_pre)).inv().as_matrix()
         registration = frames_registration(
             pre_from_post, origin, frames[1], label="POST_TO_PRE", description="registered on bone"
         )
-        written.append(write(only_allowed(registration), folder / REGISTRATION_FILE))
+        written.append(write(require_allowed(registration), folder / REGISTRATION_FILE))
     return tuple(written)
 
 
@@ -283,7 +283,7 @@ def uid(origin: Origin, *what: str) -> UID:
     return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
 
 
-def code(value: str, scheme: str, meaning: str) -> Dataset:
+def code_item(value: str, scheme: str, meaning: str) -> Dataset:
     """An item of a code sequence."""
     item = Dataset()
     item.CodeValue = value

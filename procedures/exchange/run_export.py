@@ -18,8 +18,8 @@ from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
     label_of,
-    only_allowed,
-    picked,
+    pick_allowed,
+    require_allowed,
 )
 from procedures.exchange.dicom_objects import (
     Origin,
@@ -62,7 +62,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     fits = _labelled(used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
-    markers = [picked(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
+    markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
     texts = {
         "spheres.csv": table(spheres),
         "spheres.json": document(markers, origin),
@@ -84,7 +84,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
-    written.append(write(only_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
+    written.append(write(require_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
             fit.result.robot_from_ct.transform,
@@ -94,7 +94,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
         )
-        written.append(write(only_allowed(made), out / _file_of(trajectory)))
+        written.append(write(require_allowed(made), out / _file_of(trajectory)))
     return written
 
 
@@ -130,7 +130,7 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
     document = [
         {
             "trajectory": predicted.target,
-            **picked(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
+            **pick_allowed(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
             "predicted_tre_mm": predicted.rms_mm,
             "predicted_tre_limit_mm": predicted.limit_mm,
             "confidence": predicted.confidence,

@@ -84,7 +84,7 @@ def spheres_mm(markers: Markers) -> Array:
     return np.asarray(turn.apply(SPHERE_CENTRES_MM) + foot + FRAME_STANDOFF_MM * _outward(foot))
 
 
-def phantom(
+def draw_phantom(
     markers: Markers,
     depths_mm: tuple[float, float],
     targets: int,
@@ -116,7 +116,7 @@ def phantom(
     return Phantom(spheres_mm(markers), tuple(drawn))
 
 
-def place(number: int) -> Transform:
+def phantom_pose(number: int) -> Transform:
     """Pose of the phantom, ROBOT <- CT, in position `number`."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM

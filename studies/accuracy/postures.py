@@ -51,7 +51,7 @@ class Postures:
         return target if self.sets > 1 else 0
 
 
-def postures(
+def plan_postures(
     strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
 ) -> Postures:
     """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""

@@ -19,8 +19,8 @@ from ronna_hw.frames import Transform
 from sim.world.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
 from sim.world.scene.model import ArmResidual
 from sim.world.scene.stereo_head import TOOL_ERROR_MM
-from studies.accuracy.phantom import Markers, Phantom, counts_of, place
-from studies.accuracy.postures import ARM, Postures, postures
+from studies.accuracy.phantom import Markers, Phantom, counts_of, phantom_pose
+from studies.accuracy.postures import ARM, Postures, plan_postures
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.trials import AXES, CT_FLE_MM, Chance, Sizes, target_errors
 from studies.campaign.study import Sums
@@ -36,7 +36,7 @@ BEST = "best"  # per target and number of spheres, the strategy with the smalles
 FROM = tuple(one.name for one in CANDIDATES)
 
 
-def predictions(
+def predict_targets(
     planned: Postures,
     phantom: Phantom,
     robot_from_ct: Transform,
@@ -151,20 +151,20 @@ class Scene:
         cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
     ) -> Self:
         """Build with every number of spheres these markers allow, and user strategies besides ours."""
-        return cls(seed, markers, number, phantom, place(number), counts_of(markers), own)
+        return cls(seed, markers, number, phantom, phantom_pose(number), counts_of(markers), own)
 
     def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
         """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or strategy_named(strategy)
-        return postures(chosen, self.phantom, self.robot_from_ct, left)
+        return plan_postures(chosen, self.phantom, self.robot_from_ct, left)
 
     def predicted(
         self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
         """Predict the errors by number of spheres, then by target."""
         return [
-            predictions(planned, self.phantom, self.robot_from_ct, count, left, ct_mm)
+            predict_targets(planned, self.phantom, self.robot_from_ct, count, left, ct_mm)
             for count in self.counts
         ]
 

@@ -24,7 +24,7 @@ GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a parti
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
-    found = shares(sums)
+    found = outcome_shares(sums)
     made = [
         Table(
             f"Correspondence, noise {noise}",
@@ -96,7 +96,7 @@ class Shares:
         return percent(share / 100.0 * self.runs, self.runs)
 
 
-def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
+def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
     """Outcomes of the runs of each series, over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
     for condition, content in sums.items():
@@ -253,7 +253,7 @@ def _false_within(series: Series, one: Shares) -> bool:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Success of the thesis' method, validated, against its parameter e, one plot per noise model."""
-    found = shares(sums)
+    found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
         lines: dict[str, list[Point]] = {}
@@ -271,7 +271,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Runs without success by fiducials and method, one plot per noise model."""
-    found = shares(sums)
+    found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
         groups: dict[str, dict[str, float | bounds.Bounded]] = {}

@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.host.worker_processes import fresh_processes
-from studies.accuracy.phantom import Markers, phantom, place
-from studies.accuracy.postures import postures
+from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
+from studies.accuracy.postures import plan_postures
 from studies.campaign.workers import PROCESS_ENDED, SilenceWatch, Tell
 from studies.correspondence.study import Method
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
@@ -158,7 +158,7 @@ def _centres(method: PluginMethod) -> object:
 def _poses(method: PluginMethod) -> object:
     """Plan for the free markers of the accuracy studies in their first position."""
     strategy = PluginStrategy.of(method)
-    planned = postures(strategy, phantom(Markers.FREE, DEPTHS_MM, TARGETS), place(1))
+    planned = plan_postures(strategy, draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS), phantom_pose(1))
     return planned.localizations.joints_rad.tolist()
 
 

@@ -30,7 +30,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from sim.world.arm.true_arm import TrueArm
-from studies.accuracy.phantom import Markers, phantom, place
+from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
 from studies.accuracy.scene import FINE_CT_MM, Scene
@@ -74,18 +74,18 @@ class IdentifiedStudy:
 
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """
-        drawn = phantom(Markers.FREE, DEPTHS_MM, TARGETS)
+        drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
         scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
         planned = {
             (scene.number, strategy): scene.planned(strategy, EXPECTED)
             for scene in scenes
             for strategy in STRATEGIES
         }
-        spheres = place(1).apply(drawn.spheres_mm)
+        spheres = phantom_pose(1).apply(drawn.spheres_mm)
         first = unit.block * BLOCK_ARMS
         found: Sums = defaultdict(float)
         for number in range(first, first + unit.runs):
-            fit = identified(self.seed, number, spheres)
+            fit = identify_arm(self.seed, number, spheres)
             apart_rad = fit.deviations.backlash_rad - np.array(
                 draw_numbered_arm(self.seed, number)[0].backlash_rad
             )
@@ -198,7 +198,7 @@ def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float6
     return {series: np.array(list(arms.values())) for series, arms in ordered}
 
 
-def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
+def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
     """Identify arm `number` from measurements of spheres (n, 3), mm in the robot frame.
 
     Raises CAL-002 to CAL-004.

@@ -14,7 +14,7 @@ from itertools import product
 
 import numpy as np
 
-from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
+from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
 from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene
 from studies.accuracy.trials import Sizes
@@ -83,7 +83,7 @@ class StrategiesStudy:
         """Errors in mm of single trials, or sums of them; see the keys of each part."""
         part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
-        drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
+        drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
         own = tuple(PluginStrategy.of(one) for one in self.own)
         scene = Scene.of(self.seed, drawn, markers, int(number), own)
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)

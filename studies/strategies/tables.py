@@ -53,7 +53,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         _sources(sums),
         _more_spheres(sums),
         _scenarios(sums),
-        pairs(sums),
+        paired_comparison(sums),
         _prediction(sums),
     ]
 
@@ -85,7 +85,7 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
     return arrays
 
 
-def pairs(sums: Mapping[str, Sums]) -> Table:
+def paired_comparison(sums: Mapping[str, Sums]) -> Table:
     """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for condition, content in sums.items():

@@ -24,7 +24,7 @@ from console.guard import ORDERS_PER_SECOND, Rate
 from console.planning.draft import Draft
 from console.planning.judging import judge
 from console.planning.plan_editor import PlanEditor
-from console.planning.structure_panel import imported
+from console.planning.structure_panel import import_structure
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
 from procedures.cli.calibrating.kinds import kind_of
@@ -96,7 +96,7 @@ def _structure() -> Take:
     def take(data: bytes) -> None:
         for name in ("points.csv", "points.json"):
             with contextlib.suppress(RonnaError):
-                imported(Draft("HFS", 3), "S1", data, name, geometry)
+                import_structure(Draft("HFS", 3), "S1", data, name, geometry)
 
     return take
 
@@ -105,7 +105,7 @@ def _unsaved(folder: Path) -> tuple[tuple[bytes, ...], Take]:
     volume, plan = scan(), folder / "drawn.toml"
     editor = PlanEditor(volume, plan, None)
     draw(editor)
-    editor.change(imported(editor.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
+    editor.change(import_structure(editor.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
     kept = editor.close()
     assert kept is not None
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from console.planning.draft import Draft
-from console.planning.structure_panel import STEP_MM, drawn, free_name, imported, with_margin
+from console.planning.structure_panel import STEP_MM, draw_stroke, free_name, import_structure, set_margin
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes
 
@@ -17,9 +17,9 @@ GEOMETRY = VoxelGeometry((67, 67, 67), np.full(3, -99.0), np.eye(3)[::-1], np.fu
 
 
 def test_a_stroke_is_sampled_along_its_line_and_keeps_its_margin() -> None:
-    draft = drawn(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
-    draft = with_margin(draft, "vessel", 5.0)
-    draft = drawn(draft, "vessel", (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    draft = draw_stroke(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
+    draft = set_margin(draft, "vessel", 5.0)
+    draft = draw_stroke(draft, "vessel", (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     (vessel,) = draft.structures
     assert vessel.margin_mm == 5.0
     assert vessel.points_mm[0] == (0.0, 0.0, 0.0)
@@ -28,16 +28,16 @@ def test_a_stroke_is_sampled_along_its_line_and_keeps_its_margin() -> None:
 
 
 def test_an_imported_structure_never_replaces_another() -> None:
-    draft = imported(Draft("HFS", 4), "S1", b"1,2,3\n", "a.csv", GEOMETRY)
+    draft = import_structure(Draft("HFS", 4), "S1", b"1,2,3\n", "a.csv", GEOMETRY)
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*S1 already.*another name"):
-        imported(draft, "S1", b"4,5,6\n", "a.csv", GEOMETRY)
+        import_structure(draft, "S1", b"4,5,6\n", "a.csv", GEOMETRY)
     assert free_name(draft) == "S2"
 
 
 @pytest.mark.parametrize("name", ["", "-", "a" * 40, "a\nb"])
 def test_an_invalid_structure_name_is_refused(name: str) -> None:
     with pytest.raises(PlanMistakes, match="PLAN-002"):
-        drawn(Draft("HFS", 4), name, (0.0, 0.0, 0.0), None)
+        draw_stroke(Draft("HFS", 4), name, (0.0, 0.0, 0.0), None)
 
 
 @pytest.mark.parametrize(
@@ -45,6 +45,6 @@ def test_an_invalid_structure_name_is_refused(name: str) -> None:
     [(-1.0, "-1"), (31.0, "31"), (math.inf, "inf"), (0.003, r"vessel\.margin_mm: 0\.003 mm .* not metres")],
 )
 def test_an_invalid_margin_is_refused(margin_mm: float, said: str) -> None:
-    draft = drawn(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
+    draft = draw_stroke(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
     with pytest.raises(PlanMistakes, match=f"PLAN-002.*{said}"):
-        with_margin(draft, "vessel", margin_mm)
+        set_margin(draft, "vessel", margin_mm)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from console.scene.bodies import closest_pair, upright
+from console.scene.bodies import closest_pair, rotation_along
 from procedures.engine.events import Bodies, Body, Pose
 
 
 @pytest.mark.parametrize("end", [(0, 0, 5), (0, 0, -5), (3, 0, 0), (1, -2, 3), (0, 4, 0)])
 def test_a_capsule_is_drawn_along_its_axis_and_not_mirrored(end: tuple[float, float, float]) -> None:
-    rotation = np.array(upright((0.0, 0.0, 0.0), end))
+    rotation = np.array(rotation_along((0.0, 0.0, 0.0), end))
     assert rotation @ [0, 0, 1] == pytest.approx(np.array(end) / math.hypot(*end))
     assert np.linalg.det(rotation) == pytest.approx(1.0)
     assert rotation @ rotation.T == pytest.approx(np.eye(3))

@@ -21,7 +21,7 @@ from studies.campaign.study import Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from studies.correspondence.tables import Series, bars_beside_thesis, plots, shares, tables
+from studies.correspondence.tables import Series, bars_beside_thesis, outcome_shares, plots, tables
 from studies.errors import ExtraMissing, LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
 from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
@@ -210,7 +210,7 @@ def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
 
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     sums = results(SMALL, tmp_path, workers=1)
-    found = shares(sums)
+    found = outcome_shares(sums)
     assert {series.method for series in found} == {one.value for one in Method}
     assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
     pictures = bars_beside_thesis(sums) | plots(sums)
@@ -244,7 +244,7 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
     assert shown == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
     key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
     lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
-    ((_, share),) = shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
+    ((_, share),) = outcome_shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
     assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
 
 
