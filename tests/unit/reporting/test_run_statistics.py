@@ -1,15 +1,55 @@
-"""Where the time went: phases, steps and people, from the journal's own times."""
+"""Spans, times and link counters of a run, from its journal and log."""
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from procedures.journal.journal import Entry, Journal, read_journal
-from procedures.reporting.run_statistics import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
+from procedures.journal.journal import Entry, Journal, JournalValue, Line, read_journal
+from procedures.reporting.run_statistics import (
+    HANDS,
+    PHASE,
+    QUESTION,
+    STEP,
+    TimeTaken,
+    link_counters,
+    timeline,
+    times_taken,
+)
 from studies.errors import NoRunToTime
 from studies.times import ALGORITHM_S, OPERATOR_S, time_tables
+
+
+def line(entry: Entry, time_s: float, **more: JournalValue) -> Line:
+    return {"entry": entry.value, "theatre_time_s": time_s, **more}
+
+
+def test_what_a_killed_program_had_begun_ends_with_its_last_line() -> None:
+    spans = timeline(
+        [
+            line(Entry.OPENED, 0.0),
+            line(Entry.INTENT, 1.0, step="set_up"),
+            line(Entry.RESULT, 2.0),
+            line(Entry.INTENT, 3.0, step="relocalization"),
+            line(Entry.MOTION, 4.0, number=1, what="go"),
+            line(Entry.RESTED, 5.0, state="suspended", reason="robot link"),
+            line(Entry.CONFIRMATION, 6.0),
+            line(Entry.RESTARTED, 60.0),
+            line(Entry.MOTION, 61.0, number=2, what="home"),
+            line(Entry.MOVED, 62.0, number=2),
+            line(Entry.INTENT, 63.0, step="relocalization"),
+        ]
+    )
+    assert [(span.name.partition(":")[0], span.row, span.end_s, span.ended) for span in spans] == [
+        ("set_up", "set_up", 2.0, "done"),
+        ("relocalization", "relocalization", 6.0, "interrupted"),
+        ("go", "relocalization", 6.0, "interrupted"),
+        ("suspended", "relocalization", 6.0, "interrupted"),
+        ("home", "between steps", 62.0, "done"),
+        ("relocalization", "relocalization", 63.0, "not ended"),
+    ]
 
 
 @pytest.fixture
@@ -65,3 +105,17 @@ def test_a_campaign_shows_its_times_next_to_those_of_the_thesis(run: Path) -> No
 def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoRunToTime, match="STU-011"):
         time_tables([tmp_path / "nowhere"])
+
+
+def deactivated(frames: int, commands: int) -> dict[str, Any]:
+    counts = {"frames": {"frames": frames}, "link": {"commands": commands}}
+    return {"event": "configured", "device": "tracker", "before": "active", **counts}
+
+
+CONNECTED = {"event": "connected", "device": "tracker", "before": "disconnected"}
+
+
+def test_the_counters_of_a_device_are_added_up_over_the_run_and_its_connections() -> None:
+    log = [CONNECTED, deactivated(12, 60), deactivated(60, 122), CONNECTED, deactivated(30, 130)]
+    assert link_counters(log) == (("tracker", "3 times", "frames 102, commands 252"),)
+    assert link_counters([CONNECTED]) == ()
