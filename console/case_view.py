@@ -315,7 +315,7 @@ class RecordedCase:
         self.over = False  # the writer is gone
 
     def extend(self, events: Iterable[Event]) -> None:
-        """Add what happened since."""
+        """Append events."""
         for event in events:
             self._events.append(event)
             self.latest = fold(self.latest, event)

@@ -23,7 +23,7 @@ from ronna_hw.evidence.inspection import PICTURES_FOLDER
 
 
 def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
-    """Exclude what had not been measured at the moment of a view, or was measured again since.
+    """Drop figures not yet measured at the moment of a view, or measured again since.
 
     `latest` is the view that the figures belong to.
     """
@@ -74,7 +74,7 @@ class Figures:
         self._tried = False
 
     def key(self) -> object:
-        """Changes when they do; triggers re-reading for a new result, and when the run's program is gone."""
+        """Return a key that changes with the figures; re-read them after a new result or the run's end."""
         state = self._hub.view.results, self._hub.over
         if state != self._read_for and not self._reading:
             self._reading = True

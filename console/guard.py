@@ -58,7 +58,7 @@ class Rate:
         self._counted_s: deque[float] = deque(maxlen=count)
 
     def allows(self, now_s: float) -> bool:
-        """Whether there have not been too many; counts this one if so."""
+        """Count one more if the limit allows it; returns whether it does."""
         full = len(self._counted_s) == self._counted_s.maxlen
         if full and now_s - self._counted_s[0] < self._span_s:
             return False
@@ -93,7 +93,7 @@ class Sessions:
         self._pages = {role: Rate(PAGES, PAGES_S) for role in Role}
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
-        """The cookie of a new session for a token; None if it is not one of ours, or not in `allowed`."""
+        """Open a session for a token and return its cookie; None for a foreign or disallowed token."""
         roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
         given = token.encode()
         role = None
@@ -110,7 +110,7 @@ class Sessions:
         return cookie
 
     def may_open_page(self, role: Role) -> bool:
-        """Whether this role has not opened too many pages lately; counts this one if so."""
+        """Count a page of a role if its limit allows it; returns whether it does."""
         return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:

@@ -116,7 +116,7 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
 
 
 class Connection(H11Protocol):
-    """HTTP/1.1 that is dropped when the time for a head or for an answer is up, however either drips."""
+    """HTTP/1.1 dropped once the time for a head or an answer is up, however slowly either drips."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)
@@ -130,7 +130,7 @@ class Connection(H11Protocol):
         self._wait(REQUEST_LIMIT_S)
 
     def handle_events(self) -> None:
-        """A complete head begins the time for its answer."""
+        """Start the time for an answer at the complete head."""
         super().handle_events()
         if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
             self._is_answering = True
@@ -138,7 +138,7 @@ class Connection(H11Protocol):
             self._wait(ANSWER_LIMIT_S)
 
     def handle_websocket_upgrade(self, event: Any) -> None:
-        """The guard closes a socket without a session, and leaves others open.
+        """Leave the socket to the guard, which closes one without a session.
 
         A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
         """
@@ -163,7 +163,7 @@ class Connection(H11Protocol):
         self._deadline = self.loop.call_later(limit_s, self._end)
 
     def _end(self) -> None:
-        """An answer that was sent whole may still be on its way to a slow reader."""
+        """Drop the connection, unless a complete answer is still on its way to a slow reader."""
         left_s = self._answer_ends_s - self.loop.time()
         if left_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
             self._wait(min(left_s, REQUEST_LIMIT_S))

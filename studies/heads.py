@@ -68,7 +68,7 @@ def draw_noise(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Standard deviation per axis for the solvers: a Gaussian length is spread over three axes."""
+    """Return the standard deviation per axis; a Gaussian length is spread over three axes."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 

@@ -84,7 +84,7 @@ def chart(view: CaseView) -> str:
 
 
 def chart_key(view: CaseView) -> object:
-    """Changes when the chart does."""
+    """Return a key that changes with the chart."""
     return (
         view.steps,
         view.running,
@@ -141,7 +141,7 @@ def devices(view: CaseView) -> str:
 
 
 def devices_key(view: CaseView) -> object:
-    """Changes when the table does."""
+    """Return a key that changes with the table."""
     return tuple((name, row.seen, _age(row), row.rate) for name, row in view.devices.items()), view.link
 
 

@@ -59,7 +59,7 @@ def live_pair(hub: Hub) -> str:
 
 
 def live_key(hub: Hub) -> object:
-    """Changes when it does."""
+    """Return a key that changes with the live pair."""
     age_s = hub.pair_age_s
     return hub.pairs, int(age_s) if age_s > LIVE_OLD_S else 0
 
@@ -80,7 +80,7 @@ def _picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Three planes through each target; those of the current step are open."""
+    """Show three planes through each target; those of the current step are open."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     at_hand = (view.running or view.upcoming).partition(":")[2]
@@ -90,7 +90,7 @@ def cuts(view: CaseView, figures: CaseFigures | None) -> str:
 
 
 def cuts_key(view: CaseView) -> object:
-    """The part of the view that they depend on."""
+    """Return the part of the view that the cuts depend on."""
     return (view.running or view.upcoming).partition(":")[2]
 
 

@@ -234,7 +234,7 @@ class Axis:
 
 
 class _Kept(BaseModel):
-    """A draft without its spheres, which are found again, and what it was based on."""
+    """A draft and its base, without the spheres, which are found again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -273,7 +273,7 @@ class UnsavedFile:
             self.path.unlink(missing_ok=True)
         self._is_ours = False
 
-    def take_up(self, plan_sha256: str, draft: Draft) -> Draft | None:
+    def restore(self, plan_sha256: str, draft: Draft) -> Draft | None:
         """The stored draft, with the spheres of `draft`; None without one.
 
         Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
@@ -283,14 +283,14 @@ class UnsavedFile:
         try:
             kept = _Kept.model_validate_json(read_json_bytes(self.path, LARGEST_BYTES))
         except (OSError, InputRefused, ValidationError):
-            raise self._put_aside("cannot be read") from None
+            raise self._set_aside("cannot be read") from None
         if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
-            raise self._put_aside("belong to another CT, or to an earlier version of the plan")
+            raise self._set_aside("belong to another CT, or to an earlier version of the plan")
         self._is_ours = True
         values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         return replace(draft, **values)
 
-    def _put_aside(self, why: str) -> UnsavedChanges:
+    def _set_aside(self, why: str) -> UnsavedChanges:
         aside = next(
             one for k in range(1, 1000) if not (one := self.path.with_name(f"{self.path.name}-{k}")).exists()
         )

@@ -172,7 +172,7 @@ def _degrees(angle_rad: float) -> float:
 
 
 def verdict(judged: Judged, draft: Draft) -> str:
-    """Assessment of the current draft; until it is checked, the details of the previous one, marked so."""
+    """Show the assessment of the draft; until it is checked, the previous one, marked as outdated."""
     parts = [
         tag(
             "li",
@@ -192,7 +192,7 @@ def verdict(judged: Judged, draft: Draft) -> str:
 
 
 def expected(judged: Judged, draft: Draft) -> str:
-    """Expected error at each target, with its margin."""
+    """Show the expected error at each target, with its margin."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")

@@ -56,7 +56,7 @@ class PlanEditor(ChangeNotifier):
         self._lock = PlannerLock(plan)
         self._begun = False
         self._read()
-        self.problem = self.problem or _kept_by_a_run(plan)
+        self.problem = self.problem or _refuse_in_run_folder(plan)
         self.begin()
         self.judged = Judged(self.draft)
 
@@ -64,8 +64,8 @@ class PlanEditor(ChangeNotifier):
     def read_only(self) -> RonnaError | None:
         """Why nothing can be changed."""
         if self._begun and not self._saving.locked():  # our own save is not a case
-            return self._hindrance()
-        return None if self._begun else self._waits_for
+            return self._block_reason()
+        return None if self._begun else self._blocked_by
 
     def begin(self) -> bool:
         """Take the plan for editing; then saved and unsaved changes of others are adopted.
@@ -73,14 +73,14 @@ class PlanEditor(ChangeNotifier):
         False while a case or another planner has it; call again later.
         """
         if not self._begun:
-            self._waits_for = self._hindrance()
-            if self._waits_for is not None:
+            self._blocked_by = self._block_reason()
+            if self._blocked_by is not None:
                 return False
             self._begun = True
-            if not self._is_as_read():
+            if not self._is_unchanged():
                 self._read()
             if self.problem is None:
-                self._take_up()
+                self._restore_unsaved()
         return True
 
     def close(self) -> Path | None:
@@ -89,7 +89,7 @@ class PlanEditor(ChangeNotifier):
         self._lock.leave()
         return kept
 
-    def _hindrance(self) -> RonnaError | None:
+    def _block_reason(self) -> RonnaError | None:
         if self.problem is not None:
             return self.problem
         name = self.file.name
@@ -107,19 +107,19 @@ class PlanEditor(ChangeNotifier):
     # The file
 
     def _read(self) -> None:
-        draft = self._opened() or Draft(self.volume.patient_position, FEWEST_MARKERS)
+        draft = self._read_draft() or Draft(self.volume.patient_position, FEWEST_MARKERS)
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
         self._found(self._markers)
 
-    def _is_as_read(self) -> bool:
+    def _is_unchanged(self) -> bool:
         try:
             return _digest(self.file) == self._on_disk
         except OSError:  # reading it reports what is wrong
             return False
 
-    def _opened(self) -> Draft | None:
-        """The draft of the plan file, if there is a usable one."""
+    def _read_draft(self) -> Draft | None:
+        """Read the draft of the plan file, if there is a usable one."""
         try:
             self._on_disk = _digest(self.file)
             if not self._on_disk:
@@ -140,10 +140,10 @@ class PlanEditor(ChangeNotifier):
             self.notice = altered
         return Draft.of(plan)
 
-    def _take_up(self) -> None:
+    def _restore_unsaved(self) -> None:
         """Restore what was drawn but not saved when the planner ended."""
         try:
-            drawn = self._unsaved.take_up(self._on_disk, self.draft)
+            drawn = self._unsaved.restore(self._on_disk, self.draft)
         except UnsavedChanges as aside:
             self.notice = self.notice or aside
             return
@@ -201,7 +201,7 @@ class PlanEditor(ChangeNotifier):
             for number, one in enumerate(draft.markers, start=1)
         )
         with replaced_plan(self.file):  # a case that has begun since wins
-            if self._is_of_others():
+            if self._was_changed_by_others():
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",
                     action="Nothing was overwritten. Move that file away, then save again.",
@@ -210,7 +210,7 @@ class PlanEditor(ChangeNotifier):
             write_plan(self.file, plan, notes)
             self._on_disk = _digest(self.file)
 
-    def _is_of_others(self) -> bool:
+    def _was_changed_by_others(self) -> bool:
         try:
             return _digest(self.file) not in ("", self._on_disk)
         except OSError as error:
@@ -293,7 +293,7 @@ class PlanEditor(ChangeNotifier):
         self.altered()
 
     def _found(self, markers: tuple[Marker, ...]) -> None:
-        """Every draft so far gets the spheres, so that undo does not lose them."""
+        """Give the spheres to every draft so far, so that undo does not lose them."""
         self._markers = markers
         count = len(markers)
         is_new = not self._on_disk and FEWEST_MARKERS <= count <= MOST_MARKERS
@@ -347,7 +347,7 @@ def _digest(path: Path) -> str:
         return REFUSED
 
 
-def _kept_by_a_run(plan: Path) -> PlanInUse | None:
+def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
     """Refuse a plan within a run folder, where any write would count as tampering."""
     run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
     if run is None:

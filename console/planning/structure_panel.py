@@ -69,7 +69,7 @@ class StructurePanel:
             button.on("click", js_handler=PICK_JS.format(number=upload.id))
 
     def draw(self, place_mm: Point, *, goes_on: bool) -> None:
-        """A stroke in an image begins, or continues."""
+        """Begin or continue a stroke in an image."""
         start_mm = self._last_mm if goes_on else None
         self._last_mm = place_mm
         self._change(lambda draft: draw_stroke(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)

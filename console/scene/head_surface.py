@@ -62,7 +62,7 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
-    """Means over whole blocks, slab by slab: a whole volume of floats would be large."""
+    """Average over whole blocks, slab by slab: a whole volume of floats would be large."""
     counts = np.array(voxels.shape) // factor
     a, b, c = (int(one) for one in factor)
     slices, rows, columns = (int(one) for one in counts)

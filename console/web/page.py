@@ -168,7 +168,7 @@ class CasePage:
             self._add(render, key).classes("body")
 
     def _measured(self, view: CaseView) -> object:
-        """Changes with what had been measured at that moment."""
+        """Return a key that changes with the figures known at that moment."""
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
@@ -194,7 +194,7 @@ class CasePage:
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
-        """A fact is shown at once, signals at the rate of the page."""
+        """Show facts at once, and signals at the rate of the page."""
         loop = asyncio.get_running_loop()
         while True:
             if client.has_socket_connection:

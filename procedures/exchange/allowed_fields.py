@@ -72,7 +72,7 @@ def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict
 
 
 def label_of(trajectory: str, number: int) -> str:
-    """The trajectory's name if it is a plain label, otherwise its number, from 1."""
+    """Return the trajectory's name if it is a plain label, otherwise its number, from 1."""
     return trajectory if PLAIN_LABEL.fullmatch(trajectory) else f"trajectory{number}"
 
 

@@ -140,7 +140,7 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
 
 
 def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
-    """Whether everything fitted."""
+    """Write all tables and pictures; returns whether everything fitted."""
     files: dict[str, TextIO] = {}
     pictures, frames, size, readings = 0, 0, 0, 0
     try:

@@ -67,7 +67,7 @@ class RecordFigures(Figures):
         """Yield the measurements and the accuracy of the record."""
 
     def table(self) -> Iterator[Figure]:
-        """The quality of the record, and how long it is valid."""
+        """Yield the quality of the record and its validity."""
         yield from self.quality()
         yield Figure("made", self.created[:16].replace("T", " "))
         yield Figure("valid until", self.expires[:16].replace("T", " "))
@@ -116,7 +116,7 @@ class HeadFigures(RecordFigures):
         )
 
     def quality(self) -> Iterator[Figure]:
-        """The tool centre with its standard error, and what the residuals say of cameras and arm."""
+        """Yield the tool centre with its standard error, and the residuals of cameras and arm."""
         used = [value for value, is_used in self.looks_px if is_used]
         rms_px = math.sqrt(sum(value**2 for value in used) / max(len(used), 1))
         yield Figure("cameras", f"{self.serials[0]} left, {self.serials[1]} right")

@@ -114,7 +114,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 
 def _still_true(reading: RunReading, model: type[R]) -> list[R]:
-    """Valid results, without those of targets finished before something moved."""
+    """Return valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

@@ -78,7 +78,7 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
 
 
 def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
-    """A sentence for a fault that a line names and that no longer stands: who acknowledged it since."""
+    """Word who has acknowledged the fault named by a line since; empty while it stands."""
     place = next(number for number, line in enumerate(journal) if line is last)
     said = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
     names = [
@@ -121,7 +121,7 @@ def resumes(journal: Sequence[Line]) -> int:
 
 
 def _emergency_stops(journal: Sequence[Line]) -> int:
-    """Each is acknowledged once, however many steps fail or are refused meanwhile, or none."""
+    """Count emergency stops: each is acknowledged once, however many steps fail meanwhile."""
     count, standing = 0, False
     for line in journal:
         of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM

@@ -104,7 +104,7 @@ class Canvas:
 
 
 def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
-    """Bars with their numbers, in mm."""
+    """Draw bars with their numbers, in mm."""
     bars: list[tuple[str, float, str]] = []
     for row in rows:
         if row.error_mm is not None:
@@ -123,7 +123,7 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
-    """Two bars for each motion, mm."""
+    """Draw two bars for each motion, mm."""
     canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
@@ -156,7 +156,7 @@ def _named(one: MotionRow) -> str:
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
-    """Light: the step; dark: the arm moves; amber: the case is paused; red: ended abnormally."""
+    """Draw steps light, motions dark, pauses amber, and abnormal ends red."""
     rows = list(dict.fromkeys(span.row for span in spans))
     begin_s = min(span.begin_s for span in spans)
     length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
@@ -203,7 +203,7 @@ def _ticks(length_s: float) -> list[float]:
 
 
 def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Bins (from us, to us, turnaround, jitter) over all streams; empty ends are dropped."""
+    """Sum the bins (from us, to us, turnaround, jitter) of all streams, without empty ends."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []
@@ -216,7 +216,7 @@ def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, i
 
 
 def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
-    """Cycles over microseconds of host time: filled for turnaround, a line for jitter."""
+    """Draw cycles over microseconds of host time: turnaround filled, jitter as a line."""
     canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
     low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
     most = max(max(one[2], one[3]) for one in bins)
@@ -249,7 +249,7 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
 
 
 def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
-    """A bar for each view, its rms in px; red: left out, and cut at the height of the picture."""
+    """Draw the rms of each view, px; excluded views are red and cut at the picture's height."""
     canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
     highest_px = max((value for value, used in looks_px if used), default=1.0)
     across, up = (WIDTH - LEFT) / len(looks_px), LOOKS_HEIGHT / max(highest_px, 1e-6)

@@ -194,7 +194,7 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 
 def _left_out(reading: RunReading) -> list[str]:
-    """Spheres and trajectories left out with the operator's consent, and why."""
+    """Word the spheres and trajectories excluded with the operator's consent, and why."""
     sentences = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
     for stored in (stored for model in models for stored in reading.standing(model)):
@@ -219,7 +219,7 @@ def _spheres(result: StepResult) -> tuple[LeftOutSphere, ...]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """The pictures, each also as a file with its data next to it; empty if there is nothing to draw."""
+    """Draw the pictures, each also as a file with its data; empty without anything to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
@@ -278,7 +278,7 @@ def _moment(reading: RunReading, place: int) -> str:
 
 
 def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
-    """Name and picture, as embedded in a page; without those of superseded results."""
+    """Return name and embedded picture, without those of superseded results."""
     gone = {
         name
         for line in reading.run.lines(Entry.RESULT)
@@ -293,7 +293,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
 
 
 def _without_controls(value: Any) -> Any:
-    """Text made safe for a page; what is marked as safe is ours and stays unchanged."""
+    """Make plain text safe for a page; text marked as safe is ours and stays unchanged."""
     return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
 
 

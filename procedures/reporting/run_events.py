@@ -57,7 +57,7 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
 
 
 def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
-    """Refusals, pauses, faults, acknowledgements, and what was repeated or is no longer valid.
+    """Return refusals, pauses, faults, acknowledgements, repetitions and voided results.
 
     Findings that every program opening a run makes about the previous one are reported once.
     """

@@ -32,7 +32,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class RunReading:
-    """Content of a run folder; `changes`: what differs from the run's; `problems`: what is unknown."""
+    """Content of a run folder, with its `changes` since the run and the `problems` of reading it."""
 
     run: RunFolder
     log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
@@ -133,7 +133,7 @@ class UsedRegistration:
 def used_registrations(
     registrations: Sequence[Stored[RegisteredRobot]], records: Sequence[Record], gone: Collection[str]
 ) -> tuple[UsedRegistration, ...]:
-    """The registrations of a run that count, in order; `gone` are identifiers of superseded records.
+    """Find the registrations used in a run, in order; `gone` are identifiers of superseded records.
 
     A finished target follows the parents of its result, whatever is valid since; any other the valid one.
     """

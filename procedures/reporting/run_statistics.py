@@ -182,7 +182,7 @@ def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str
 
 @dataclass
 class _Totals:
-    """Sums over the times that a device was active; counters of its connection go on from one to the next."""
+    """Sums over a device's active periods; counters of its connection continue across them."""
 
     times: int = 0
     sums: dict[str, int | float] = field(default_factory=dict)

@@ -22,7 +22,7 @@ Row = tuple[str, ...]
 
 
 def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
-    """The rows from the record files and from the truth file, if there is one.
+    """Read the rows from the record files and from the truth file, if there is one.
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
@@ -56,7 +56,7 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
 
 def as_text(rows: tuple[Row, ...]) -> str:
-    """The rows under their headings, in columns. Raises as `second_reading`."""
+    """Format the rows in columns under their headings. Raises like `second_reading`."""
     table = [HEADINGS, *(tuple(map(printable, row)) for row in rows)]
     widths = [max(len(row[column]) for row in table) for column in range(len(HEADINGS))]
     return "".join(

@@ -132,7 +132,7 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
 
 
 def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
-    """The motions to and from poses of this trajectory, in order; a line back clears what the line clears."""
+    """Select the motions of a trajectory in order; a line back clears whatever the line clears."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews

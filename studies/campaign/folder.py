@@ -60,7 +60,7 @@ class Ledger:
     """Finished units of one study in a folder. The first line identifies the study."""
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or start it; raises STU-001 for another study, STU-002 when it is not identified."""
+        """Open or start the ledger; raises STU-001 for another study, STU-002 without an identification."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}

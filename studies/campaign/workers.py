@@ -69,12 +69,12 @@ class SilenceWatch:
     """Reports once each unit that has been running for `limit_s`."""
 
     def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
-        """`names` are those of the user methods; without any, nothing is reported."""
+        """Watch the user methods `names`; without any, report nothing."""
         self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
         self._since: dict[str, float] = {}
         self._announced: set[str] = set()
 
-    def under_way(self, keys: Iterable[str]) -> None:
+    def report_silent(self, keys: Iterable[str]) -> None:
         """Call at least every `limit_s` with the units that are running."""
         now_s = time.monotonic()
         since = {key: self._since.get(key, now_s) for key in keys}
@@ -116,7 +116,7 @@ def _on_pool(
     waiting = {pool.submit(study.run, unit): unit for unit in units}
     lost = set()
     while waiting:
-        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they start in order
+        silence.report_silent(unit.key for unit in islice(waiting.values(), count))  # they start in order
         for future in wait(waiting, silence.limit_s, FIRST_COMPLETED).done:
             unit = waiting.pop(future)
             if isinstance(future.exception(), BrokenProcessPool):  # so do all others that have not finished
@@ -128,7 +128,7 @@ def _on_pool(
 
 
 def _ended(study: Study, keys: list[str]) -> RonnaError:
-    """A worker's process is gone. Units start in order, so it was running one of the first that are lost."""
+    """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
     among = f", in {' or '.join(keys)}"
     if own := _own(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")

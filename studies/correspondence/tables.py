@@ -23,7 +23,7 @@ GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a parti
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
+    """Tabulate each noise model, 5 to 8 fiducials pooled, and the e that reproduce the thesis' figures."""
     found = outcome_shares(sums)
     made = [
         Table(

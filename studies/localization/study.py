@@ -128,7 +128,7 @@ def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
 def _counted(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
-    """Counts for one volume, with covariances if there are markers.
+    """Count hits, misses and errors in a volume, with covariances if there are markers.
 
     Spheres cut by the field of view count neither as missed nor as false.
     """
@@ -223,7 +223,7 @@ def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
 
 
 def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
-    """Sums over several cells."""
+    """Add up several conditions."""
     total: Counter[str] = Counter()
     for condition in conditions:
         total.update(sums.get(condition, {}))

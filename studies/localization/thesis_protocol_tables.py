@@ -35,7 +35,7 @@ SCALE_ERRORS = (0.0, 1.0 / 500.0, 1.0 / 250.0, LARGEST_SCALE_ERROR)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Detection, the localization errors of tables 2 and 3, gains over people, times."""
+    """Tabulate detection, the errors of tables 2 and 3, gains over people, and times."""
     return [_detection(sums), _errors(sums), _gains(sums), _times(sums)]
 
 
@@ -74,7 +74,7 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
 
 
 def fle_mm(scans: Sequence[Array], scales: Array) -> tuple[float, float, float]:
-    """FLE of scans (4, 3), with axes scaled by `scales` (d, s, 3), mm; means over the draws.
+    """Compute the FLE of scans (4, 3), axes scaled by `scales` (d, s, 3), mm; means over the draws.
 
     FLE by eq. 36 against the frame's coordinates, averaged over the scans; the underlying FRE, likewise; FLE
     by eq. 37 and 38 between all pairs of scans.

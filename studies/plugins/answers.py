@@ -33,7 +33,7 @@ ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm ov
 
 @dataclass(frozen=True)
 class CheckedPlugin:
-    """A user method in this process, under its name; `result` and `form` say what it must return."""
+    """A named user method in this process; `result` and `form` word its required answer."""
 
     name: str
     function: Callable[..., Any]
@@ -188,7 +188,7 @@ def _place(function: Callable[..., Any], error: BaseException) -> str:
 
 
 def real_numbers(answer: object) -> Array:
-    """The answer as an array. Raises ValueError, saying what it is, for anything but real numbers."""
+    """Convert an answer to an array. Raises ValueError with its kind unless it holds real numbers."""
     try:
         given = np.asarray(answer)
     except (TypeError, ValueError, OverflowError):  # such as rows of unequal length

@@ -126,7 +126,7 @@ def hash_of(module: ModuleType) -> str:
 
 class _Beside(ModuleFinder):
     def __init__(self, folder: Path, only: str | None) -> None:
-        """`only` is the package outside which nothing counts."""
+        """Search `folder`, and within it the package `only` if given."""
         super().__init__(path=[str(folder)])
         self._only = only
 

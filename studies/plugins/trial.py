@@ -54,7 +54,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
         try:
             answer = pool.submit(try_plugin, kind, text)
             while not answer.done():
-                silence.under_way(["its trial"])
+                silence.report_silent(["its trial"])
                 wait([answer], silence.limit_s)
             answer.result()
         except BrokenProcessPool as error:

@@ -110,7 +110,7 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Errors at the targets, and what identification leaves."""
+    """Tabulate the errors at the targets and those that identification leaves."""
     errors = _errors(sums)
     arms, predicted = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
