@@ -103,7 +103,12 @@ def serve_hub(
 
     `viewers` watch from other computers, through a separate port.
     """
-    serve_pages(lambda app: _add_case(app, hub), port, work, ready, viewers)
+
+    def add(app: FastAPI) -> None:
+        add_order_routes(app, hub)
+        add_page(app, hub)
+
+    serve_pages(add, port, work, ready, viewers)
 
 
 def serve_pages(
@@ -231,8 +236,3 @@ def _state(hub: Hub) -> dict[str, Any]:
 def _print_ready(ready: dict[str, str]) -> None:
     sys.stdout.write(f"READY {json.dumps(ready)}\n")
     sys.stdout.flush()
-
-
-def _add_case(app: FastAPI, hub: Hub) -> None:
-    add_order_routes(app, hub)
-    add_page(app, hub)

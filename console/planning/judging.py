@@ -5,6 +5,7 @@ A draft is judged twice: immediately without clearance, and then like `ronna-pla
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
@@ -22,7 +23,7 @@ from procedures.planning.path_check.visits import PathCheck
 from procedures.planning.plan.check import PlanCheck, check_plan
 from procedures.planning.plan.file import parse_plan
 from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.plan.model import MOST_INSTRUMENT_MM, Plan, PlannedTrajectory
+from procedures.planning.plan.model import MOST_INSTRUMENT_MM, Plan
 from procedures.planning.prediction.target_error import predicted_by_markers, predicted_with_arm
 from procedures.planning.theatre.arm import TheatreArm
 from procedures.registration.points import FEWEST_PAIRS
@@ -74,9 +75,13 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         plan = parse_plan(draft.content(volume.series_instance_uid))
     except RonnaError as mistake:
         return replace(judged, findings=(*missing, mistake))
+    angles_rad = {one.id: skull_angle_rad(volume, one.trajectory) for one in plan.trajectories}
     judged = replace(
         judged,
-        angles_deg={one.id: _angle_deg(volume, one) for one in plan.trajectories},
+        angles_deg={
+            name: None if angle_rad is None else math.degrees(angle_rad)
+            for name, angle_rad in angles_rad.items()
+        },
         distances=structure_distances(plan),
     )
     markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
@@ -90,11 +95,6 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         expected=_expected(plan, markers_mm, covariances_mm2, theatre, paths),
         reached=_in_words(check),
     )
-
-
-def _angle_deg(volume: Volume, planned: PlannedTrajectory) -> float | None:
-    angle_rad = skull_angle_rad(volume, planned.trajectory)
-    return None if angle_rad is None else _degrees(angle_rad)
 
 
 def _checked(
@@ -160,15 +160,11 @@ def _in_words(check: PlanCheck) -> tuple[str, ...]:
         pair = f"{least.first}, {least.second}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
-        f"{name} is rotated by {_degrees(turn):+.0f}° about its axis"
+        f"{name} is rotated by {math.degrees(turn):+.0f}° about its axis"
         for name, turn in check.turns_rad
         if turn
     ]
     return tuple(lines)
-
-
-def _degrees(angle_rad: float) -> float:
-    return float(np.degrees(angle_rad))
 
 
 def verdict(judged: Judged, draft: Draft) -> str:

@@ -128,7 +128,8 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
         top = MOTION_ROW * number
-        canvas.text(0, top + 11, f"{_way(one)}{_named(one)}")
+        pair = "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
+        canvas.text(0, top + 11, _way(one) + pair)
         bars = [(one.head_mm, HEAD), (None if one.closest is None else one.closest.distance_mm, OTHER)]
         for place, (value_mm, colour) in enumerate(bars):
             if value_mm is not None:
@@ -149,10 +150,6 @@ def _place(name: str) -> str:
     *_, last = name.split("/")
     kind, _, number = last.partition(" ")
     return f"sphere {int(number) + 1}" if kind == "fiducial" and number.isdigit() else last
-
-
-def _named(one: MotionRow) -> str:
-    return "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:

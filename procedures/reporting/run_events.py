@@ -102,23 +102,11 @@ def _superseded(line: Line) -> str:
     return f"Repeated; these results are no longer valid: {gone}" if gone else ""
 
 
-def _voided(line: Line) -> str:
-    return f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
-
-
-def _rested(line: Line) -> str:
-    return f"{line.get('reason', '')}"
-
-
 def _acknowledged(line: Line) -> str:
     who, device, fault = (str(line.get(field, "")) for field in ("by", "device", "fault"))
     code, words, _ = fault.partition(": ")
     what = code if words and code.isupper() else fault  # an error has been told when it came
     return f"{who} acknowledged the fault of the {device}: {what}"
-
-
-def _doubted(line: Line) -> str:
-    return f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}"
 
 
 def _restarted(line: Line) -> str:
@@ -132,11 +120,19 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.RESULT: ("repetition", _superseded),
     Entry.REFUSED: ("refusal", lambda line: _words(line.get("unmet"))),
     Entry.FAILED: ("fault", lambda line: str(line.get("what", line.get("code", "")))),
-    Entry.RESTED: ("rest", _rested),
+    Entry.RESTED: ("rest", lambda line: str(line.get("reason", ""))),
     Entry.INTERRUPTED: ("fault", lambda _line: "The step was ended; the arm was stopped"),
-    Entry.VOIDED: ("fault", _voided),
+    Entry.VOIDED: (
+        "fault",
+        lambda line: (
+            f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
+        ),
+    ),
     Entry.ACKNOWLEDGED: ("fault", _acknowledged),
-    Entry.DOUBTED: ("fault", _doubted),
+    Entry.DOUBTED: (
+        "fault",
+        lambda line: f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}",
+    ),
     Entry.RESTARTED: ("fault", _restarted),
     Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),

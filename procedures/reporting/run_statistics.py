@@ -128,7 +128,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
         if line["entry"] == Entry.INTENT:
             begun = line
         elif line["entry"] == Entry.CONFIRMATION:
-            add(QUESTION, _topic(line.get("topic")), _since(line, "asked_s"), None)
+            add(QUESTION, str(line.get("topic")).partition(":")[0], _since(line, "asked_s"), None)
         elif line["entry"] == Entry.WORK:
             add(HANDS, str(line.get("task", "")), _since(line, "began_s"), None)
     kinds = (PHASE, STEP, QUESTION, HANDS)
@@ -142,10 +142,6 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
         )
         for (kind, name), each in sorted(found.items(), key=lambda item: kinds.index(item[0][0]))
     )
-
-
-def _topic(topic: object) -> str:
-    return str(topic).partition(":")[0]
 
 
 def _since(line: Line, key: str) -> float:
