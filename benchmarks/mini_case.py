@@ -71,6 +71,6 @@ def _case(folder: str, scene: str, limit_s: float) -> dict[str, float]:
 
 
 def _children_cpu_s() -> float:
-    """Of all children that have ended and been waited for, and of theirs."""
+    """Sum the CPU time of all descendants that have ended and been waited for."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime

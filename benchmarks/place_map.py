@@ -39,7 +39,7 @@ PLACES, WITHIN_MM = 1000, 240.0
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of random places: how many the map allows, how many of these are refused, how many it lost."""
+    """Counts of random places: allowed by the map, of these refused, and lost by it."""
 
     turn_deg: float
     places: int

@@ -35,7 +35,7 @@ LIMIT_S = 400.0  # per measurement; the robot link paces 100,000 telegrams and t
 MEASUREMENTS = {
     "robot-link": "robot.robot_link",
     "set-points": "robot.set_points",
-    "tracker": "tracker_unit.tracker",
+    "tracker": "tracker",
     "stereo": "stereo_head.stereo",
     "stereo-calibration": "stereo_head.stereo_calibration",
     "stereo-rate": "stereo_head.stereo_rate",

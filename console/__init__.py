@@ -1,1 +1,1 @@
-"""What an operator sees in a browser: a case while it runs, and afterwards."""
+"""The console in the browser: a case while it runs and afterwards, and the planner."""

@@ -1,25 +1,43 @@
-"""The server of one run's console: guard, routes and pages."""
+"""The console's server: a running case over the engine's socket, a recorded case, or other pages.
+
+`GET /state` and `POST /orders` offer the page's buttons to scripts, with the same checks and messages. A
+recorded case, or one run by another program, has a slider through its time.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import base64
+import contextlib
 import json
+import socket
 import sys
+import threading
 from collections.abc import Callable, Coroutine
 from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse
 
-from console.feed.engine_socket import follow_engine
-from console.guard import LARGEST_BODY_BYTES, Guard
+from console.case_view import RecordedCase
+from console.errors import NothingToShow
+from console.guard import LARGEST_BODY_BYTES, SESSION, Guard, Role, Sessions
 from console.hub import Hub
 from console.listening import HOST, listen, server_of
-from console.orders_route import add_order_routes
-from console.sessions import Sessions
 from console.web.page import add_page
+from procedures.engine.events import Event
+from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.shown import shown_digest
+from procedures.engine.orders import LONGEST_BYTES, AnyOrder, Reply
+from ronna_hw.bounded_input import parse_json
+from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress
+from ronna_hw.errors import RonnaError
 
+LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
+PAIR = b'{"pair":"'
 AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
 AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
 Work = Callable[[], Coroutine[Any, Any, None]]
@@ -36,9 +54,42 @@ def serve(folder: Path, port: int, *, feed: int, viewers: ViewersAddress | None 
     serve_hub(hub, port, work, _print_ready, viewers)
 
 
-def _print_ready(ready: dict[str, str]) -> None:
-    sys.stdout.write(f"READY {json.dumps(ready)}\n")
-    sys.stdout.flush()
+def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
+    """Serve until the command ends. Raises CON-001, CON-002, PRO-018."""
+    try:
+        followed = FollowedRun(folder)
+    except RonnaError as error:
+        raise NothingToShow(f"{folder} contains no run that can be shown: {error.what}") from error
+    batches = followed.batches(whole=True)
+    recorded, hub = RecordedCase(), Hub(folder)
+    recorded.extend(next(batches))
+    if not len(recorded):
+        raise NothingToShow(f"{folder} has no events yet")
+    hub.review = recorded
+    hub.show(recorded.latest)
+
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+
+        def take(events: list[Event]) -> None:
+            recorded.extend(events)
+            hub.heard()
+            for event in events:
+                hub.take(event)
+
+        def follow() -> None:
+            try:
+                for events in batches:
+                    loop.call_soon_threadsafe(take, list(events))
+            except (RonnaError, OSError) as error:  # still being written; what was read before stays valid
+                words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
+                loop.call_soon_threadsafe(hub.break_off, words)
+            recorded.over = True
+
+        threading.Thread(target=follow, name="follow the run", daemon=True).start()
+        await asyncio.Event().wait()
+
+    serve_hub(hub, port, work, tell_address, viewers)
 
 
 def serve_hub(
@@ -52,7 +103,12 @@ def serve_hub(
 
     `viewers` watch from other computers, through a separate port.
     """
-    serve_pages(lambda app: _add_case(app, hub), port, work, ready, viewers)
+
+    def add(app: FastAPI) -> None:
+        add_order_routes(app, hub)
+        add_page(app, hub)
+
+    serve_pages(add, port, work, ready, viewers)
 
 
 def serve_pages(
@@ -67,7 +123,8 @@ def serve_pages(
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()
-    pages = _application(add)
+    pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    add(pages)
     guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
     served = [(server_of(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
@@ -92,12 +149,90 @@ def serve_pages(
     asyncio.run(run())
 
 
-def _application(add: Callable[[FastAPI], None]) -> FastAPI:
-    app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
-    add(app)
-    return app
+async def follow_engine(descriptor: int, hub: Hub) -> None:
+    """Feed the hub until the engine closes its end."""
+    reader, writer = await asyncio.open_connection(sock=socket.socket(fileno=descriptor), limit=LONGEST_LINE)
+
+    async def send(order: AnyOrder) -> None:
+        writer.write(order.model_dump_json().encode() + b"\n")
+        await writer.drain()
+
+    hub.connect(send)
+    try:
+        while line := await reader.readline():
+            hub.heard()
+            _take(hub, line)
+    except (OSError, ValueError):
+        pass  # not one of our lines: skip it rather than guess
+    finally:
+        hub.end()
+        writer.close()
+        with contextlib.suppress(OSError):
+            await writer.wait_closed()
 
 
-def _add_case(app: FastAPI, hub: Hub) -> None:
-    add_order_routes(app, hub)
-    add_page(app, hub)
+def _take(hub: Hub, line: bytes) -> None:
+    if line.startswith(b'{"event":'):
+        hub.take(Event.model_validate_json(line.strip()[len(b'{"event":') : -1]))
+    elif line.startswith(b'{"beat":'):
+        hub.tell()
+    elif line.startswith(PAIR):
+        hub.take_pair(base64.b64decode(line.strip()[len(PAIR) : -2]))
+    elif line.strip():
+        hub.reply(Reply.model_validate(json.loads(line)))
+
+
+def add_order_routes(app: Any, hub: Hub) -> None:
+    """Add both routes to a Starlette application."""
+
+    async def state(_request: Request) -> JSONResponse:
+        return JSONResponse(_state(hub))
+
+    async def orders(request: Request) -> JSONResponse:
+        session = request.scope[SESSION]
+        if session.role is not Role.OPERATOR:
+            return JSONResponse({"refused": "viewers cannot give orders"}, 403)
+        try:
+            content = parse_json(await request.body(), LONGEST_BYTES)
+            refused = await hub.order(session, dict(content))
+        except (ValueError, TypeError, ClientDisconnect):
+            return JSONResponse({"refused": "not a valid order"}, 400)
+        return JSONResponse({"refused": refused}, 409 if refused else 200)
+
+    app.add_route("/state", state, methods=["GET"])
+    app.add_route("/orders", orders, methods=["POST"])
+
+
+def _state(hub: Hub) -> dict[str, Any]:
+    view = hub.view
+    question = view.question
+    return {
+        "number": view.number,
+        "run": view.run,
+        "banner": view.banner,
+        "state": view.state,
+        "running": view.running,
+        "waiting": view.waiting is not None,
+        "upcoming": view.upcoming,
+        "steps": {row.step: row.state for row in view.steps},
+        "seat": view.seat.holder if view.seat else "",
+        "question": None
+        if question is None
+        else {
+            "question": question.question,
+            "topic": question.topic,
+            "subject": question.subject,
+            "value": question.value,
+            "answers": question.answers,
+            "read_back": question.read_back,
+            "reads": question.reads,
+            "shown": shown_digest(question),
+        },
+        "frozen": hub.frozen,
+        "outcome": view.outcome,
+    }
+
+
+def _print_ready(ready: dict[str, str]) -> None:
+    sys.stdout.write(f"READY {json.dumps(ready)}\n")
+    sys.stdout.flush()

@@ -9,12 +9,7 @@ import typer
 
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.terminal import run
-from ronna_hw.command_line.viewers_address import (
-    BindOption,
-    CertificateOption,
-    KeyOption,
-    viewers_address,
-)
+from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
 
 app = typer.Typer(
     name="ronna-console",
@@ -35,7 +30,7 @@ def review(
     key: KeyOption = None,
 ) -> None:
     """Serve a page with the full history of a run, until Ctrl-C. Its address contains a key."""
-    from console.reviewing import review
+    from console.app import review
 
     viewers = viewers_address(bind, certificate, key)
     for warning in () if viewers is None else viewers.check():

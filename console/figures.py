@@ -12,18 +12,18 @@ from typing import Any
 from starlette.requests import Request
 from starlette.responses import PlainTextResponse, Response
 
-from console.feed.view import CaseView
+from console.case_view import CaseView
 from console.hub import Hub
-from console.pictures.head import head_stl, series_of
+from console.scene.head_surface import head_stl, series_of
 from procedures.reporting.case_figures import CaseFigures, read_case_figures
-from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
+from procedures.reporting.files import LARGEST_PICTURE_BYTES
 from ronna_hw.bounded_input import InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 
 
-def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
-    """Exclude what had not been measured at the moment of a view, or was measured again since.
+def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
+    """Drop figures not yet measured at the moment of a view, or measured again since.
 
     `latest` is the view that the figures belong to.
     """
@@ -74,7 +74,7 @@ class Figures:
         self._tried = False
 
     def key(self) -> object:
-        """Changes when they do; triggers re-reading for a new result, and when the run's program is gone."""
+        """Return a key that changes with the figures; re-read them after a new result or the run's end."""
         state = self._hub.view.results, self._hub.over
         if state != self._read_for and not self._reading:
             self._reading = True

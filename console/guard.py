@@ -1,27 +1,32 @@
-"""Guards everything that the console serves, and refuses first.
+"""Access to everything that the console serves: tokens, sessions, and a guard that refuses first.
 
 A loopback address is no authentication: other users and every page in the same browser can reach it. A
 request needs the right account of this computer, the right Host, the right Origin if it may change something,
-and a session opened with a token.
+and a session opened with a token. A run has two tokens, to view and to operate; a browser exchanges one for a
+session.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Awaitable, Callable, MutableMapping
+import secrets
+import time
+from collections import deque
+from collections.abc import Awaitable, Callable, Collection, MutableMapping
+from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Any
 from urllib.parse import parse_qs
 
-from console.sessions import Role, Session, Sessions
-
+TOKEN_BYTES = 32
+MOST_SESSIONS = 64  # per role; the oldest is dropped for a new one
+ORDERS_PER_SECOND = 10
+PAGES, PAGES_S = 8, 4.0  # of a role in so many seconds: making one holds up everything else for tens of ms
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
-Trust = Callable[[object, Role], bool]  # of a connection, by host and port, that has shown the key of a role
-
-MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
 OVERLOADED = 503
 LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
 LARGEST_BODY_BYTES = 65_536
@@ -43,6 +48,80 @@ HEADERS = {
     "permissions-policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
     "cache-control": "no-store",
 }
+
+
+class Rate:
+    """Rate limit: at most `count` in any span of time."""
+
+    def __init__(self, count: int, span_s: float) -> None:
+        self._span_s = span_s
+        self._counted_s: deque[float] = deque(maxlen=count)
+
+    def allows(self, now_s: float) -> bool:
+        """Count one more if the limit allows it; returns whether it does."""
+        full = len(self._counted_s) == self._counted_s.maxlen
+        if full and now_s - self._counted_s[0] < self._span_s:
+            return False
+        self._counted_s.append(now_s)
+        return True
+
+
+class Role(StrEnum):
+    """Rights of a session."""
+
+    OPERATOR = "operator"
+    VIEWER = "viewer"
+
+
+@dataclass
+class Session:
+    """A browser's session. `identifier` may be shown and recorded; its cookie may not."""
+
+    role: Role
+    identifier: str
+    orders: Rate = field(default_factory=lambda: Rate(ORDERS_PER_SECOND, 1.0))
+
+
+class Sessions:
+    """The tokens of a run and the sessions that they opened."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self.now_s = now_s
+        self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
+        self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._sessions: dict[str, Session] = {}  # by cookie, oldest first
+        self._pages = {role: Rate(PAGES, PAGES_S) for role in Role}
+
+    def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
+        """Open a session for a token and return its cookie; None for a foreign or disallowed token."""
+        roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
+        given = token.encode()
+        role = None
+        for known, candidate in roles.items():  # both are always compared
+            if secrets.compare_digest(known.encode(), given):
+                role = candidate
+        if role is None or role not in allowed:
+            return None
+        cookie = secrets.token_urlsafe(TOKEN_BYTES)
+        self._sessions[cookie] = Session(role, secrets.token_hex(6))
+        same = [kept for kept, session in self._sessions.items() if session.role is role]
+        for oldest in same[:-MOST_SESSIONS]:
+            del self._sessions[oldest]
+        return cookie
+
+    def may_open_page(self, role: Role) -> bool:
+        """Count a page of a role if its limit allows it; returns whether it does."""
+        return self._pages[role].allows(self.now_s())
+
+    def find(self, cookie: str | None) -> Session | None:
+        """The session of a cookie."""
+        return None if cookie is None else self._sessions.get(cookie)
+
+
+Trust = Callable[[object, Role], bool]  # of a connection, by host and port, that has shown the key of a role
+
+
+MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
 
 
 class Guard:
@@ -73,7 +152,7 @@ class Guard:
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     def for_viewers(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
-        """The same application for viewers on other computers, over TLS: the operator's key is not accepted.
+        """Guard the same application for viewers on other computers, over TLS, without the operator's key.
 
         Its clients count towards the limits of this guard.
         """
@@ -176,7 +255,7 @@ class Guard:
 
 
 def _headers(scope: Scope) -> dict[str, str]:
-    """By lower-case name; a duplicated header is ignored."""
+    """Return the headers by lower-case name; a duplicated one is ignored."""
     found: dict[str, str] = {}
     twice = set()
     for name, value in scope["headers"]:
@@ -187,7 +266,7 @@ def _headers(scope: Scope) -> dict[str, str]:
 
 
 def _head_bytes(scope: Scope) -> int:
-    """Of request line and headers, without what separates them."""
+    """Sum the bytes of request line and headers, without separators."""
     line = len(scope.get("raw_path") or b"") + len(scope["query_string"])
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 

@@ -1,4 +1,4 @@
-"""One case for all pages: its state, its subscribers, and the path of orders to its engine."""
+"""The case shared by all pages: its state, its subscribers, and the path of orders to its engine."""
 
 from __future__ import annotations
 
@@ -11,11 +11,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from console.bell import Bell
-from console.feed.fold import fold
-from console.feed.recorded import RecordedCase
-from console.feed.view import CaseView
-from console.sessions import Role, Session
+from console.case_view import CaseView, RecordedCase, fold
+from console.changes import ChangeNotifier
+from console.guard import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
 from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -30,7 +28,7 @@ NOT_RUNNING = "this case is not running: read-only"
 SendOrder = Callable[[AnyOrder], Awaitable[None]]
 
 
-class Hub(Bell):
+class Hub(ChangeNotifier):
     """Keeps the view; pages subscribe with an event that is set when it changes."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
@@ -92,7 +90,7 @@ class Hub(Bell):
         return replace(view, devices=devices, pose=stood)
 
     def heard(self) -> None:
-        """The engine gave a sign of life."""
+        """Note a sign of life of the engine."""
         self._heard_s = self._now_s()
 
     @property
@@ -131,7 +129,7 @@ class Hub(Bell):
         return ""
 
     def end(self) -> None:
-        """The engine has ended."""
+        """Note that the engine has ended."""
         self.ended = True
         for reply in self._replies.values():
             if not reply.done():
@@ -139,7 +137,7 @@ class Hub(Bell):
         self.tell()
 
     def break_off(self, why: str) -> None:
-        """Nothing more can be read; `why` explains it with a code and what to do."""
+        """Note that nothing more can be read; `why` gives the code and the action."""
         self.broken_off = why
         self.tell()
 
@@ -199,5 +197,5 @@ class Hub(Bell):
 
 
 def new_nonce() -> str:
-    """For one order."""
+    """Create the nonce of an order."""
     return secrets.token_urlsafe(12)

@@ -1,21 +1,27 @@
-"""Listening sockets of the console: on loopback, and at a separate address for remote viewers."""
+"""Sockets and connections of the console: on loopback, and at a separate address for remote viewers.
+
+A request has little time to arrive. The guard sees it only after its head is complete, so incomplete heads
+are limited here.
+"""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import socket
 from typing import Any
 
 import uvicorn
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from console.connection import Connection
 from console.errors import PortTaken
-from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard
-from console.sessions import Role
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard, Role
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.host.network import account_at
 
+REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
+ANSWER_LIMIT_S = 60.0  # host time from there until the answer was taken: five megabytes by a slow line
 HOST = "127.0.0.1"
 BACKLOG = 32  # also the most that the loop accepts at a time
 MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
@@ -23,7 +29,43 @@ MOST_CONNECTIONS = {Role.OPERATOR: 32, Role.VIEWER: 64}  # with a session; a bro
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
 
 
-class Listening(socket.socket):
+def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
+    """A listening socket; port 0 is any free one. Raises CON-001."""
+    listening = ListeningSocket(family)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((address, port))
+    except OSError as error:
+        listening.close()
+        raise PortTaken(f"port {port} of {address} cannot be used: {error.strerror}") from error
+    listening.listen(BACKLOG)
+    return listening
+
+
+def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
+    """The server with everything behind the guard; that of `viewers` uses TLS."""
+    tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
+    return uvicorn.Server(
+        uvicorn.Config(
+            guard,
+            http=Connection,
+            h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
+            backlog=BACKLOG,
+            proxy_headers=False,  # an address in a header is anyone's claim
+            log_config=None,
+            access_log=False,  # an address may contain a key
+            lifespan="on" if viewers is None else "off",  # the pages start once
+            ws="websockets-sansio",  # `Connection` knows its protocol
+            ws_max_size=SOCKET_BYTES,
+            ws_per_message_deflate=False,  # all clients are near
+            timeout_graceful_shutdown=1,
+            server_header=False,
+            **tls,  # type: ignore[arg-type]  # files by name, as uvicorn takes them
+        )
+    )
+
+
+class ListeningSocket(socket.socket):
     """A listening socket that drops the oldest of too many connections that have not shown the key.
 
     On loopback it remembers which connections are of another account of this computer.
@@ -73,37 +115,61 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
     return {peer: one for peer, one in connections.items() if one.fileno() != -1}
 
 
-def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> Listening:
-    """A listening socket; port 0 is any free one. Raises CON-001."""
-    listening = Listening(family)
-    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-    try:
-        listening.bind((address, port))
-    except OSError as error:
-        listening.close()
-        raise PortTaken(f"port {port} of {address} cannot be used: {error.strerror}") from error
-    listening.listen(BACKLOG)
-    return listening
+class Connection(H11Protocol):
+    """HTTP/1.1 dropped once the time for a head or an answer is up, however slowly either drips."""
 
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._deadline: asyncio.TimerHandle | None = None
+        self._is_answering = False
+        self._answer_ends_s = 0.0
 
-def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """The server with everything behind the guard; that of `viewers` uses TLS."""
-    tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
-    return uvicorn.Server(
-        uvicorn.Config(
-            guard,
-            http=Connection,
-            h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
-            backlog=BACKLOG,
-            proxy_headers=False,  # an address in a header is anyone's claim
-            log_config=None,
-            access_log=False,  # an address may contain a key
-            lifespan="on" if viewers is None else "off",  # the pages start once
-            ws="websockets-sansio",  # `Connection` knows its protocol
-            ws_max_size=SOCKET_BYTES,
-            ws_per_message_deflate=False,  # all clients are near
-            timeout_graceful_shutdown=1,
-            server_header=False,
-            **tls,  # type: ignore[arg-type]  # files by name, as uvicorn takes them
-        )
-    )
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
+        """Give the first request its time."""
+        super().connection_made(transport)
+        self._wait(REQUEST_LIMIT_S)
+
+    def handle_events(self) -> None:
+        """Start the time for an answer at the complete head."""
+        super().handle_events()
+        if self.cycle is not None and not self.cycle.response_complete and not self._is_answering:
+            self._is_answering = True
+            self._answer_ends_s = self.loop.time() + ANSWER_LIMIT_S
+            self._wait(ANSWER_LIMIT_S)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Leave the socket to the guard, which closes one without a session.
+
+        A head that the socket's protocol refuses, for a long line, is neither answered nor seen by the guard.
+        """
+        self._stop_waiting()
+        super().handle_websocket_upgrade(event)
+        if not getattr(self.transport.get_protocol(), "handshake_initiated", False):
+            self.transport.abort()
+
+    def on_response_complete(self) -> None:
+        """Give the next request its time."""
+        self._is_answering = False
+        self._wait(REQUEST_LIMIT_S)
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave no timer behind."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def _wait(self, limit_s: float) -> None:
+        self._stop_waiting()
+        self._deadline = self.loop.call_later(limit_s, self._end)
+
+    def _end(self) -> None:
+        """Drop the connection, unless a complete answer is still on its way to a slow reader."""
+        left_s = self._answer_ends_s - self.loop.time()
+        if left_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
+            self._wait(min(left_s, REQUEST_LIMIT_S))
+        else:
+            self.transport.abort()
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()

@@ -12,12 +12,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from studies.accuracy.phantom import Markers, phantom
+from studies.accuracy.phantom import Markers, draw_phantom
 from studies.accuracy.scene import Scene
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks
 
 Array = NDArray[np.float64]
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres
@@ -43,7 +42,7 @@ class ApplicationErrorStudy:
     name: str = "application-error"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
@@ -57,7 +56,7 @@ class ApplicationErrorStudy:
         """Length of every error in mm: strategy|spheres|arm|target."""
         depth, kind, number = unit.condition.split("|")
         markers = Markers(kind)
-        drawn = phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
+        drawn = draw_phantom(markers, DEPTHS_MM[depth], TARGETS, WHOLE_HEAD)
         first = unit.block * BLOCK_ARMS
         scene = Scene.of(self.seed, drawn, markers, int(number))
         return scene.trials(range(first, first + unit.runs), STRATEGIES)

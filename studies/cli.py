@@ -16,9 +16,8 @@ from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.text import counted
 
 if TYPE_CHECKING:
-    from studies.campaign.table import Table
-    from studies.campaign.unit import Study, Sums
-    from studies.own.method import OwnMethod
+    from studies.campaign.study import Study, Sums, Table
+    from studies.plugins.method import PluginMethod
 
 app = typer.Typer(
     name="ronna-campaign",
@@ -31,7 +30,7 @@ app = typer.Typer(
 
 @dataclass(frozen=True)
 class StudyOptions:
-    """Where a study runs, and where its results go."""
+    """Seed, workers and output folder of a study."""
 
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
     workers: Annotated[int | None, typer.Option(min=1, help="Processes on this computer [one per core].")] = (
@@ -70,8 +69,7 @@ def correspondence(
         typer.Option("--runs", min=1, help="Runs per patient and cell [10000], or readings [1415]."),
     ] = None,
     sweep: Annotated[
-        bool,
-        typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
+        bool, typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm.")
     ] = False,
     template: Annotated[
         bool,
@@ -109,8 +107,7 @@ def correspondence(
         ),
     ] = None,
     xframe: Annotated[
-        bool,
-        typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
+        bool, typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker.")
     ] = False,
     *,
     asked: StudyOptions,
@@ -122,12 +119,8 @@ def correspondence(
     from procedures.registration.pairing_validation import REFUSED_SHARE
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
-    from studies.correspondence.methods import chosen_methods
-    from studies.correspondence.study import (
-        OF_THE_THESIS,
-        USUAL_TOLERANCES_MM,
-        CorrespondenceStudy,
-    )
+    from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
+    from studies.plugins.trial import select_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
@@ -144,9 +137,9 @@ def correspondence(
         from studies.correspondence import template as by_template
 
         implanted = by_template.TemplateStudy(runs, asked.seed)
-        _run(implanted, by_template.tables, by_template.plots, asked)
+        _run(implanted, by_template.tables, None, asked)
         return
-    chosen, own = chosen_methods(methods or (), terminal.tell)
+    chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(
         runs, asked.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
@@ -159,17 +152,14 @@ def correspondence(
     _run(study, correspondence_tables.tables, plots, asked)
 
 
-def _clinical(
-    readings: int | None,
-    asked: StudyOptions,
-) -> None:
+def _clinical(readings: int | None, asked: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
-    from studies.correspondence.frame_readings import recorded_readings
+    from studies.correspondence.clinical import load_or_take_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
+        taken = load_or_take_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
     study = clinical.ClinicalStudy(taken, asked.seed)
     _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
 
@@ -223,9 +213,8 @@ def localization(
     asked: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
-    from studies.localization.goals import tables_and_goals
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
-    from studies.localization.tables import plots
+    from studies.localization.tables import plots, tables_and_goals
 
     if thesis + tuning + frames + bool(families) > 1:
         raise UsageMistake("--thesis, --tuning, --frames and --family are separate studies: give one of them")
@@ -243,7 +232,7 @@ def localization(
 
         protocol = ThesisLocalizationStudy(asked.seed)
         protocol_tables = thesis_localization_tables
-        _run(protocol, protocol_tables.tables, protocol_tables.plots, asked)
+        _run(protocol, protocol_tables.tables, None, asked)
         return
     study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:
@@ -325,8 +314,7 @@ def worlds(
     Prints the worst. Exit code 1: an error beyond twice its limit without a finding, more than 5 % beyond
     once, or a finding where nothing changed.
     """
-    from studies.worlds.case import carry_out, document
-    from studies.worlds.study import WorldsStudy, no_plots
+    from studies.worlds.study import WorldsStudy, document, run_world
     from studies.worlds.world import SCENES
 
     if scene not in SCENES:
@@ -338,37 +326,31 @@ def worlds(
         if world.change is not None:
             terminal.tell(world.change.script.rstrip())
         place = study.folder / f"only-{only}"
-        found = carry_out(world, place)
+        found = run_world(world, place)
         terminal.print_json(document(world, found))
         terminal.tell(f"{found.verdict}: {place}")
         return
     sums = _run(
-        study, study.tables, no_plots, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
+        study, study.tables, None, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
     )
     if missed := study.missed_goals(sums):
         terminal.tell(f"missed: {'; '.join(missed)}")
         raise typer.Exit(EXIT_FAILED)
 
 
-def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
+def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     """Own methods of a kind, each tried before the campaign."""
     if not names:
         return ()
-    from studies.own.contracts import MethodKind
-    from studies.own.trial import tried_apart
+    from studies.plugins.contracts import MethodKind
+    from studies.plugins.trial import try_in_subprocess
 
-    return tuple(tried_apart(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
+    return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
-def _run(
-    study: Study,
-    tables: Tables,
-    plots: Plots,
-    asked: StudyOptions,
-) -> Mapping[str, Sums]:
-    from studies.campaign.ledger import Ledger
-    from studies.campaign.publish import publish
-    from studies.campaign.unit import add_up
+def _run(study: Study, tables: Tables, plots: Plots | None, asked: StudyOptions) -> Mapping[str, Sums]:
+    from studies.campaign.folder import Ledger, publish
+    from studies.campaign.study import add_up
     from studies.campaign.workers import run_study
 
     folder = asked.out or Path("campaigns") / study.name
@@ -394,7 +376,7 @@ def _run(
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
-    report = publish(folder, study.name, study.settings(), found, plots(sums))
+    report = publish(folder, study.name, study.settings(), found, {} if plots is None else plots(sums))
     if asked.as_json:
         terminal.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
@@ -413,11 +395,11 @@ def times(
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
     from ronna_hw.evidence.inspection import inspected
-    from studies.times import times_of
+    from studies.times import time_tables
 
     for run in runs:
         inspected(run, every_file=False).require_unchanged()
-    found = times_of(runs)
+    found = time_tables(runs)
     if as_json:
         terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
         return
@@ -426,10 +408,10 @@ def times(
 
 
 def _show(table: Table) -> None:
-    from studies.campaign.table import shown
+    from studies.campaign.study import format_cell
 
     terminal.print_table(
-        table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]
+        table.title, list(table.columns), [[format_cell(value) for value in row] for row in table.rows]
     )
 
 

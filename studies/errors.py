@@ -106,7 +106,7 @@ class MethodAnswerWrong(DataError):
 
 
 class WorldNotRun(DataError):
-    """The case of a world drawn at random was not begun, so that there is nothing to judge."""
+    """The case of a random world did not begin, so there is nothing to judge."""
 
     code = "STU-015"
     action = "Repeat this world with --only to see the reason."

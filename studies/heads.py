@@ -1,11 +1,13 @@
-"""Heads with fiducials for the correspondence studies, after the thesis' protocol (5.3.1).
+"""Heads with fiducials and readings of them, drawn by the thesis' protocol (5.3.1).
 
 The thesis used eight adhesive markers on each of three patients, with unpublished coordinates. Here they are
-on the upper side of three ellipsoids of different sizes, the same in every run.
+on the upper side of three ellipsoids of different sizes, the same in every run. A reading displaces the
+sites, takes a random subset, adds noise and outliers on both sides, and shuffles both.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
@@ -47,14 +49,14 @@ def sites_mm(patient: int) -> Array:
     return np.array(sites)
 
 
-def in_balls(count: int, radius_mm: float, random: np.random.Generator) -> Array:
+def uniform_in_ball(count: int, radius_mm: float, random: np.random.Generator) -> Array:
     """Uniform points in a ball about the origin, (count, 3)."""
     direction = random.normal(size=(count, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return np.asarray(direction * radius_mm * random.uniform(size=(count, 1)) ** (1.0 / 3.0))
 
 
-def disturbance(
+def draw_noise(
     shape: tuple[int, ...], sigma_mm: float, reading: NoiseReading, random: np.random.Generator
 ) -> Array:
     """Noise (..., 3): Gaussian on every axis, or of Gaussian length in a random direction."""
@@ -66,7 +68,7 @@ def disturbance(
 
 
 def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
-    """Standard deviation per axis for the solvers: a Gaussian length is spread over three axes."""
+    """Return the standard deviation per axis; a Gaussian length is spread over three axes."""
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
@@ -78,3 +80,51 @@ def stated_variance_mm2(noise: NoiseReading) -> float:
 def any_pose(random: np.random.Generator) -> RigidTransform:
     """A random orientation, somewhere in the room."""
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))
+
+
+@dataclass(frozen=True, eq=False)
+class Readings:
+    """Points of both sides (runs, n, 3) mm, the corresponding indices (runs, k, 2), true rotations."""
+
+    image_mm: Array
+    physical_mm: Array
+    pairs: NDArray[np.intp]
+    rotations: Rotation
+
+    def __len__(self) -> int:
+        return len(self.image_mm)
+
+
+def draw_readings(
+    sites_mm: Array,
+    count: int,
+    outliers: int,
+    noise: NoiseReading,
+    runs: int,
+    random: np.random.Generator,
+    displaced_mm: float = DISPLACED_MM,
+) -> Readings:
+    """`runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
+    sites = len(sites_mm)
+    displaced = sites_mm + uniform_in_ball(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
+    chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
+    points = np.take_along_axis(displaced, chosen[:, :, None], axis=1)
+    rotations, shifts = Rotation.random(runs, rng=random), random.normal(size=(runs, 1, 3)) * AWAY_MM
+    turned = points @ rotations.as_matrix().swapaxes(1, 2) + shifts
+    image, image_order = _shuffled(
+        points + draw_noise(points.shape, IMAGE_SIGMA_MM, noise, random), outliers, random
+    )
+    physical, physical_order = _shuffled(
+        turned + draw_noise(points.shape, PHYSICAL_SIGMA_MM, noise, random), outliers, random
+    )
+    where = [np.argsort(order, axis=1)[:, :count] for order in (image_order, physical_order)]
+    return Readings(image, physical, np.stack(where, axis=2), rotations)
+
+
+def _shuffled(points: Array, outliers: int, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
+    """Points and outliers about their centre, in random order, and the permutation."""
+    runs, count, _ = points.shape
+    strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
+    everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)
+    order = random.permuted(np.tile(np.arange(count + outliers), (runs, 1)), axis=1)
+    return np.take_along_axis(everything, order[:, :, None], axis=1), order

@@ -1,4 +1,4 @@
-"""Do the error formulas of rigid registration hold? FRE against FLE, TRE against eq. 39, gate, weighting.
+"""Test of the error formulas of rigid registration: FRE against FLE, TRE against eq. 39, gate, weighting.
 
 Head markers, a target 10 mm below their centre, and an FLE of 0.3 mm as in the reference
 experiment. Isotropic errors are split evenly between both spaces, as between two scans; the others
@@ -19,11 +19,10 @@ from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, 
 from procedures.registration.point_registration import register
 from studies.campaign import bounds
 from studies.campaign.plots import Point, curves
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, omit_empty_own
 from studies.heads import PATIENTS, any_pose, sites_mm
-from studies.own.method import OwnMethod
-from studies.own.registration import OwnRegistration
+from studies.plugins.answers import PluginRegistration
+from studies.plugins.method import PluginMethod
 
 Array = NDArray[np.float64]
 
@@ -51,11 +50,11 @@ class RegistrationStudy:
     seed: int = 0
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "registration"
-    own: tuple[OwnMethod, ...] = ()
+    own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
-        return {**without_empty_own(asdict(self)), "sums": SUMS}
+        """Return all inputs of the results."""
+        return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order kind of error, fiducials."""
@@ -67,7 +66,7 @@ class RegistrationStudy:
         kind, count = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
-        own = tuple(OwnRegistration.of(one) for one in self.own)
+        own = tuple(PluginRegistration.of(one) for one in self.own)
         residuals_mm: list[float] = []
         for run in range(unit.runs):
             sites = sites_mm(PATIENTS[run % len(PATIENTS)])
@@ -80,9 +79,9 @@ class RegistrationStudy:
 
 
 def _one(
-    points: Array, kind: str, random: np.random.Generator, own: Sequence[OwnRegistration]
+    points: Array, kind: str, random: np.random.Generator, own: Sequence[PluginRegistration]
 ) -> dict[str, float]:
-    """One registration and its error at the target."""
+    """Register once and return the errors at the target."""
     truth = any_pose(random)
     covariance = _covariances(len(points), kind, random)
     in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
@@ -91,11 +90,9 @@ def _one(
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
     right = truth.apply(target)
     plain = register(image, measured)
-    sums = {
-        "runs": 1.0,
-        "fre": plain.fre_mm,
-        "fle2": plain.fle_mm**2,
-    } | _missed(PLAIN, plain.transform, target, right)
+    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _missed(
+        PLAIN, plain.transform, target, right
+    )
     for method in own:
         fitted = method(image, measured, covariance_mm2=covariance)
         sums |= _missed(f"{OWN}{method.name}", fitted, target, right)
@@ -116,7 +113,7 @@ def _missed(who: str, fitted: RigidTransform, target: Array, right: Array) -> di
 
 
 def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
-    """One error (n, 3) for each covariance (n, 3, 3), which may be zero."""
+    """Draw an error (n, 3) for each covariance (n, 3, 3), which may be zero."""
     if not covariance_mm2.any():
         return np.zeros(covariance_mm2.shape[:2])
     normal = random.normal(size=covariance_mm2.shape[:2])

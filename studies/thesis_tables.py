@@ -17,7 +17,7 @@ FIDUCIALS_OF_TABLE_3 = 4
 
 @dataclass(frozen=True)
 class Column:
-    """What one person or method achieved in each row, and the figure printed below."""
+    """A column of a table: its rows, and the figure printed below."""
 
     rows_mm: tuple[float, ...]
     printed_mm: float

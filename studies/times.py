@@ -1,4 +1,4 @@
-"""Where the time of runs was spent, on average, next to the times in the thesis."""
+"""Mean times of phases and steps over several runs, next to the times in the thesis."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import fmean
 
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.reporting.minutes import (
+from procedures.reporting.run_statistics import (
     ALGORITHM_S,
     LOCALIZATION,
     OPERATOR_S,
@@ -16,16 +16,19 @@ from procedures.reporting.minutes import (
     TimeTaken,
     times_taken,
 )
-from studies.campaign.table import Table
+from studies.campaign.study import Table
 from studies.errors import NoRunToTime
 
 
-def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:
+def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
     """Two tables: mean times of these run folders, and localization in the CT next to the thesis.
 
     Raises the errors of an unreadable journal.
     """
-    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs if _is_run(run)]
+    for run in runs:
+        if not (run / JOURNAL_FILE).is_file():
+            raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
+    each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs]
     keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)
     rows = []
     for kind, name in keys:
@@ -42,12 +45,6 @@ def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:
         )
     columns = ("what", "name", "times in a run", "theatre s in a run", "computer s in a run")
     return Table("Times", columns, tuple(rows)), _beside_thesis(each)
-
-
-def _is_run(run: Path) -> bool:
-    if not (run / JOURNAL_FILE).is_file():
-        raise NoRunToTime(f"{run} has no journal", expected="the folder of a run")
-    return True
 
 
 def _beside_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:

@@ -8,14 +8,134 @@ tool centre` also includes the error of the head's record.
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from benchmarks.figures import Figure
-from benchmarks.mount.tip_looks import TipCell
+from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell
+from benchmarks.stereo_head.head_looks import TrueHead
+from procedures.calibration.head_model import cameras_of, intersected, pose_record
+from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
+from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
 from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.calibration.tool_tip.tip import tips_of
+from procedures.strategies.orientation import tool_orientation
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+from sim.world.options import OnStand
+from sim.world.rigid import inverse, matrix_of
+from sim.world.staff import read_dials
+from sim.world.true_arm import TrueArm
+from sim.world.truth import TrueGuide
+from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]
+
+TILT_RAD, TURN_RAD = math.radians(25.0), math.radians(40.0)
+SPARE = 1.5
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass
+class TipCell(FrameCell):
+    """A scene with a stand; the head sees its ball with the noise of a real outline."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._arm_truth = TrueArm(self.scene.arm, self.scene.seed)
+        self._room = World.create(self.scene, paced=False)
+        self._room.mount_tool(self.scene.mount.tool_number_guide)
+        self._room.put_on_stand(OnStand.DIVOT)
+        self._noise = np.random.default_rng([self.scene.seed, 7])
+        self.head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+
+    def readings(self, count: int, validation: int, tilt_rad: float = TILT_RAD) -> TipLooks:
+        """Views and readings as taken by the steps."""
+        ball = np.round(self.scene.stand.ball_mm)
+        reference = tool_orientation(DOWN, ball, 0.0)
+        total = count + validation
+        planned = turned_about(reference, ball, round(SPARE * total), tilt_rad=tilt_rad, turn_rad=TURN_RAD)
+        reached = {id(one): joints for one in planned if (joints := self._joints(one)) is not None}
+        first = [one for one in planned if id(one) in reached][:total]
+        looks = [self._ball(reached[id(one)]) for one in in_short_order(first)]
+        observed = TipLooks(
+            created=datetime.now(UTC),
+            arm=self.scene.arm.variant,
+            stereo_head=self.calibrations.stereo_head,
+            start=self.calibrations.tool_tip,
+            arm_record=self.calibrations.arm,
+            looks=tuple(looks),
+            readings=(),
+            validation=kept_apart(len(looks), validation),
+        )
+        for number, look in enumerate(looks):
+            for _ in range(2):  # the second iteration is close
+                others = tuple(one for one in observed.readings if one.look != number)
+                reading = self._reading(observed, number, look)
+                observed = observed.model_copy(update={"readings": (*others, reading)})
+        return observed
+
+    @property
+    def true_tip_mm(self) -> Array:
+        """Return the true tip of the seated guide, in the true tool frame, after a reading."""
+        return np.asarray((inverse(self._room.robot_from_tool()) @ TrueGuide(self._room).tip_frame())[:3, 3])
+
+    def seen_mm(self, in_tool_mm: Array, noise_px: float = 0.0) -> Array:
+        """Map a ball from the true tool frame to the one the head sees by its record."""
+        eye = TrueHead(self.scene, outline_px=noise_px)
+        pixels = [
+            eye._outline(
+                camera, (matrix_of(camera.camera_from_tool) @ np.append(in_tool_mm, 1.0))[:3], self._noise
+            ).centre_px
+            for camera in (self.scene.left, self.scene.right)
+        ]
+        left, right = (np.array([one]) for one in pixels)
+        in_flange, _ = intersected(cameras_of(self.calibrations.stereo_head), left, right)
+        return self.head.inverse().apply(in_flange[0])
+
+    def _joints(self, look: PlannedLook) -> JointVector | None:
+        try:
+            return self.arm.compensated(look.pose @ self.head.inverse(), self.home).joints_rad
+        except LimitError:
+            return None
+
+    def _ball(self, joints: JointVector) -> BallLook:
+        flange = self._at_rest(joints)
+        tool = flange @ matrix_of(self.scene.mount.flange_from_tool_true)
+        in_tool = (inverse(tool) @ np.append(self.scene.stand.ball_mm, 1.0))[:3]
+        x, y, z = self.seen_mm(in_tool, noise_px=0.02).tolist()
+        return BallLook(
+            joints_rad=joints, robot_from_flange=pose_record(self.arm.flange_pose(joints)), ball_mm=(x, y, z)
+        )
+
+    def _reading(self, observed: TipLooks, number: int, look: BallLook) -> DivotReading:
+        flange = look.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
+        guide = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        tip = (self.head.inverse() @ guide).translation_mm
+        if observed.readings:
+            tip = tips_of(pairs_of(observed, observed.readings)).mean(axis=0)
+        ball, rotation = (flange @ self.head).apply(look.ball_mm), flange.rigid.rotation
+        origin = ball - rotation.apply(self.head.apply(tip))
+        wanted = Transform(Frame.ROBOT, Frame.FLANGE, RigidTransform.from_components(origin, rotation))
+        joints = self.arm.compensated(wanted, look.joints_rad).joints_rad
+        self._room.publish_arm(ArmState(joints, self._at_rest(joints), self._motions, True))
+        return DivotReading(
+            look=number,
+            joints_rad=joints,
+            robot_from_flange=pose_record(self.arm.flange_pose(joints)),
+            dials_mm=read_dials(self._room),
+        )
+
+    def _at_rest(self, joints: JointVector) -> Array:
+        self._motions += 1
+        return self._arm_truth.at_rest(joints, FLANKS, self._motions)
+
 
 SEEDS = 20
 READINGS, VALIDATION = 10, 3

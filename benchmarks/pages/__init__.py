@@ -1,1 +1,1 @@
-"""What the pages in a browser cost."""
+"""Cost of the pages in a browser."""

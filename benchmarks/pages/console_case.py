@@ -75,7 +75,7 @@ def _figures_of(run: Path) -> dict[str, float]:
 
 
 def _steps_s(journal: list[dict[str, Any]]) -> float:
-    """From the intent of each step to its result, host time."""
+    """Measure the host time from the intent of each step to its result."""
     total_s, began = 0.0, None
     for line in journal:
         if line["entry"] == "intent":

@@ -1,4 +1,4 @@
-"""How fast the planner responds on its page: a scroll, a drag, and the head after opening.
+"""Response times of the planner's page: a scroll, a drag, and the head after opening.
 
 A CT of 512 x 512 x 200 voxels in headless Chromium with software rendering; times are by the page's own
 clock, from a person's event to its visible effect. For comparison with the head: how long a bare page of the
@@ -15,7 +15,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.figures import Figure
-from console.planning.overlay import CHOSEN
+from console.planning.slice_panel import CHOSEN
 from ronna_hw.arm.pose import Pose
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.named_scenes import named_scene

@@ -101,7 +101,7 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi_bare(stack: ExitStack, endpoint: str, _roms: Sequence[Path]) -> Reader:
-    """The same on a unit that answers everything with one fixed reply."""
+    """Read from a unit that answers everything with one fixed reply."""
     device = _opened(stack, endpoint)
     import ndicapy
 

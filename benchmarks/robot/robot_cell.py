@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import re
+import socket
 import sys
+import time
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
@@ -10,6 +13,7 @@ from typing import Self
 from drivers.kuka_rsi import KukaRsiArm
 from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
 from sim.world.process import load_scene
@@ -55,3 +59,106 @@ class RobotCell:
 
     def __exit__(self, *_: object) -> None:
         self._ending.close()
+
+
+START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
+FIRST_IPOC = 1_000_000
+CYCLE_MS = 4
+REPLY_LIMIT_S = 0.2
+LONGEST = 8192
+CORRECTIONS = re.compile(
+    rb'A1="([^"]+)" A2="([^"]+)" A3="([^"]+)" A4="([^"]+)" A5="([^"]+)" A6="([^"]+)"\s*/>.*<IPOC>(\d+)</IPOC>'
+)
+TELEGRAM = (
+    '<Rob Type="KUKA"><RIst X="445.0000" Y="0.0000" Z="810.0000" A="180.0000" B="0.0000" C="180.0000"/>'
+    '<AIPos A1="%.4f" A2="%.4f" A3="%.4f" A4="%.4f" A5="%.4f" A6="%.4f"/>'
+    '<EIPos E1="0.0000" E2="0.0000" E3="0.0000" E4="0.0000" E5="0.0000" E6="0.0000"/>'
+    '<Delay D="0"/><IPOC>%d</IPOC></Rob>'
+)
+
+
+def bare_telegram() -> bytes:
+    """A telegram of typical length."""
+    return (TELEGRAM % (*START_DEG, FIRST_IPOC)).encode("ascii")
+
+
+class ControllerProbe:
+    """A client at its `udp://` endpoint on this machine."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        client = parse_endpoint(endpoint)
+        self._link.connect((client.host, client.port))
+        self._link.settimeout(REPLY_LIMIT_S)
+        self._ipoc = FIRST_IPOC
+        self._axes_deg = START_DEG
+        self._numbers = (0.0,) * 6
+        self.turnarounds_s: list[float] = []
+        self.unanswered = 0
+        self.moved_deg = 0.0  # travel of A1 so far: shows that a moving client really moves
+
+    def exchange(self, telegram: bytes) -> bytes:
+        """Send and wait for any reply; raises TimeoutError."""
+        self._link.send(telegram)
+        return self._link.recv(LONGEST)
+
+    def block(self, count: int, pace_s: float) -> list[float]:
+        """Turnarounds in seconds of `count` telegrams, `pace_s` apart on an absolute schedule."""
+        found: list[float] = []
+        due_s = time.perf_counter()
+        for _ in range(count):
+            due_s = max(due_s + pace_s, time.perf_counter())
+            telegram = self._next_telegram()
+            pause_s = due_s - time.perf_counter()
+            if pause_s > 0.0:
+                time.sleep(pause_s)
+            began_s = time.perf_counter()
+            self._link.send(telegram)
+            reply = self._matching_reply()
+            if reply is None:
+                self.unanswered += 1
+                continue
+            found.append(time.perf_counter() - began_s)
+            self._follow(reply)
+        self.turnarounds_s += found
+        return found
+
+    def share(self, share: float) -> float:
+        """Turnaround in seconds that `share` (0..1) of the telegrams stay below."""
+        return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._link.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _next_telegram(self) -> bytes:
+        self._ipoc += CYCLE_MS
+        return (TELEGRAM % (*self._axes_deg, self._ipoc)).encode("ascii")
+
+    def _matching_reply(self) -> bytes | None:
+        mark = b"<IPOC>%d</IPOC>" % self._ipoc
+        while True:
+            try:
+                reply = self._link.recv(LONGEST)
+            except OSError:
+                return None
+            if mark in reply:
+                return reply
+
+    def _follow(self, reply: bytes) -> None:
+        if reply.startswith(b"<Rob"):
+            return  # an echo commands nothing
+        found = CORRECTIONS.search(reply)
+        if found is None:
+            return
+        a, b, c, d, e, f = (
+            start + float(value) for start, value in zip(START_DEG, found.groups()[:6], strict=True)
+        )
+        self.moved_deg += abs(a - self._axes_deg[0])
+        self._axes_deg = (a, b, c, d, e, f)

@@ -17,10 +17,8 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from benchmarks.contest import contest, family_cpu_s, process_cpu_s
-from benchmarks.figures import Figure, compared
-from benchmarks.robot.controller_probe import ControllerProbe, bare_telegram
-from benchmarks.robot.robot_cell import RobotCell, peer
+from benchmarks.figures import Figure, compared, contest, family_cpu_s, process_cpu_s
+from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
 from drivers.kuka_rsi.errors import RecordedCycle
 from ronna_hw.devices.readings import JointVector
 
@@ -187,7 +185,7 @@ def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iter
 
 
 def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
-    """More of the distribution for the JSON output: the far tail is due to the machine."""
+    """Add the distribution to the JSON output: the far tail is due to the machine."""
     tail = {
         "median_us": probe.share(0.5) * 1e6,
         "p90_us": probe.share(0.9) * 1e6,

@@ -9,8 +9,7 @@ from math import inf
 
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
-from benchmarks.contest import contest, cpu_of
-from benchmarks.figures import Figure, compared
+from benchmarks.figures import Figure, compared, contest, cpu_of
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.clearance.bodies import Surroundings

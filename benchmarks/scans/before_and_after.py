@@ -60,7 +60,7 @@ for line in sys.stdin:
 
 @dataclass
 class Outcome:
-    """Of one version: its markers by family and protocol, and the objects taken for markers by kind."""
+    """Outcome of a version: markers by family and protocol, and false ones by kind."""
 
     counts: dict[str, Count] = field(default_factory=dict)
     errors_mm: dict[str, list[float]] = field(default_factory=dict)  # of each marker; infinite if missed
@@ -88,7 +88,7 @@ class OtherLocalizer:
         self._path = folder / "volume.npz"
 
     def __call__(self, volume: Volume) -> Localization | None:
-        """None if it finds no marker."""
+        """Localize the markers; None if there are none."""
         held = volume.geometry
         np.savez(
             self._path, voxels=volume.voxels, origin=held.origin_mm, axes=held.axes, spacing=held.spacing_mm

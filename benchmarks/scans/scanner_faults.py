@@ -1,4 +1,4 @@
-"""What faults of real scanners cost: each option of `ronna-sim phantom`, on the same markers.
+"""Cost of the faults of real scanners: each option of `ronna-sim phantom`, on the same markers.
 
 Errors are those of the centres directly, and after a rigid fit to the truth, which is what remains in a
 registration; a scan that is refused has none. Scans in which nobody moves and the slices are where they are
@@ -135,7 +135,7 @@ class Cost:
             self.fitted_mm2 += [fit.fre_mm**2] * len(pairs)
 
     def row(self, case: Case) -> dict[str, object]:
-        """For the data file; lengths in µm."""
+        """Return the row of the data file, lengths in µm."""
         said = sorted(set(self.said))
         if not self.squares_mm2:
             return {"fault": case.words, "options": _options(case), "told": " / ".join(said) or "refused"}
@@ -183,7 +183,7 @@ def with_noise(scan: Scan, noise_hu: float) -> Scan:
 
 
 def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
-    """The same markers for every case."""
+    """Measure every case on the same markers."""
     cost = Cost()
     slow = case.faults.beam_hardening > 0.0  # to paint: one volume
     for number in range(1 if slow else volumes):
@@ -205,7 +205,7 @@ class Quiet:
     told: list[str] = field(default_factory=list)
 
     def add(self, painted: Painted) -> None:
-        """One such scan."""
+        """Add a scan."""
         volume = painted.volume
         self.volumes += 1
         found_jumps = jumps(volume.voxels, volume.geometry)
@@ -228,7 +228,7 @@ class Quiet:
         self.shear_percent = max(self.shear_percent, 1e2 * distortion.shear)
 
     def figures(self) -> dict[str, object]:
-        """For the data file."""
+        """Return the figures for the data file."""
         return {
             "volumes": self.volumes,
             "measured": self.measured,
@@ -242,7 +242,7 @@ class Quiet:
 
 
 def quiet(volumes: int, seed: int) -> Quiet:
-    """So many volumes of each family and protocol, each with the next kernel, every other with overlap."""
+    """Scan volumes of each family and protocol, each with the next kernel, every other with overlap."""
     found = Quiet()
     kernels = list(KERNELS)
     for family in FAMILIES:

@@ -60,7 +60,7 @@ class TrueHead:
         return calibration.stereo_head
 
     def twisted(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
-        """The same head with one camera rotated in its mount, about its own axes."""
+        """Rotate one camera of a head in its mount, about its own axes."""
         camera: CameraTruth = getattr(self.scene, side)
         turned = matrix_from(np.zeros(3), rotation_from_vector(turn_rad)) @ matrix_of(camera.camera_from_tool)
         changed = camera.model_copy(update={"camera_from_tool": pose_of(turned)})
@@ -141,7 +141,7 @@ def true_head(seed: int = 3, **noises: float) -> TrueHead:
 
 
 def observation_set(head: TrueHead, observations) -> ObservationSet:
-    """As stored by `calibrate`."""
+    """Build the observations as `calibrate` stores them."""
     return ObservationSet(
         created=datetime(2026, 11, 20, 9, 0, tzinfo=UTC),
         serials=(head.scene.left.serial, head.scene.right.serial),

@@ -8,24 +8,26 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.stereo_head.stereo_alternatives import (
-    centroid,
-    contour_ellipse,
-    hough,
-    least_error_px,
-    triangulated,
-)
 from benchmarks.stereo_head.stereo_pictures import EXPOSURE_US, GAIN_RAW, Case, Pair, Studio, View
-from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
+from procedures.relocalization import (
+    AreaImage,
+    SphereImage,
+    SphereStatus,
+    locate_sphere,
+    measure_sphere,
+    triangulate,
+)
 from procedures.relocalization.camera import Camera
-from procedures.relocalization.errors import NoSphere, RaysDoNotMeet, WrongSize
+from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
 from ronna_hw.frames import Frame
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 
 Array = NDArray[np.float64]
+GreyPicture = NDArray[np.uint8]
 
 # An edge that covers 20 % of a disc's width hides 0.295 of its rim.
 CENTRED = Case("centred, unoccluded")
@@ -36,6 +38,8 @@ HALF_HIDDEN = Case("38 to 60 % of the rim hidden", reach_mm=2.5, rim_lost=(0.38,
 JUST_HIDDEN = Case("38 to 42 % of the rim hidden", reach_mm=2.5, rim_lost=(0.38, 0.42), stained=0.03)
 UNITY_GAIN_RAW = 32
 HONEST = (0.7, 1.4)  # chi square per degree of freedom, as for the CT: goal 6
+RADIUS_TOLERANCE = 0.15  # of the Hough transform
+FULL_WELL_ELECTRONS, READ_NOISE_ELECTRONS = 11900.0, 13.5
 LIMB = 0.75  # brightness of the film at the rim
 
 
@@ -76,7 +80,65 @@ class Tally:
         return 1.0 - self.trusted / self.images
 
 
-OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
+# The usual first attempts at a disc's centre, with OpenCV, and the smallest possible error
+
+
+def hough(picture: GreyPicture, radius_px: float) -> Array:
+    """`cv2.HoughCircles`, given the true radius to 15 %."""
+    circles = cv2.HoughCircles(
+        cv2.GaussianBlur(picture, (5, 5), 0),
+        cv2.HOUGH_GRADIENT,
+        dp=1,
+        minDist=2 * radius_px,
+        param1=100,
+        param2=15,
+        minRadius=round(radius_px * (1 - RADIUS_TOLERANCE)),
+        maxRadius=round(radius_px * (1 + RADIUS_TOLERANCE)),
+    )
+    if circles is None:
+        raise RuntimeError("HoughCircles found nothing")
+    return np.asarray(circles, dtype=float).reshape(-1, 3)[0, :2]
+
+
+def centroid(picture: GreyPicture, _radius_px: float) -> Array:
+    """Otsu's threshold, then the centroid of the largest bright area."""
+    _, mask = cv2.threshold(picture, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    _, _, statistics, centres = cv2.connectedComponentsWithStats(mask)
+    largest = 1 + int(np.argmax(statistics[1:, cv2.CC_STAT_AREA]))
+    return np.asarray(centres[largest], dtype=float)
+
+
+def contour_ellipse(picture: GreyPicture, _radius_px: float) -> Array:
+    """Otsu's threshold, the longest contour, `cv2.fitEllipseDirect`."""
+    _, mask = cv2.threshold(picture, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
+    contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    (x, y), _, _ = cv2.fitEllipseDirect(max(contours, key=len))
+    return np.array([x, y], dtype=float)
+
+
+def triangulated(cameras: tuple[Camera, Camera], centres_px: tuple[Array, Array]) -> Array:
+    """The simple way: outline centres, distortion removed, no perspective bias, linear least squares."""
+    rays = [camera.undistorted(centre)[:, None] for camera, centre in zip(cameras, centres_px, strict=True)]
+    poses = [np.column_stack([camera.rotation, camera.translation_mm]) for camera in cameras]
+    point = cv2.triangulatePoints(poses[0], poses[1], rays[0], rays[1]).ravel()
+    return np.asarray(point[:3] / point[3], dtype=float)
+
+
+def least_error_px(sphere: SphereImage, bright_grey: float, dark_grey: float, gain: float) -> float:
+    """Cramér-Rao bound of the centre along one axis, px, at shot, read and rounding noise.
+
+    sigma_x = (sigma / C) sqrt(2 sqrt(pi) s / (pi R)) for a disc of contrast C and radius R behind a blur of
+    standard deviation s, noise sigma per pixel; grain, post and unknown grey levels are ignored.
+    """
+    electrons_per_grey = FULL_WELL_ELECTRONS / 255.0 / gain
+    electrons = (bright_grey + dark_grey) / 2.0 * electrons_per_grey  # at the rim
+    noise_grey = np.hypot(np.sqrt(electrons + READ_NOISE_ELECTRONS**2) / electrons_per_grey, 12**-0.5)
+    radius = float(np.mean(sphere.axes_px))
+    share = 2.0 * np.sqrt(np.pi) * sphere.blur_px / (np.pi * radius)
+    return float(noise_grey / (bright_grey - dark_grey) * np.sqrt(share))
+
+
+OTHERS: dict[str, Callable[[GreyPicture, float], Array]] = {
     "threshold and centroid": centroid,
     "OpenCV fitEllipseDirect": contour_ellipse,
     "OpenCV HoughCircles": hough,
@@ -86,10 +148,7 @@ OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
 def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0) -> Tally:
     """Measure `count` pairs of a case; the alternatives get the first `others` of them."""
     calibration = studio.calibration()
-    cameras = (
-        Camera(calibration.left, Frame.CAMERA_LEFT),
-        Camera(calibration.right, Frame.CAMERA_RIGHT),
-    )
+    cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
     for number, pair in enumerate(studio.pairs(case, count, seed)):
         outlines = [_measured(view, tally) for view in pair.views]
@@ -145,3 +204,57 @@ def _bound_mm(
 
 def _rms_um(lengths_mm: list[float]) -> float:
     return 1e3 * float(np.sqrt(np.mean(np.square(lengths_mm)))) if lengths_mm else float("nan")
+
+
+WHOLE_PX = (2048, 1088)
+GLARE = Case("glare of 20 to 320 px radius", reach_mm=2.0, glare_px=(20.0, 320.0), area_px=WHOLE_PX)
+BLOT = Case("blot of up to half the sphere", reach_mm=2.0, blot_rad=(0.2, 0.8), area_px=WHOLE_PX)
+SECOND = Case("second sphere", reach_mm=2.0, second_mm=(12.0, 22.0), area_px=WHOLE_PX)
+HALF_VIEW = Case("up to 20 mm off: half or all out of view", reach_mm=20.0, area_px=WHOLE_PX)
+SPHERE_SIZED_GLARE = Case(
+    "glare of the sphere's size", reach_mm=2.0, glare_px=(240.0, 285.0), area_px=WHOLE_PX
+)
+DECEIVING = (GLARE, BLOT, SECOND, HALF_VIEW)
+RIGHT_MM = 0.01  # goal 16: allowed error from a stained and partly hidden sphere
+NOTHING_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
+
+
+@dataclass
+class Verdicts:
+    """Pairs by result: the sphere's centre, the second one's, another point, or none."""
+
+    right: int = 0
+    second: int = 0
+    wrong: int = 0
+    none: int = 0
+
+    @property
+    def pairs(self) -> int:
+        """Total number."""
+        return self.right + self.second + self.wrong + self.none
+
+
+def deceive(studio: Studio, case: Case, count: int, *, seed: int = 9) -> Verdicts:
+    """Locate the sphere in `count` pairs of a case."""
+    calibration = studio.calibration()
+    verdicts = Verdicts()
+    for pair in studio.pairs(case, count, seed):
+        left, right = (AreaImage(view.picture, *view.offset_px) for view in pair.views)
+        try:
+            point = locate_sphere(left, right, calibration).point
+        except NOTHING_SEEN:
+            point = None
+        if point is None:
+            verdicts.none += 1
+        else:
+            _judge(point.position_mm, pair, verdicts)
+    return verdicts
+
+
+def _judge(point_mm: np.ndarray, pair: Pair, verdicts: Verdicts) -> None:
+    if np.linalg.norm(point_mm - pair.centre_mm) <= RIGHT_MM:
+        verdicts.right += 1
+    elif pair.second_mm is not None and np.linalg.norm(point_mm - pair.second_mm) <= RIGHT_MM:
+        verdicts.second += 1
+    else:
+        verdicts.wrong += 1

@@ -7,12 +7,10 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.contest import cpu_of
-from benchmarks.figures import Figure, compared
-from benchmarks.stereo_head.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive
-from benchmarks.stereo_head.servo_campaign import servo_campaign
+from benchmarks.figures import Figure, compared, cpu_of
 from benchmarks.stereo_head.sphere_campaign import (
     CENTRED,
+    DECEIVING,
     DEFOCUSED,
     HALF_HIDDEN,
     HONEST,
@@ -20,9 +18,11 @@ from benchmarks.stereo_head.sphere_campaign import (
     OCCLUDED,
     OFF_AXIS,
     OTHERS,
+    SPHERE_SIZED_GLARE,
     campaign,
+    deceive,
 )
-from benchmarks.stereo_head.stereo_cell import without_arm_errors
+from benchmarks.stereo_head.stereo_cell import servo_campaign, without_arm_errors
 from benchmarks.stereo_head.stereo_pictures import SERVO_MM, Case, Pair, Picture, Studio
 from procedures.relocalization import AreaImage, locate_sphere, measure_sphere
 
@@ -92,11 +92,7 @@ def _accuracy(studio: Studio) -> list[Figure]:
     ):
         tally = campaign(studio, case, count, others=ALTERNATIVES)
         what = f"point error rms, {case.name}"
-        more = {
-            "pairs": float(count),
-            "points": float(len(tally.errors_mm)),
-            "largest_um": tally.largest_um,
-        }
+        more = {"pairs": float(count), "points": float(len(tally.errors_mm)), "largest_um": tally.largest_um}
         figures.append(Figure(what, OURS, tally.rms_um, "µm", more=more).at_most(goal_um))
         figures.append(Figure(what, BOUND, tally.bound_um, "µm"))
         figures += [
@@ -111,7 +107,7 @@ def _accuracy(studio: Studio) -> list[Figure]:
 
 
 def _distrust(studio: Studio) -> list[Figure]:
-    """With more than 38 % of the rim lost."""
+    """Measure the share distrusted with more than 38 % of the rim lost."""
     figures = []
     for case in (HALF_HIDDEN, JUST_HIDDEN):
         tally = campaign(studio, case, OTHER_PAIRS)
@@ -152,7 +148,7 @@ def _servo() -> list[Figure]:
 
 
 def _pair_work(studio: Studio, pair: Pair) -> Callable[[], object]:
-    """What the servo does with a pair."""
+    """Return the servo's work on a pair."""
     calibration = studio.calibration()
     left, right = (AreaImage(view.picture, *view.offset_px) for view in pair.views)
     return lambda: locate_sphere(left, right, calibration)

@@ -103,7 +103,7 @@ def _check() -> list[Figure]:
 
 
 def _twisted(head: TrueHead, seed: int) -> TrueHead:
-    """One camera rotated about an axis perpendicular to its line of sight, a different one each time."""
+    """Rotate a camera about an axis perpendicular to its line of sight, a new one each time."""
     angle = 2.0 * np.pi * seed / CHECKS
     turn = (TWIST_RAD * float(np.cos(angle)), TWIST_RAD * float(np.sin(angle)), 0.0)
     return head.twisted(("left", "right")[seed % 2], turn)

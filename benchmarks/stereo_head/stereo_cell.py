@@ -6,6 +6,8 @@ thousands of times at the cost of drawing and measuring the images.
 
 from __future__ import annotations
 
+import tempfile
+from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +18,7 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.stereo_head.stereo_pictures import Studio
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
@@ -33,6 +36,7 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
 from sim.basler.settings import Settings
@@ -47,6 +51,7 @@ from sim.world.rigid import (
     rotation_towards,
 )
 from sim.world.scene.model import LinkError, Scene
+from sim.world.scene.named_scenes import named_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
@@ -74,7 +79,7 @@ def with_ideal_arm(scene: Scene) -> Scene:
 
 
 def without_arm_errors(scene: Scene) -> Scene:
-    """The same with a mount as drawn."""
+    """Remove the arm's errors; the mount is as drawn."""
     mount = scene.mount.model_copy(update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal})
     return with_ideal_arm(scene).model_copy(update={"mount": mount})
 
@@ -216,7 +221,7 @@ class StereoCell:
         return centring.onto(start.fiducial, start.expected, start.near_rad)
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
-        """The same with measurements that equal the truth, without images."""
+        """Centre with measurements that equal the truth, without images."""
 
         def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
@@ -227,7 +232,7 @@ class StereoCell:
             return self.centre(start)
 
     def look_from(self, start: Start) -> Look:
-        """One measurement from a start, on full sensors."""
+        """Measure once from a start, on full sensors."""
         self._go(start.expected.as_matrix())
         self._workcell.sensors.read_whole()
         return self._workcell.look()
@@ -286,3 +291,76 @@ def _area(settings: Settings) -> AreaOfInterest:
 def _pixels(camera: Photographer, settings: Settings, number: int) -> NDArray[np.uint8]:
     image = camera.triggered(settings.frame(), number)
     return np.frombuffer(image, np.uint8).reshape(settings.height, settings.width)
+
+
+START_MM = 5.0
+END_MM, STEPS = 0.03, 8
+STARTS_PER_CELL = 100  # then another arm, mount and head
+PLACES_SEED = 7
+
+
+@dataclass
+class ServoTally:
+    """Outcomes of the starts. `beyond_mm` is the recorded point's error without the repeatability error."""
+
+    starts: int = 0
+    steps: list[int] = field(default_factory=list)
+    residuals_mm: list[float] = field(default_factory=list)
+    errors_mm: list[float] = field(default_factory=list)
+    beyond_mm: list[float] = field(default_factory=list)
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def within(self) -> int:
+        """Starts that met the end condition within the allowed steps."""
+        ends = zip(self.steps, self.residuals_mm, strict=True)
+        return sum(steps <= STEPS and residual <= END_MM for steps, residual in ends)
+
+
+def servo_campaign(
+    starts: int,
+    scene_of: Callable[[Scene], Scene] = lambda scene: scene,
+    *,
+    first_seed: int = 0,
+    drawn: bool = True,
+    in_sight: bool = True,
+) -> ServoTally:
+    """Run the step's servo from `starts` random positions; `scene_of` modifies each cell's scene first.
+
+    Without drawn images the measurements are the truth, at a fiftieth of the cost: only the arm's
+    errors remain. Without `in_sight` it begins where the path check would refuse to, with another
+    sphere in the line of sight.
+    """
+    tally = ServoTally()
+    with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
+        for number in range(-(-starts // STARTS_PER_CELL)):
+            scene = scene_of(named_scene("default", seed=first_seed + number))
+            count = min(STARTS_PER_CELL, starts - tally.starts)
+            cell = calibrated_cell(scene, Path(folder))
+            generator = np.random.default_rng([PLACES_SEED, first_seed + number])
+            for _ in range(count):
+                _from_one_start(cell, cell.draw_start(generator, START_MM, in_sight=in_sight), tally, drawn)
+    return tally
+
+
+def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
+    """A cell with cameras calibrated without errors, on a mount that is assumed to be nominal."""
+    perfect = Studio(scene).calibration()
+    nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
+    return StereoCell(scene, nominal, folder)
+
+
+def _from_one_start(cell: StereoCell, start: Start, tally: ServoTally, drawn: bool) -> None:
+    tally.starts += 1
+    try:
+        found = cell.centre(start) if drawn else cell.centre_on_truth(start)
+    except RonnaError as problem:
+        tally.failures.append(str(problem))
+        return
+    error = cell.true_offset_mm(found, start.fiducial)
+    # the retreat was one more motion after the measurement
+    rest = cell.rest_error_mm(found.joints_rad, cell.arm.motions - 1)
+    tally.steps.append(len(found.residuals_mm) - 1)
+    tally.residuals_mm.append(found.residuals_mm[-1])
+    tally.errors_mm.append(float(np.linalg.norm(error)))
+    tally.beyond_mm.append(float(np.linalg.norm(error + rest)))

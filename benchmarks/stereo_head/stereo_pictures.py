@@ -65,7 +65,7 @@ class Case:
 
 @dataclass(frozen=True)
 class View:
-    """One camera's image of a sphere; `true_centre_px` and `offset_px` are in full-sensor pixels."""
+    """A camera's image of a sphere; `true_centre_px` and `offset_px` are in full-sensor pixels."""
 
     picture: Picture
     offset_px: tuple[int, int]
@@ -76,7 +76,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pair:
-    """One sphere in both cameras, and its true position in the tool frame."""
+    """A sphere in both cameras, and its true position in the tool frame."""
 
     left: View
     right: View
@@ -91,7 +91,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Studio:
-    """One stereo head and its optics."""
+    """A stereo head and its optics."""
 
     scene: Scene = field(default_factory=lambda: named_scene("default", seed=SCENE_SEED))
 

@@ -1,1 +1,1 @@
-"""The parts of the page, one module each: HTML generated from a view, and the few controls."""
+"""Panels of the case's page: HTML generated from a view, and the few controls."""

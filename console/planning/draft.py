@@ -1,25 +1,36 @@
-"""A plan as far as it is drawn: it may be incomplete; each change is a new value; undo."""
+"""A plan as far as it is drawn, its history, and its file of unsaved changes.
+
+A draft may be incomplete; each change is a new value. Unsaved changes are kept next to the plan, so that
+neither a crash nor Ctrl-C loses them.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict, ValidationError
+
 from procedures.imaging.markers import Marker
+from procedures.planning.errors import UnsavedChanges
 from procedures.planning.head.structures import Structure
-from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan
 from procedures.strategies.trajectory import Point
+from ronna_hw.bounded_input import InputRefused, read_json_bytes
+from ronna_hw.records import write_whole
 
 USUAL_MARGIN_MM = 2.0
 USUAL_STANDOFF_MM = 30.0
 MOST_STEPS_BACK = 200
+LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
 @dataclass(frozen=True)
-class Way:
-    """One trajectory, LPS; an end not chosen yet is None."""
+class DraftTrajectory:
+    """A trajectory in LPS; an end not chosen yet is None."""
 
     identifier: str
     entry_mm: Point | None = None
@@ -36,7 +47,7 @@ class Way:
 
     @property
     def depth_mm(self) -> float | None:
-        """From the entry to the target."""
+        """Return the distance from entry to target."""
         return None if self.ends is None else math.dist(*self.ends)
 
 
@@ -51,14 +62,14 @@ class Draft:
     tool: str = "guide"
     standoff_mm: float = USUAL_STANDOFF_MM
     instrument_length_mm: float | None = None  # only stated on its packaging
-    ways: tuple[Way, ...] = (Way("T1"),)
+    ways: tuple[DraftTrajectory, ...] = (DraftTrajectory("T1"),)
     structures: tuple[Structure, ...] = ()
     table_position: str = ""  # as in the scanner
     markers: tuple[Marker, ...] = ()
 
     @classmethod
     def of(cls, plan: Plan) -> Draft:
-        """From a plan that was read; its spheres are those the CT will show."""
+        """Build from a plan file; the spheres come later, from the CT."""
         return cls(
             patient_orientation=plan.patient_orientation.value,
             implanted=plan.implanted,
@@ -67,39 +78,42 @@ class Draft:
             tool=plan.tool,
             standoff_mm=plan.standoff_mm,
             instrument_length_mm=plan.instrument_length_mm,
-            ways=tuple(_way(one) for one in plan.trajectories),
+            ways=tuple(
+                DraftTrajectory(one.id, one.entry_mm, one.target_mm, one.free_angle_deg, one.margin_mm)
+                for one in plan.trajectories
+            ),
             structures=plan.structures or (),
             table_position=plan.table_position or "",
         )
 
-    def way(self, identifier: str) -> Way:
+    def way(self, identifier: str) -> DraftTrajectory:
         """The trajectory with that name; raises KeyError."""
         for one in self.ways:
             if one.identifier == identifier:
                 return one
         raise KeyError(identifier)
 
-    def with_way(self, identifier: str, way: Way) -> Draft:
-        """With one trajectory replaced."""
+    def with_way(self, identifier: str, way: DraftTrajectory) -> Draft:
+        """Replace a trajectory."""
         return replace(self, ways=tuple(way if one.identifier == identifier else one for one in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
-        """With one more trajectory, and its name."""
+        """Add a trajectory; returns its name too."""
         taken = {one.identifier for one in self.ways}
         name = next(name for k in range(1, len(taken) + 2) if (name := f"T{k}") not in taken)
-        return replace(self, ways=(*self.ways, Way(name))), name
+        return replace(self, ways=(*self.ways, DraftTrajectory(name))), name
 
     def without_way(self, identifier: str) -> Draft:
-        """Without a trajectory; the last one is emptied instead."""
+        """Remove a trajectory; the last one is emptied instead."""
         left = tuple(one for one in self.ways if one.identifier != identifier)
-        return replace(self, ways=left or (Way("T1"),))
+        return replace(self, ways=left or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
         """The structure with that name, if there is one."""
         return next((one for one in self.structures if one.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
-        """With a structure, replacing the one with its name."""
+        """Add a structure, or replace the one with its name."""
         if self.structure(structure.name) is None:
             return replace(self, structures=(*self.structures, structure))
         return replace(
@@ -108,11 +122,11 @@ class Draft:
         )
 
     def without_structure(self, name: str) -> Draft:
-        """Without the structure with that name."""
+        """Remove a structure."""
         return replace(self, structures=tuple(one for one in self.structures if one.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
-        """As in a plan file, with the trajectories whose ends are both chosen."""
+        """Return the content of a plan file, with the trajectories whose ends are both chosen."""
         content: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "series_instance_uid": series_instance_uid,
@@ -144,10 +158,6 @@ class Draft:
         return content
 
 
-def _way(planned: PlannedTrajectory) -> Way:
-    return Way(planned.id, planned.entry_mm, planned.target_mm, planned.free_angle_deg, planned.margin_mm)
-
-
 class History:
     """The current draft, with undo and redo."""
 
@@ -172,7 +182,7 @@ class History:
             self.now = self._past.pop()
 
     def redo(self) -> None:
-        """Redo it."""
+        """Redo the last change undone."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
@@ -207,7 +217,7 @@ class Axis:
 
     @classmethod
     def of(cls, entry_mm: Sequence[float], target_mm: Sequence[float]) -> Axis:
-        """Of a trajectory."""
+        """Compute the axis of a trajectory."""
         left, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
         return cls(math.degrees(math.atan2(back, left)), math.degrees(math.atan2(up, math.hypot(left, back))))
 
@@ -221,3 +231,73 @@ class Axis:
         )
         x, y, z = (t + depth_mm * a for t, a in zip(target_mm, along, strict=True))
         return x, y, z
+
+
+class _Kept(BaseModel):
+    """A draft and its base, without the spheres, which are found again."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series_instance_uid: str
+    plan_sha256: str  # of the file that it changes; empty for a new one
+    patient_orientation: str
+    implanted: int
+    fiducials: FiducialKind
+    template_mm: tuple[Point, ...] | None
+    tool: str
+    standoff_mm: float
+    instrument_length_mm: float | None
+    ways: tuple[DraftTrajectory, ...]
+    structures: tuple[Structure, ...]
+    table_position: str = ""
+
+
+class UnsavedFile:
+    """The file next to a plan that stores its unsaved changes."""
+
+    def __init__(self, plan: Path, series_instance_uid: str) -> None:
+        self.path = plan.with_name(f"{plan.name}.unsaved")
+        self._series = series_instance_uid
+        self._is_ours = False  # written or adopted here
+
+    def keep(self, draft: Draft, plan_sha256: str) -> None:
+        """Store a draft that changes the plan file with that digest. Raises OSError."""
+        values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
+        write_whole(self.path, kept.model_dump_json(indent=1).encode())
+        self._is_ours = True
+
+    def forget(self) -> None:
+        """Delete the file: there are no unsaved changes."""
+        if self._is_ours:
+            self.path.unlink(missing_ok=True)
+        self._is_ours = False
+
+    def restore(self, plan_sha256: str, draft: Draft) -> Draft | None:
+        """The stored draft, with the spheres of `draft`; None without one.
+
+        Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            kept = _Kept.model_validate_json(read_json_bytes(self.path, LARGEST_BYTES))
+        except (OSError, InputRefused, ValidationError):
+            raise self._set_aside("cannot be read") from None
+        if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
+            raise self._set_aside("belong to another CT, or to an earlier version of the plan")
+        self._is_ours = True
+        values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        return replace(draft, **values)
+
+    def _set_aside(self, why: str) -> UnsavedChanges:
+        aside = next(
+            one for k in range(1, 1000) if not (one := self.path.with_name(f"{self.path.name}-{k}")).exists()
+        )
+        try:
+            self.path.rename(aside)
+        except OSError:
+            aside = self.path
+        return UnsavedChanges(
+            f"unsaved changes {why}; they are kept in {aside.name}", action="Continue with the plan as it is."
+        )

@@ -1,6 +1,7 @@
-"""A number field: committed on Enter or on leaving it; an invalid entry shows the reason next to it.
+"""Small controls of the planner: number fields and buttons.
 
-Emptied, it shows the present value again.
+A number is committed on Enter or on leaving its field; an invalid entry shows the reason next to it. Emptied,
+the field shows the present value again.
 """
 
 from __future__ import annotations
@@ -65,3 +66,9 @@ class NumberField:
         self._field.props(remove="error error-message")
         if mistake:
             self._field.props("error").props(f'error-message="{mistake.replace(chr(34), chr(39))}"')
+
+
+def small_button(words: str, act: Callable[[], object], name: str) -> ui.button:
+    """Add a button in a row of a panel; `name` is read to those who cannot see its words in their context."""
+    button = ui.button(words, on_click=act, color=None).classes("plain small")
+    return button.props(f'no-caps unelevated aria-label="{name}"')

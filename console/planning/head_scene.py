@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 from nicegui import ui
 
-from console.planning.desk import PlanDesk
-from console.planning.look import Look
-from console.planning.overlay import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
-from console.scene.actors import Call, Rod
-from console.scene.bodies import METRES
+from console.planning.plan_editor import PlanEditor
+from console.planning.slice_panel import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE
+from console.planning.slices import PageView
+from console.scene.bodies import METRES, Call, Rod
 from console.scene.theatre_scene import (
     BACKGROUND,
     FRAMES_PER_S,
@@ -31,10 +30,10 @@ AWAY_MM = 480.0
 
 
 class HeadScene:
-    """Built once per page; in CT coordinates, metres."""
+    """The head's scene of a page, in CT coordinates, metres."""
 
-    def __init__(self, desk: PlanDesk, look: Look, *, low: bool) -> None:
-        self._desk, self._look, self._low = desk, look, low
+    def __init__(self, editor: PlanEditor, look: PageView, *, low: bool) -> None:
+        self._editor, self._look, self._low = editor, look, low
         self._head: Any = None
         self._marks: list[Any] = []
         self._key: object = None
@@ -63,9 +62,9 @@ class HeadScene:
 
     def show(self) -> None:
         """Show the current draft."""
-        desk, draft = self._desk, self._desk.draft
+        editor, draft = self._editor, self._editor.draft
         with self._scene:
-            if self._head is None and desk.head:
+            if self._head is None and editor.head:
                 self._head = self._scene.stl("/picture/head.stl").with_name("head")
                 self._head.material(SKIN, LOW_OPACITY if self._low else HEAD_OPACITY)
             key = (tuple(map(id, draft.markers)), draft.ways, self._look.way)
@@ -83,9 +82,9 @@ class HeadScene:
         for one in self._marks:
             one.delete()
         self._marks = []
-        for marker in self._desk.draft.markers:
+        for marker in self._editor.draft.markers:
             self._ball(marker.centre_mm.tolist(), SPHERE_RADIUS_MM, SPHERE)
-        for way in self._desk.draft.ways:
+        for way in self._editor.draft.ways:
             colour = CHOSEN if way.identifier == self._look.way else OTHER
             for place, radius_mm in ((way.entry_mm, 2.0), (way.target_mm, 2.8)):
                 if place is not None:
@@ -101,7 +100,7 @@ class HeadScene:
         for one in self._avoided:
             one.delete()
         self._avoided = []
-        for structure in self._desk.draft.structures:
+        for structure in self._editor.draft.structures:
             points = (np.array(structure.points_mm) * METRES).tolist()
             cloud = self._scene.point_cloud(points, point_size=POINT_MM * METRES)
             self._avoided.append(cloud.material(AVOIDED))
@@ -124,7 +123,7 @@ class HeadScene:
         middle = self._look.focus_mm
         direction = VIEWS.get(name, VIEWS["front"])
         if name == "along":
-            way = next((one for one in self._desk.draft.ways if one.identifier == self._look.way), None)
+            way = next((one for one in self._editor.draft.ways if one.identifier == self._look.way), None)
             if way is None or way.ends is None or not way.depth_mm:
                 return
             entry, middle = way.ends

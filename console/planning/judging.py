@@ -1,15 +1,18 @@
-"""Judges a draft: mistakes, reach, clearance, and the expected error at each target.
+"""Assessment of a draft, and its HTML: mistakes, reach, clearance, and the expected error at each target.
 
-Twice: immediately without clearance, and then like `ronna-plan check`.
+A draft is judged twice: immediately without clearance, and then like `ronna-plan check`.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import PlanMistakes
@@ -20,12 +23,14 @@ from procedures.planning.path_check.visits import PathCheck
 from procedures.planning.plan.check import PlanCheck, check_plan
 from procedures.planning.plan.file import parse_plan
 from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.plan.model import MOST_INSTRUMENT_MM, Plan, PlannedTrajectory
+from procedures.planning.plan.model import MOST_INSTRUMENT_MM, Plan
 from procedures.planning.prediction.target_error import predicted_by_markers, predicted_with_arm
 from procedures.planning.theatre.arm import TheatreArm
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError
+
+SHARES_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class Judged:
-    """For one draft. `thorough` means judged like `ronna-plan check`; before that clearance is unknown."""
+    """Assessment of a draft; `thorough` as by `ronna-plan check`, without it clearance is unknown."""
 
     draft: Draft
     thorough: bool = False
@@ -70,9 +75,13 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         plan = parse_plan(draft.content(volume.series_instance_uid))
     except RonnaError as mistake:
         return replace(judged, findings=(*missing, mistake))
+    angles_rad = {one.id: skull_angle_rad(volume, one.trajectory) for one in plan.trajectories}
     judged = replace(
         judged,
-        angles_deg={one.id: _angle_deg(volume, one) for one in plan.trajectories},
+        angles_deg={
+            name: None if angle_rad is None else math.degrees(angle_rad)
+            for name, angle_rad in angles_rad.items()
+        },
         distances=structure_distances(plan),
     )
     markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
@@ -88,17 +97,8 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
     )
 
 
-def _angle_deg(volume: Volume, planned: PlannedTrajectory) -> float | None:
-    angle_rad = skull_angle_rad(volume, planned.trajectory)
-    return None if angle_rad is None else _degrees(angle_rad)
-
-
 def _checked(
-    plan: Plan,
-    volume: Volume,
-    markers_mm: NDArray[np.float64],
-    theatre: TheatreArm | None,
-    thorough: bool,
+    plan: Plan, volume: Volume, markers_mm: NDArray[np.float64], theatre: TheatreArm | None, thorough: bool
 ) -> tuple[PlanCheck, PathCheck | None]:
     enough = len(markers_mm) >= FEWEST_PAIRS
     if theatre is None:
@@ -150,7 +150,7 @@ def _expected_of(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
 
 
 def _in_words(check: PlanCheck) -> tuple[str, ...]:
-    """What a check of the arm found, if it passed."""
+    """Word the findings of a check of the arm that passed."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
@@ -160,12 +160,90 @@ def _in_words(check: PlanCheck) -> tuple[str, ...]:
         pair = f"{least.first}, {least.second}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
-        f"{name} is rotated by {_degrees(turn):+.0f}° about its axis"
+        f"{name} is rotated by {math.degrees(turn):+.0f}° about its axis"
         for name, turn in check.turns_rad
         if turn
     ]
     return tuple(lines)
 
 
-def _degrees(angle_rad: float) -> float:
-    return float(np.degrees(angle_rad))
+def verdict(judged: Judged, draft: Draft) -> str:
+    """Show the assessment of the draft; until it is checked, the previous one, marked as outdated."""
+    parts = [
+        tag(
+            "li",
+            f"{text(f'{one.code} {one.summary}')} {tag('span', text(one.advice), class_='advice')}",
+            class_="bad",
+        )
+        for one in judged.findings
+    ]
+    parts += [tag("li", text(one), class_="warn") for one in judged.warnings]
+    parts += [tag("li", text(_to_skull(name, angle))) for name, angle in judged.angles_deg.items()]
+    parts += [tag("li", text(one), class_="ok") for one in judged.reached]
+    current = judged.draft is draft
+    head = _outcome(judged) if current else tag("p", "Checking…", class_="dim")
+    more = mark_outdated(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
+    state = "judged" if current and judged.thorough else "judging"
+    return tag("div", head + more, data_state=state, data_findings=str(len(judged.findings)))
+
+
+def expected(judged: Judged, draft: Draft) -> str:
+    """Show the expected error at each target, with its margin."""
+    if not judged.expected:
+        words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
+        return tag("p", words, class_="dim")
+    rows = "".join(
+        _target(one.identifier, judged.expected[one.identifier], one.margin_mm)
+        for one in judged.draft.ways
+        if one.identifier in judged.expected
+    )
+    return mark_outdated(rows + tag("p", _basis(judged.expected.values()), class_="dim"), judged, draft)
+
+
+def mark_outdated(content: str, judged: Judged, draft: Draft) -> str:
+    """Mark findings as outdated, in grey and in words, once their draft is not the current one."""
+    if judged.draft is draft or not content:
+        return content
+    return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")
+
+
+def _outcome(judged: Judged) -> str:
+    if not judged.complete:
+        return tag("p", "Set entry and target of a trajectory.", class_="dim")
+    if judged.findings:
+        return tag("p", "This plan would be refused:", class_="bad")
+    if judged.arm_known and not judged.thorough:
+        return tag("p", "Checking clearance…", class_="dim")
+    words = "This plan would be accepted."
+    if not judged.arm_known:
+        words += " No arm given: open with --config and --robot-from-ct to check reach and clearance."
+    return tag("p", words, class_="ok")
+
+
+def _to_skull(name: str, angle_deg: float | None) -> str:
+    if angle_deg is None:
+        return f"{name} crosses no bone in the CT"
+    return f"{name} meets the skull at {angle_deg:.0f}° (90° is perpendicular)"
+
+
+def _target(name: str, one: Expected, margin_mm: float) -> str:
+    beyond = one.rms_mm > margin_mm
+    words = f"{name}: {one.rms_mm:.2f} mm rms, {one.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
+    line = tag(
+        "p",
+        text(words + (" — exceeds the margin" if beyond else "")),
+        class_="bad" if beyond else "big",
+        data_expected=name,
+        data_rms=f"{one.rms_mm:.4f}",
+    )
+    rows = [(source, f"{rms:.3f}") for source, rms in one.shares_mm[:SHARES_SHOWN]]
+    return line + table(("source", "rms mm"), rows)
+
+
+def _basis(expected: Iterable[Expected]) -> str:
+    if all(one.with_arm for one in expected):
+        return (
+            "Includes the arm at the poses found; "
+            "excludes the stereo measurement, which is made during the case."
+        )
+    return "From the markers alone; the arm's own errors are not included."

@@ -1,22 +1,34 @@
-"""The spheres that count as markers, rejected candidates with reasons, and the plan's remarks on them."""
+"""Panels of the markers: accepted spheres, rejected candidates with reasons, and proposed further sites."""
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from math import sqrt
 
+import numpy as np
 from nicegui import ui
 
-from console.panels.html import tag, text
-from console.planning.desk import PlanDesk
-from console.planning.fields import NumberField
+from console.panels.html import table, tag, text
+from console.planning.draft import Draft
+from console.planning.fields import NumberField, small_button
+from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
+from procedures.planning.head.shape import head_shape
+from procedures.planning.markers.sites import propose_further, propose_markers
 from procedures.planning.plan.model import PatientPosition
-from procedures.strategies.trajectory import Point
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.strategies.trajectory import Point, Trajectory
+from ronna_hw.errors import RonnaError
 
 MOST_CANDIDATES = 12  # as many as a person will look at
+MARKER_ERROR_MM = 0.1  # per marker, 3-D rms, as in `ronna-plan markers`
+NOTE = f"expected with markers of {MARKER_ERROR_MM:g} mm each; the arm's error is not included"
+COUNTS = (3, 4, 5, 6, 7, 8)
+USUAL_COUNT = 5
+Found = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class MarkerPanel:
@@ -24,13 +36,13 @@ class MarkerPanel:
 
     def __init__(
         self,
-        desk: PlanDesk,
+        editor: PlanEditor,
         go: Callable[[Point], None],
         pick: Callable[[Point], Awaitable[None]],
         *,
         may_edit: bool,
     ) -> None:
-        self._desk, self._go, self._pick, self._may_edit = desk, go, pick, may_edit
+        self._editor, self._go, self._pick, self._may_edit = editor, go, pick, may_edit
         self._shown: object = None
         with ui.element("section").classes("card markers").props('aria-label="Markers"'):
             ui.html("<h2>Markers</h2>", sanitize=False)
@@ -46,25 +58,25 @@ class MarkerPanel:
                 [one.value for one in PatientPosition], label="patient position", on_change=self._set_position
             )
             self._position.props('dense outlined options-dense aria-label="patient position in the scanner"')
-            self._position.set_enabled(may_edit and not desk.volume.patient_position)
+            self._position.set_enabled(may_edit and not editor.volume.patient_position)
             self.fields = (self._implanted, self._standoff, self._length)
             for one in self.fields:
                 one.enable(may_edit)
 
     def show(self) -> None:
         """Show the current draft."""
-        desk, draft = self._desk, self._desk.draft
+        editor, draft = self._editor, self._editor.draft
         self._implanted.show(draft.implanted)
         self._standoff.show(draft.standoff_mm)
         self._length.show(draft.instrument_length_mm)
         self._position.set_value(draft.patient_orientation or None)
-        self._words.set_content(_state(desk))
-        key = (tuple(map(id, draft.markers)), id(desk.candidates))
+        self._words.set_content(_state(editor))
+        key = (tuple(map(id, draft.markers)), id(editor.candidates))
         if key != self._shown:
             self._shown = key
             self._list.clear()
             with self._list:
-                self._build(draft.markers, desk.candidates)
+                self._build(draft.markers, editor.candidates)
 
     def _build(self, markers: Iterable[Marker], candidates: Iterable[Candidate]) -> None:
         for number, marker in enumerate(markers, start=1):
@@ -74,7 +86,7 @@ class MarkerPanel:
             with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
                 self._place(f"{number}", (x, y, z), about)
                 if self._may_edit:
-                    self._button("reject", partial(self._desk.reject_marker, number), f"reject {number}")
+                    small_button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
         others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]
         if not others:
             return
@@ -83,39 +95,101 @@ class MarkerPanel:
                 with ui.element("div").classes("sphere"):
                     self._place(f"c{number}", one.centre_mm, one.reason)
                     if self._may_edit:
-                        self._button("accept", partial(self._pick, one.centre_mm), f"accept c{number}")
+                        small_button("accept", partial(self._pick, one.centre_mm), f"accept c{number}")
 
     def _place(self, name: str, centre_mm: Point, about: str) -> None:
         place = ", ".join(f"{value:.1f}" for value in centre_mm)
-        self._button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
+        small_button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
         ui.html(
             tag("span", text(place), class_="num") + tag("div", text(about), class_="dim"), sanitize=False
         )
 
-    def _button(self, words: str, act: Callable[[], object], name: str) -> None:
-        ui.button(words, on_click=act, color=None).classes("plain small").props(
-            f'no-caps unelevated aria-label="{name}"'
-        )
-
     def _set_implanted(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, implanted=int(value)))
+        self._editor.change(replace(self._editor.draft, implanted=int(value)))
 
     def _set_position(self) -> None:
         position = str(self._position.value or "")
-        if position != self._desk.draft.patient_orientation:
-            self._desk.change(replace(self._desk.draft, patient_orientation=position))
+        if position != self._editor.draft.patient_orientation:
+            self._editor.change(replace(self._editor.draft, patient_orientation=position))
 
     def _set_standoff(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, standoff_mm=value))
+        self._editor.change(replace(self._editor.draft, standoff_mm=value))
 
     def _set_length(self, value: float) -> None:
-        self._desk.change(replace(self._desk.draft, instrument_length_mm=value))
+        self._editor.change(replace(self._editor.draft, instrument_length_mm=value))
 
 
-def _state(desk: PlanDesk) -> str:
-    if desk.searching:
+class ProposalPanel:
+    """A set as proposed by `ronna-plan markers`, or one more besides the accepted spheres."""
+
+    def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
+        self._editor, self._go = editor, go
+        with ui.element("section").classes("card proposal").props('aria-label="Proposed marker sites"'):
+            ui.html("<h2>Proposed marker sites</h2>", sanitize=False)
+            with ui.element("div").classes("numbers"):
+                self._count = ui.select(list(COUNTS), value=USUAL_COUNT)
+                self._count.props('dense outlined options-dense aria-label="number of markers"')
+                self._buttons = (
+                    self._button("Propose", self._proposed, "propose"),
+                    self._button("One more", self._further, "further"),
+                )
+            self._words = ui.html("", sanitize=False)
+            self._sites = ui.element("div").classes("views")
+
+    def _button(
+        self, words: str, work: Callable[[Draft, list[Trajectory], int], Found], name: str
+    ) -> ui.button:
+        button = ui.button(words, on_click=partial(self._propose, work), color=None)
+        return button.classes("plain").props(f"no-caps unelevated data-do={name}")
+
+    async def _propose(self, work: Callable[[Draft, list[Trajectory], int], Found]) -> None:
+        draft, count = self._editor.draft, int(self._count.value or USUAL_COUNT)
+        ways = [Trajectory(one.identifier, *one.ends) for one in draft.ways if one.ends and one.depth_mm]
+        self._sites.clear()
+        if not ways:
+            self._words.set_content(tag("p", "Set entry and target first.", class_="dim"))
+            return
+        self._enable(enabled=False)
+        try:
+            words, centres_mm = await asyncio.to_thread(work, draft, ways, count)
+        except RonnaError as refused:
+            self._words.set_content(tag("p", text(f"{refused.code}: {refused.summary}"), class_="bad"))
+        else:
+            self._words.set_content(tag("div", words, data_proposed=str(len(centres_mm))))
+            self._show(centres_mm)
+        finally:
+            self._enable(enabled=True)
+
+    def _enable(self, *, enabled: bool) -> None:
+        for button in self._buttons:
+            button.set_enabled(enabled)
+
+    def _proposed(self, _draft: Draft, ways: list[Trajectory], count: int) -> Found:
+        volume = self._editor.volume
+        found = propose_markers(head_shape(volume), ways, count, MARKER_ERROR_MM, volume=volume)
+        rows = [(one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}") for one in found.targets]
+        return table(("target", "proposed mm", "random mm"), rows, NOTE), found.centres_mm
+
+    def _further(self, draft: Draft, ways: list[Trajectory], _count: int) -> Found:
+        if len(draft.markers) < FEWEST_PAIRS:
+            return tag("p", "Needs three accepted spheres.", class_="dim"), ()
+        volume = self._editor.volume
+        present_mm = np.array([one.centre_mm for one in draft.markers])
+        found = propose_further(head_shape(volume), ways, present_mm, MARKER_ERROR_MM, volume=volume)
+        rows = [(name, f"{now:.3f}", f"{after:.3f}") for name, now, after in found.targets]
+        return table(("target", "now mm", "with it mm"), rows, NOTE), (found.centre_mm,)
+
+    def _show(self, centres_mm: Sequence[Point]) -> None:
+        with self._sites:
+            for number, centre_mm in enumerate(centres_mm, start=1):
+                place = ", ".join(f"{value:.0f}" for value in centre_mm)
+                small_button(place, partial(self._go, centre_mm), f"site {number}")
+
+
+def _state(editor: PlanEditor) -> str:
+    if editor.searching:
         return tag("p", "searching for spheres…", class_="warn", id="searching")
-    found = len(desk.draft.markers)
+    found = len(editor.draft.markers)
     return tag(
         "p", f"{found} spheres accepted as markers", class_="ok" if found else "bad", data_found=str(found)
     )

@@ -9,23 +9,18 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
-from console.guard import SESSION
+from console.changes import changed_within
+from console.guard import SESSION, Role, Session
 from console.panels.html import tag, text
-from console.pictures.cuts import WINDOWS_HU, Plane
-from console.planning.desk import PlanDesk
 from console.planning.head_scene import HeadScene
-from console.planning.look import Look
-from console.planning.marker_panel import MarkerPanel
-from console.planning.proposal_panel import ProposalPanel
-from console.planning.routes import add_pictures
+from console.planning.judging import expected, verdict
+from console.planning.marker_panel import MarkerPanel, ProposalPanel
+from console.planning.plan_editor import PlanEditor
 from console.planning.slice_panel import STROKE, SlicePanel
+from console.planning.slices import WINDOWS_HU, PageView, Plane, add_pictures
 from console.planning.structure_panel import StructurePanel
-from console.planning.verdict import expected, verdict
-from console.planning.way_panel import WayPanel
-from console.sessions import Role, Session
-from console.web.changes import changed_within
-from console.web.library import page_head, use_library
-from console.web.sockets import own_page
+from console.planning.trajectory_panel import TrajectoryPanel
+from console.web.library import own_page, page_head, use_library
 from procedures.planning.errors import PlanMistakes
 from procedures.planning.plan.model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
@@ -44,9 +39,9 @@ DOES = {
 }
 
 
-def add_planner(app: FastAPI, desk: PlanDesk) -> None:
+def add_planner(app: FastAPI, editor: PlanEditor) -> None:
     """Serve the planner at `/` of an application."""
-    add_pictures(app, desk)
+    add_pictures(app, editor)
     head = page_head()
 
     @ui.page("/")
@@ -54,24 +49,24 @@ def add_planner(app: FastAPI, desk: PlanDesk) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
         own_page(ui.context.client, session.identifier)
-        PlannerPage(desk, session, low="low" in request.query_params).build()
+        PlannerPage(editor, session, low="low" in request.query_params).build()
 
     use_library(app, TITLE, RECONNECT_S)
 
 
 class PlannerPage:
-    """One open page of one session. Viewers see the same draft but cannot change it."""
+    """An open page of a session. Viewers see the same draft but cannot change it."""
 
-    def __init__(self, desk: PlanDesk, session: Session, *, low: bool) -> None:
-        self._desk, self._low = desk, low
-        self._may_edit = session.role is Role.OPERATOR and desk.problem is None
-        self._look = Look(desk.volume.geometry)
+    def __init__(self, editor: PlanEditor, session: Session, *, low: bool) -> None:
+        self._editor, self._low = editor, low
+        self._may_edit = session.role is Role.OPERATOR and editor.problem is None
+        self._look = PageView(editor.volume.geometry)
         self._beat = 0
         self._looked_event = asyncio.Event()
 
     def build(self) -> None:
         """Create the parts and start filling them."""
-        desk, look = self._desk, self._look
+        editor, look = self._editor, self._look
         with ui.element("header").classes("head"):
             ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
             self._case = ui.html("", sanitize=False)
@@ -97,28 +92,28 @@ class PlannerPage:
                         for plane in Plane
                     ]
             with ui.element("div").classes("left"):
-                self._ways = WayPanel(desk, look, self._looked, may_edit=self._may_edit)
+                self._ways = TrajectoryPanel(editor, look, self._looked, may_edit=self._may_edit)
                 self._verdict = self._section("Check", "verdictbox")
                 self._expected = self._section("Expected error", "accuracy")
             with ui.element("div").classes("right"):
-                self._scene = HeadScene(desk, look, low=self._low)
-                self._structures = StructurePanel(desk, look, self._go, self._say, may_edit=self._may_edit)
-                self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
-                ProposalPanel(desk, self._go)
+                self._scene = HeadScene(editor, look, low=self._low)
+                self._structures = StructurePanel(editor, look, self._go, self._say, may_edit=self._may_edit)
+                self._markers = MarkerPanel(editor, self._go, self._pick, may_edit=self._may_edit)
+                ProposalPanel(editor, self._go)
         self._show()  # at once, with the page itself
         client = ui.context.client
-        changed = desk.subscribe()
+        changed = editor.subscribe()
         task = asyncio.create_task(self._keep_fresh(client, changed))
 
         def gone() -> None:
-            desk.unsubscribe(changed)
+            editor.unsubscribe(changed)
             task.cancel()
 
         client.on_delete(gone)
 
     def _file_buttons(self) -> None:
-        self._undo = self._button("Undo", self._step_back, "undo")
-        self._redo = self._button("Redo", self._step_forth, "redo")
+        self._undo = self._button("Undo", self._editor.undo, "undo")
+        self._redo = self._button("Redo", self._editor.redo, "redo")
         self._author = ui.input("Your name").classes("name")
         self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
@@ -173,7 +168,7 @@ class PlannerPage:
 
     async def _pick(self, place_mm: Point) -> None:
         try:
-            await self._desk.add_marker(place_mm)
+            await self._editor.add_marker(place_mm)
         except RonnaError as refused:
             self._say(refused)
         else:
@@ -188,17 +183,11 @@ class PlannerPage:
                         f"{one.name} is not as it was typed",
                         action="Correct its field or empty it, then save again.",
                     )
-            await self._desk.save(str(self._author.value or ""))
+            await self._editor.save(str(self._author.value or ""))
         except RonnaError as refused:
             self._say(refused)
         else:
             self._say(None)
-
-    def _step_back(self) -> None:
-        self._desk.undo()
-
-    def _step_forth(self) -> None:
-        self._desk.redo()
 
     def _go(self, place_mm: Point) -> None:
         self._look.go_to(place_mm)
@@ -217,7 +206,7 @@ class PlannerPage:
 
         The scene follows at the next beat: rendered in software it would delay scrolling.
         """
-        draft = self._desk.draft
+        draft = self._editor.draft
         for one in self._slices:
             one.show(draft)
         self._ways.show()
@@ -225,7 +214,7 @@ class PlannerPage:
 
     def _place_in_words(self) -> str:
         place = ", ".join(f"{value:.1f}" for value in self._look.place_mm)
-        return f"crosshair LPS {place} mm, {self._desk.hu_at(self._look.place_mm)}"
+        return f"crosshair LPS {place} mm, {self._editor.hu_at(self._look.place_mm)}"
 
     def _say(self, problem: RonnaError | None) -> None:
         self._words.set_content("" if problem is None else _problem_html(problem))
@@ -240,28 +229,28 @@ class PlannerPage:
             await changed_within(changed, BEAT_S)
 
     def _show(self) -> None:
-        desk = self._desk
-        self._case.set_content(_case_line(desk))
-        notice = desk.read_only or desk.not_kept or desk.notice
+        editor = self._editor
+        self._case.set_content(_case_line(editor))
+        notice = editor.read_only or editor.not_kept or editor.notice
         self._notice.set_content("" if notice is None else _problem_html(notice))
-        self._undo.set_enabled(desk.history.can_undo)
-        self._redo.set_enabled(desk.history.can_redo)
-        self._save.set_enabled(desk.read_only is None)
+        self._undo.set_enabled(editor.history.can_undo)
+        self._redo.set_enabled(editor.history.can_redo)
+        self._save.set_enabled(editor.read_only is None)
         self._looked()
         self._scene.show()
         self._markers.show()
         self._structures.show()
-        self._verdict.set_content(verdict(desk.judged, desk.draft))
-        self._expected.set_content(expected(desk.judged, desk.draft))
+        self._verdict.set_content(verdict(editor.judged, editor.draft))
+        self._expected.set_content(expected(editor.judged, editor.draft))
         self._beat += 1
         self._clock.set_content(tag("div", "", id="clock", data_beat=str(self._beat)))
 
 
-def _case_line(desk: PlanDesk) -> str:
-    shape = " × ".join(map(str, desk.volume.geometry.shape))
-    position = desk.volume.patient_position or "patient position unknown"
-    state, kind = ("saved", "ok") if desk.is_saved else ("not saved", "warn")
-    file = tag("b", text(desk.file.name)) + " " + tag("span", state, class_=kind, data_saved=state)
+def _case_line(editor: PlanEditor) -> str:
+    shape = " × ".join(map(str, editor.volume.geometry.shape))
+    position = editor.volume.patient_position or "patient position unknown"
+    state, kind = ("saved", "ok") if editor.is_saved else ("not saved", "warn")
+    file = tag("b", text(editor.file.name)) + " " + tag("span", state, class_=kind, data_saved=state)
     return tag(
         "div", file + tag("div", text(f"CT of {shape} voxels, {position}"), class_="dim"), class_="case"
     )

@@ -1,28 +1,41 @@
-"""`python -m console.planning.serving REQUEST`: what `ronna-plan open` turns into, until Ctrl-C."""
+"""`python -m console.planning.serving REQUEST`: the process of `ronna-plan open`, until Ctrl-C."""
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
+from pydantic import BaseModel, ConfigDict
 
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import tell_address
 
 FORM_BYTES = 10_000  # in addition to an imported file
-
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
+SixNumbers = tuple[float, float, float, float, float, float]
+
+
+class PlannerRequest(BaseModel):
+    """A CT, the plan on it, and the arm that should follow it, if known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series: Path
+    plan: Path
+    port: int = 0
+    config: Path | None = None
+    strategy: str = "ocs"
+    robot_from_ct: SixNumbers | None = None
+    home_deg: SixNumbers | None = None
 
 
 @app.command()
-def open_planner(
-    request: Annotated[str, typer.Argument(help="What to open, as JSON.")],
-) -> None:
+def open_planner(request: Annotated[str, typer.Argument(help="What to open, as JSON.")]) -> None:
     """Read the CT and serve the planner."""
     from console.app import serve_pages
-    from console.planning.desk import PlanDesk
     from console.planning.page import add_planner
-    from console.planning.request import PlannerRequest
+    from console.planning.plan_editor import PlanEditor
     from procedures.imaging import read_series
     from procedures.imaging.pick_files import LARGEST_FILE_BYTES
     from procedures.planning.theatre.arm import theatre_arm
@@ -35,17 +48,17 @@ def open_planner(
         theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
     with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
-    desk = PlanDesk(volume, asked.plan, theatre)
+    editor = PlanEditor(volume, asked.plan, theatre)
     try:
         serve_pages(
-            lambda application: add_planner(application, desk),
+            lambda application: add_planner(application, editor),
             asked.port,
-            desk.work,
+            editor.work,
             tell_address,
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
         )
     finally:
-        if (kept := desk.close()) is not None:
+        if (kept := editor.close()) is not None:
             terminal.tell(f"unsaved changes kept in {kept}: open the plan again to continue")
 
 

@@ -1,26 +1,41 @@
-"""Structures that the trajectories avoid: drawn in the images or imported, and how close each comes."""
+"""Structures that the trajectories avoid: drawn in the images or imported, with margins and distances."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import math
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
+import numpy as np
 from nicegui import ui
+from pydantic import ValidationError
 
 from console.panels.html import table_of, tag, text
-from console.planning.avoided import drawn, free_name, imported, with_margin
-from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
-from console.planning.fields import NumberField
-from console.planning.look import Look
-from console.planning.verdict import marked
+from console.planning.fields import NumberField, small_button
+from console.planning.judging import mark_outdated
+from console.planning.plan_editor import PlanEditor
+from console.planning.slices import PageView
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
-from procedures.planning.errors import StructureUnreadable
-from procedures.planning.head.structures import Structure, StructureDistance
+from procedures.imaging.volume import VoxelGeometry
+from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
+from procedures.planning.head.structure_check import read_structure
+from procedures.planning.head.structures import (
+    MOST_POINTS_TOGETHER,
+    MOST_STRUCTURES,
+    Structure,
+    StructureDistance,
+    structure_of,
+)
+from procedures.planning.plan.units import structure_in_another_unit
 from procedures.strategies.trajectory import Point
+from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.errors import RonnaError
 
+STEP_MM = 1.0  # between two points of a stroke
+USUAL_MARGIN_MM = 3.0  # to a vessel
 PICK_JS = "() => getElement({number}).$refs.qRef.pickFiles()"  # only a person's click opens the dialog
 Say = Callable[[RonnaError | None], None]
 
@@ -29,9 +44,9 @@ class StructurePanel:
     """Strokes and files are added to the structure named in the field."""
 
     def __init__(
-        self, desk: PlanDesk, look: Look, go: Callable[[Point], None], say: Say, *, may_edit: bool
+        self, editor: PlanEditor, look: PageView, go: Callable[[Point], None], say: Say, *, may_edit: bool
     ) -> None:
-        self._desk, self._look, self._go, self._say, self._may_edit = desk, look, go, say, may_edit
+        self._editor, self._look, self._go, self._say, self._may_edit = editor, look, go, say, may_edit
         self._last_mm: Point | None = None
         self._names: tuple[str, ...] | None = None
         self.margins: dict[str, NumberField] = {}
@@ -54,14 +69,14 @@ class StructurePanel:
             button.on("click", js_handler=PICK_JS.format(number=upload.id))
 
     def draw(self, place_mm: Point, *, goes_on: bool) -> None:
-        """A stroke in an image begins, or continues."""
+        """Begin or continue a stroke in an image."""
         start_mm = self._last_mm if goes_on else None
         self._last_mm = place_mm
-        self._change(lambda draft: drawn(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
+        self._change(lambda draft: draw_stroke(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
 
     def show(self) -> None:
         """Show the current draft and the known distances."""
-        judged, structures = self._desk.judged, self._desk.draft.structures
+        judged, structures = self._editor.judged, self._editor.draft.structures
         names = tuple(one.name for one in structures)
         if names != self._names:
             self._names = names
@@ -73,7 +88,7 @@ class StructurePanel:
         for one in structures:
             self.margins[one.name].show(one.margin_mm)
         table = _table(structures, judged.distances)
-        self._distances.set_content(marked(table, judged, self._desk.draft))
+        self._distances.set_content(mark_outdated(table, judged, self._editor.draft))
 
     @property
     def _chosen(self) -> str:
@@ -81,21 +96,16 @@ class StructurePanel:
 
     def _build(self, name: str) -> None:
         with ui.element("div").classes("sphere").props(f'role=group aria-label="structure {name}"'):
-            self._button(name, partial(self._look_at, name), f"crosshair to {name}")
+            small_button(name, partial(self._look_at, name), f"crosshair to {name}")
             self.margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
             self.margins[name].enable(self._may_edit)
             if self._may_edit:
-                self._button("−", partial(self._remove, name), f"remove {name}")
-
-    def _button(self, words: str, act: Callable[[], object], name: str) -> None:
-        ui.button(words, on_click=act, color=None).classes("plain small").props(
-            f'no-caps unelevated aria-label="{name}"'
-        )
+                small_button("−", partial(self._remove, name), f"remove {name}")
 
     def _look_at(self, name: str) -> None:
         """Go where the current trajectory comes closest to it; without one, to its first point."""
-        near = {one.trajectory: one for one in self._desk.judged.distances if one.structure == name}
-        structure = self._desk.draft.structure(name)
+        near = {one.trajectory: one for one in self._editor.judged.distances if one.structure == name}
+        structure = self._editor.draft.structure(name)
         if self._look.way in near:
             self._go(near[self._look.way].nearest_mm)
         elif structure is not None:
@@ -104,7 +114,7 @@ class StructurePanel:
             self._name.set_value(name)
 
     def _set(self, name: str, margin_mm: float) -> None:
-        self._change(lambda draft: with_margin(draft, name, margin_mm))
+        self._change(lambda draft: set_margin(draft, name, margin_mm))
 
     def _remove(self, name: str) -> None:
         self._change(lambda draft: draft.without_structure(name))
@@ -112,16 +122,18 @@ class StructurePanel:
     async def _imported(self, event: Any) -> None:
         content = await event.file.read()
         event.sender.reset()
-        geometry = self._desk.volume.geometry
-        if self._change(lambda draft: imported(draft, self._chosen, content, event.file.name, geometry)):
-            self._name.set_value(free_name(self._desk.draft))
+        geometry = self._editor.volume.geometry
+        if self._change(
+            lambda draft: import_structure(draft, self._chosen, content, event.file.name, geometry)
+        ):
+            self._name.set_value(free_name(self._editor.draft))
 
     def _too_large(self) -> None:
         self._say(StructureUnreadable("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
 
     def _change(self, change: Callable[[Draft], Draft], *, goes_on: bool = False) -> bool:
         try:
-            self._desk.change(change(self._desk.draft), goes_on=goes_on)
+            self._editor.change(change(self._editor.draft), goes_on=goes_on)
         except RonnaError as refused:
             self._say(refused)
             return False
@@ -130,7 +142,7 @@ class StructurePanel:
 
 
 def _table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """One row per structure, one column per trajectory."""
+    """Tabulate distances: a row per structure, a column per trajectory."""
     known = {(one.structure, one.trajectory): one for one in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(
@@ -158,3 +170,60 @@ def _cell(distance: StructureDistance | None) -> str:
         data_distance=f"{distance.structure}/{distance.trajectory}",
         data_mm=f"{distance.distance_mm:.3f}",
     )
+
+
+def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
+    """Add a stroke from `start_mm`, or its first point, to the structure of that name; raises PLAN-002."""
+    steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
+    points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
+    known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
+    if known is not None:
+        points = np.concatenate([np.array(known.points_mm), points])
+        within_mm, margin_mm = known.within_mm, known.margin_mm
+    with _mistakes_as_refusals():
+        return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
+
+
+def import_structure(
+    draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry
+) -> Draft:
+    """Add a structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    if draft.structure(name) is not None:
+        raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
+    with _mistakes_as_refusals():
+        return _bounded(
+            draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
+        )
+
+
+def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
+    """Set the margin of a structure. Raises PLAN-002."""
+    known = draft.structure(name)
+    if known is None:
+        return draft
+    with _mistakes_as_refusals():
+        changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
+    raise_together(structure_in_another_unit(changed), "the structure")
+    return draft.with_structure(changed)
+
+
+def free_name(draft: Draft) -> str:
+    """A name for one more structure."""
+    return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
+
+
+def _bounded(draft: Draft) -> Draft:
+    if len(draft.structures) > MOST_STRUCTURES:
+        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
+    points = sum(len(one.points_mm) for one in draft.structures)
+    if points > MOST_POINTS_TOGETHER:
+        raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
+    return draft
+
+
+@contextmanager
+def _mistakes_as_refusals() -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        raise PlanMistakes("; ".join(describe_mistakes(error))) from error

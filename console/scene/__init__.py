@@ -1,1 +1,1 @@
-"""The theatre in three dimensions, posed here: the page does no kinematics."""
+"""Theatre and head in three dimensions, posed here: the page does no kinematics."""

@@ -1,18 +1,21 @@
-"""Positions of the capsules, and the closest of the checked pairs."""
+"""Bodies of the scene, built from the few shapes of the page library, and the closest checked pair."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from procedures.engine.events import Bodies, Pose
+from procedures.engine.events import Bodies, Body, Pose
 from ronna_hw.arm.clearance.bodies import segment_distance_mm
 
 Point = tuple[float, float, float]
 Rows = list[list[float]]
 METRES = 0.001  # per millimetre
 CLOSE_MM = 500.0  # farther apart it is of no interest
+ROUND = 16  # segments around a capsule
+Call = list[Any]  # to a method of the scene, with its arguments
 
 
 @dataclass(frozen=True)
@@ -26,13 +29,13 @@ class Closest:
     to_mm: Point
 
 
-def ends(values: tuple[float, ...]) -> tuple[Point, Point]:
-    """Both ends of an axis."""
+def axis_ends(values: tuple[float, ...]) -> tuple[Point, Point]:
+    """Split six numbers into the ends of an axis."""
     a, b, c, d, e, f = values
     return (a, b, c), (d, e, f)
 
 
-def upright(start: Point, end: Point) -> Rows:
+def rotation_along(start: Point, end: Point) -> Rows:
     """A rotation, by rows, that turns z into the direction from start to end."""
     length = math.dist(start, end)
     if length == 0.0:
@@ -50,17 +53,17 @@ def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point)
     shares = [
         sum((p - t) * (e - t) for p, t, e in zip(point, target, entry, strict=True)) / depth_mm**2
         for axis in tool_mm
-        for point in ends(axis)
+        for point in axis_ends(axis)
     ]
     return _along(target, entry, min(shares)) if shares else None
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Among all pairs checked for the arm's motion; None if nothing is near."""
+    """Find the closest of the pairs checked for the arm's motion; None if nothing is near."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return None  # of an arm with other tools: bodies and pose are from different moments
-    moving = [ends(one) for one in pose.bodies_mm]
-    fixed = [ends(one.ends_mm) for one in bodies.fixed]
+    moving = [axis_ends(one) for one in pose.bodies_mm]
+    fixed = [axis_ends(one.ends_mm) for one in bodies.fixed]
     best: Closest | None = None
     for first, second in bodies.pairs:
         a, b = moving[first]
@@ -74,7 +77,7 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
 
 
 def _closest_points(a: Point, b: Point, c: Point, d: Point) -> tuple[Point, Point]:
-    """On both axes, found by iteration: accurate enough to draw a line between them."""
+    """Find the closest points of two axes by iteration: accurate enough for drawing."""
     low_s, high_s = 0.0, 1.0
     for _ in range(40):  # the distance from a point to a segment is convex along the other
         third = (high_s - low_s) / 3.0
@@ -108,3 +111,57 @@ def _cross(a: tuple[float, ...], b: tuple[float, ...]) -> Point:
 def _unit(a: Point) -> Point:
     length = math.hypot(*a)
     return (a[0] / length, a[1] / length, a[2] / length)
+
+
+class Capsule:
+    """A body between two points; its length never changes, so only its pose is sent."""
+
+    def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
+        length, radius = math.dist(start, end) * METRES, body.radius_mm * METRES
+        with scene.group() as self.group:
+            scene.cylinder(radius, radius, length, ROUND).rotate(math.pi / 2.0, 0, 0).move(
+                0, 0, length / 2.0
+            ).material(colour, opacity)
+            for z in (0.0, length):
+                scene.sphere(radius, ROUND, ROUND // 2).move(0, 0, z).material(colour, opacity)
+        self.group.with_name(body.name)
+        self.place(start, end)
+
+    def place(self, start: Point, end: Point) -> list[Call]:
+        """Store its pose; returns the calls that place it on an open page."""
+        return placing_calls(self.group, start, rotation_along(start, end))
+
+    def delete(self) -> None:
+        """Delete the capsule."""
+        self.group.delete()
+
+
+class Rod:
+    """A thin line between two points that may both move."""
+
+    def __init__(self, scene: Any, radius_mm: float, colour: str) -> None:
+        radius = radius_mm * METRES
+        with scene.group() as self.group:
+            scene.cylinder(radius, radius, 1.0, 8).rotate(math.pi / 2.0, 0, 0).move(0, 0, 0.5).material(
+                colour
+            )
+        self.group.visible(False)
+
+    def place(self, start: Point, end: Point) -> list[Call]:
+        """Store its pose; returns the calls that place it on an open page."""
+        length = max(math.dist(start, end) * METRES, 1e-6)
+        self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
+        self.group.visible_ = True
+        scaled = ["scale", self.group.id, 1.0, 1.0, length]
+        return [
+            *placing_calls(self.group, start, rotation_along(start, end)),
+            scaled,
+            ["visible", self.group.id, True],
+        ]
+
+
+def placing_calls(thing: Any, at_mm: Point, rotation: Rows) -> list[Call]:
+    """Store a pose for pages opened later, and return the calls that apply it on an open one."""
+    thing.x, thing.y, thing.z = (value * METRES for value in at_mm)
+    thing.R = rotation
+    return [["move", thing.id, thing.x, thing.y, thing.z], ["rotate", thing.id, rotation]]

@@ -1,4 +1,4 @@
-"""What tracker and stereo head see: measuring volume, lines of sight, the cameras' pyramids."""
+"""Views of tracker and stereo head: measuring volume, lines of sight, the cameras' pyramids."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import math
 import time
 from typing import Any
 
-from console.feed.view import CaseView
-from console.scene.actors import Call, Rod, placed
-from console.scene.bodies import METRES, Point, ends
+from console.case_view import CaseView
+from console.scene.bodies import METRES, Call, Point, Rod, axis_ends, placing_calls
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
 from procedures.planning.sight.tracker import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
@@ -24,7 +23,7 @@ CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 class Sights:
-    """Updates only what has changed."""
+    """Lines of sight and volumes of a scene; only changes are sent."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -55,7 +54,7 @@ class Sights:
 
     @property
     def hidden(self) -> int:
-        """How many spheres at least one of the tracker's sensors cannot see past the arm."""
+        """Count the spheres hidden from at least one of the tracker's sensors by the arm."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(
@@ -109,7 +108,7 @@ class Sights:
         calls: list[Call] = []
         for group in self._frusta:
             group.visible_ = True
-            calls += [*placed(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
+            calls += [*placing_calls(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
         self._scene.run_method("run_methods", calls)
 
     def _line(self, start: Point, end: Point, colour: str, opacity: float) -> Any:
@@ -132,7 +131,7 @@ def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
     if len(pose.bodies_mm) != len(bodies.moving):
         return False
     capsules = zip(bodies.moving, pose.bodies_mm, strict=True)
-    return any(segment_distance_mm(eye, place, *ends(axis)) < body.radius_mm for body, axis in capsules)
+    return any(segment_distance_mm(eye, place, *axis_ends(axis)) < body.radius_mm for body, axis in capsules)
 
 
 def _point(values: Any) -> Point:

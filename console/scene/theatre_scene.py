@@ -1,4 +1,4 @@
-"""The scene of one page: arm, head, spheres, trajectories, lines of sight, clearance."""
+"""The theatre on a page: arm, head, spheres, trajectories, lines of sight, clearance, and controls."""
 
 from __future__ import annotations
 
@@ -6,10 +6,21 @@ from typing import Any
 
 from nicegui import ui
 
-from console.feed.view import CaseView
-from console.scene.actors import Call, Capsule, Rod, placed
-from console.scene.bodies import METRES, Closest, Point, closest_pair, ends, guide_end
-from console.scene.sights import Sights
+from console.case_view import CaseView
+from console.panels.html import tag, text
+from console.scene.bodies import (
+    METRES,
+    Call,
+    Capsule,
+    Closest,
+    Point,
+    Rod,
+    axis_ends,
+    closest_pair,
+    guide_end,
+    placing_calls,
+)
+from console.scene.sights import HIDDEN, VOLUME, Sights
 from procedures.engine.events import Bodies, Pose
 from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
@@ -28,10 +39,89 @@ BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucency is expensive without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
+MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
+KEY = (
+    ("arm (as checked)", ARM),
+    ("spheres from the CT", CT),
+    ("tracker", TRACKER),
+    ("stereo head", STEREO),
+    ("plan", PATH),
+    (CAPTION, INSTRUMENT),
+    ("hidden from the tracker", HIDDEN),
+    ("measuring volume", VOLUME),
+)
+
+
+class ScenePanel:
+    """The arm, and its surroundings."""
+
+    def __init__(self, *, low: bool) -> None:
+        self._figures: CaseFigures | None = None
+        with ui.element("section").classes("card scenebox").props('aria-label="The theatre"'):
+            with ui.element("div").classes("sceneline"):
+                self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
+                self._size = ui.select(MAGNIFICATIONS, value=1, on_change=self._magnify)
+                self._size.props('dense outlined options-dense aria-label="Differences between instruments"')
+            self._age = ui.html("", sanitize=False)
+            self._scene = TheatreScene(low=low)
+            key = "".join(tag("span", f'<i style="background:{colour}"></i>{words}') for words, colour in KEY)
+            ui.html(tag("div", key, class_="key"), sanitize=False)
+        self._names: list[str] | None = None
+        self._scene.look_at("robot", None)
+
+    def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
+        """Show a moment."""
+        self._figures = figures
+        names = [path.name for path in figures.trajectories] if figures else []
+        if names != self._names:
+            self._names = names
+            self._build_views(names)
+        self._scene.show(view, figures, heads)
+        self._age.set_content(_age(view) + self._clearance() + self._sight())
+
+    def _build_views(self, names: list[str]) -> None:
+        self._views.clear()
+        with self._views:
+            for where, words in (
+                ("robot", "robot"),
+                ("head", "head"),
+                ("tracker", "tracker"),
+                *((name, f"along {name}") for name in names),
+            ):
+                ui.button(
+                    words, on_click=lambda where=where: self._scene.look_at(where, self._figures), color=None
+                ).classes("plain small").props("no-caps unelevated")
+
+    def _clearance(self) -> str:
+        closest = self._scene.closest
+        if closest is None:
+            return ""
+        words = f"closest: {closest.first} and {closest.second}, {closest.distance_mm:.0f} mm"
+        return tag("div", text(words), class_="num")
+
+    def _sight(self) -> str:
+        hidden = self._scene.hidden
+        if not hidden:
+            return ""
+        words = f"the arm blocks the tracker's view of {hidden} of the spheres (red lines)"
+        return tag("div", words, class_="warn")
+
+    def _magnify(self) -> None:
+        self._scene.magnified = int(self._size.value or 1)
+
+
+def _age(view: CaseView) -> str:
+    stood = view.pose
+    if stood is None:
+        return tag("div", "No arm position yet.", class_="dim")
+    age_s = view.theatre_time_s - stood.said_s + stood.pose.age_s
+    if age_s > OLD_S:
+        return tag("div", f"POSE IS {age_s:.1f} s OLD, shown grey", class_="warn num")
+    return tag("div", f"pose is {age_s:.2f} s old", class_="num")
 
 
 class TheatreScene:
-    """Built once per page; `show` updates only what has changed."""
+    """The theatre's scene of a page; `show` sends only changes."""
 
     def __init__(self, *, low: bool) -> None:
         self._low = low
@@ -86,7 +176,7 @@ class TheatreScene:
             one.delete()
         self._bodies, self._moving, self._pose, self._grey = bodies, [], None, None
         self._fixed = [
-            Capsule(self.scene, body, *ends(body.ends_mm), ROOM, 1.0)
+            Capsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
             for body in bodies.fixed
             if not body.is_head
         ]
@@ -95,7 +185,7 @@ class TheatreScene:
 
     def _build_moving(self, bodies: Bodies, pose: Pose) -> None:
         self._moving = [
-            Capsule(self.scene, body, *ends(place), ARM if number < LINKS else TOOL, 1.0)
+            Capsule(self.scene, body, *axis_ends(place), ARM if number < LINKS else TOOL, 1.0)
             for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
         ]
 
@@ -108,7 +198,7 @@ class TheatreScene:
             self._build_moving(bodies, pose)
         calls: list[Call] = []
         for capsule, place in zip(self._moving, pose.bodies_mm, strict=True):
-            calls += capsule.place(*ends(place))
+            calls += capsule.place(*axis_ends(place))
         self.scene.run_method("run_methods", calls + self._show_closest(closest_pair(bodies, pose)))
 
     def _show_closest(self, closest: Closest | None) -> list[Call]:
@@ -157,7 +247,7 @@ class TheatreScene:
         self._head.visible()
         rotation = pose.rotation_matrix.tolist()
         x, y, z = pose.translation_mm.tolist()
-        self.scene.run_method("run_methods", placed(self._head, (x, y, z), rotation))
+        self.scene.run_method("run_methods", placing_calls(self._head, (x, y, z), rotation))
 
     def _sphere(self, sphere: SphereFigure) -> None:
         ct = sphere.ct_mm
@@ -208,7 +298,7 @@ class TheatreScene:
 
     @property
     def hidden(self) -> int:
-        """As in `Sights`."""
+        """Count the spheres hidden from the tracker by the arm."""
         return self._sights.hidden
 
     def look_at(self, where: str, figures: CaseFigures | None) -> None:
@@ -233,7 +323,7 @@ class TheatreScene:
 
 
 def _inserted(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
-    """Both ends of the instrument that is at its target, as planned; none while there is no such."""
+    """Return the planned ends of the instrument at its target; None without one."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
     path = next((one for one in figures.trajectories if one.name == name), None) if figures else None
     if topic != AT_TARGET or path is None or view.pose is None:

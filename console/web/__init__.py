@@ -1,1 +1,1 @@
-"""The page: its frame, its style, its socket, and how it is kept fresh."""
+"""The page: its frame, its style, its socket, and its updates."""

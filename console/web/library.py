@@ -1,16 +1,25 @@
-"""The page library as used by both programs: its style, its settings, and the check of its sockets."""
+"""The page library as used by both programs: its style and settings, and the check of its sockets.
+
+The library accepts a message from any socket for the page named in it. Here a socket may only address pages
+of its own session, and malformed messages are dropped.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qs
 
 from fastapi import FastAPI, Request
 from fastapi.responses import PlainTextResponse
 from nicegui import app as page_app
 from nicegui import core, ui
 
-from console.web.sockets import bind_sockets
+from console.guard import SESSION
 
+FROM_PAGES = ("event", "javascript_response", "ack", "log")
+_owners: dict[str, str] = {}  # page -> session; the library's own pages are also global
 HERE = Path(__file__).parent
 RECONNECT_S = 10.0  # as long as the seat is kept: a busy computer may delay a page for seconds
 RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; otherwise the page is reloaded
@@ -37,13 +46,65 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
     bind_sockets(core.sio)
 
 
-async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
-    """In place of a whole page of the library's, which holds up everything else while it is made."""
-    return PlainTextResponse("Not found.", 404)
-
-
 def page_head() -> str:
     """Style and script common to all pages."""
     style = (HERE / "style.css").read_text(encoding="utf-8")
     script = (HERE / "fresh.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"
+
+
+async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
+    """Answer 404 in text: the library's own page would hold up everything else."""
+    return PlainTextResponse("Not found.", 404)
+
+
+def own_page(client: Any, session: str) -> None:
+    """Bind a page to a session: sockets of others may no longer address it."""
+    _owners[client.id] = session
+    client.on_delete(lambda: _owners.pop(client.id, None))
+
+
+def bind_sockets(sio: Any) -> None:
+    """Insert the check before the handlers of the page library."""
+    handlers = sio.handlers["/"]
+    for name in FROM_PAGES:
+        sio.on(name, _checked(sio, handlers[name]))
+    handshake, connect = handlers["handshake"], handlers["connect"]
+
+    async def checked_handshake(sid: str, data: Any = None) -> bool:
+        if not isinstance(data, dict) or not _may_speak(sio, sid, data.get("client_id")):
+            return False
+        return bool(await handshake(sid, data))
+
+    async def checked_connect(sid: str, environ: dict[str, Any], auth: Any = None) -> Any:
+        named = parse_qs(environ.get("QUERY_STRING", "")).get("client_id", [""])[0]
+        if named and _owners.get(named) not in (None, _session_of(environ)):
+            return False
+        return await connect(sid, environ, auth)
+
+    sio.on("handshake", checked_handshake)
+    sio.on("connect", checked_connect)
+
+
+def _checked(sio: Any, inner: Callable[[str, Any], Any]) -> Callable[..., None]:
+    def checked(sid: str, message: Any = None, *_more: Any) -> None:
+        if not isinstance(message, dict) or not _may_speak(sio, sid, message.get("client_id")):
+            return
+        try:
+            inner(sid, message)
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError):
+            return
+
+    return checked
+
+
+def _may_speak(sio: Any, sid: str, client: Any) -> bool:
+    if not isinstance(client, str) or client not in _owners:
+        return False
+    environ = sio.get_environ(sid)
+    return environ is not None and _owners[client] == _session_of(environ)
+
+
+def _session_of(environ: dict[str, Any]) -> str | None:
+    session = environ.get("asgi.scope", {}).get(SESSION)
+    return None if session is None else str(session.identifier)

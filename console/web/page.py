@@ -1,4 +1,4 @@
-"""The page: its parts, their content, and the update loop."""
+"""The case's page: its parts, their content, and the update loop."""
 
 from __future__ import annotations
 
@@ -9,26 +9,30 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
-from console.feed.log_tail import LogTail
-from console.feed.view import CaseView
-from console.figures import Figures, as_of
-from console.guard import SESSION
+from console.case_view import CaseView, RecordedCase
+from console.changes import changed_within
+from console.figures import Figures, figures_at
+from console.guard import SESSION, Role, Session
 from console.hub import NO_REPLY, Hub
-from console.panels import bar
-from console.panels.accuracy import accuracy
-from console.panels.chart import chart, chart_key
-from console.panels.devices import devices, devices_key, mode
+from console.panels.case_state import banner, case_line, chart, chart_key, clock, devices, devices_key, mode
 from console.panels.html import tag, text
-from console.panels.moment import MomentPanel
-from console.panels.notices import journal, log, notices, problems
-from console.panels.orders import OrderPanel, SeatPanel, stop_button
-from console.panels.pictures import course, cuts, cuts_key, live_key, live_pair, pictures
-from console.panels.question import QuestionPanel
-from console.scene.panel import ScenePanel
-from console.sessions import Role, Session
-from console.web.changes import changed_within
-from console.web.library import page_head, use_library
-from console.web.sockets import own_page
+from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, stop_button
+from console.panels.results import (
+    LogTail,
+    accuracy,
+    course,
+    cuts,
+    cuts_key,
+    journal,
+    live_key,
+    live_pair,
+    log,
+    notices,
+    pictures,
+    problems,
+)
+from console.scene.theatre_scene import ScenePanel
+from console.web.library import own_page, page_head, use_library
 from procedures.reporting.case_figures import CaseFigures
 
 TITLE = "RONNA console"  # the same for every case: titles are visible in window lists
@@ -57,7 +61,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
 
 
 class CasePage:
-    """One open page of one session."""
+    """An open page of a session."""
 
     def __init__(self, hub: Hub, figures: Figures, tail: LogTail, session: Session, *, low: bool) -> None:
         self._hub = hub
@@ -81,8 +85,8 @@ class CasePage:
         """Create the parts and start filling them."""
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
-            self._add(bar.banner, lambda view: view.banner)
-            self._add(bar.case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
+            self._add(banner, lambda view: view.banner)
+            self._add(case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
             self._add(mode, lambda view: view.mode)
             self._clock = ui.html("", sanitize=False)
             self._seat = SeatPanel(self._give, may_operate=may_operate)
@@ -120,10 +124,7 @@ class CasePage:
                         "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
                     )
                     self._section(
-                        "Timeline",
-                        lambda _view: course(self._figures_then),
-                        self._measured,
-                        "coursebox",
+                        "Timeline", lambda _view: course(self._figures_then), self._measured, "coursebox"
                     )
                 self._section(
                     "Stereo pictures",
@@ -167,11 +168,11 @@ class CasePage:
             self._add(render, key).classes("body")
 
     def _measured(self, view: CaseView) -> object:
-        """Changes with what had been measured at that moment."""
+        """Return a key that changes with the figures known at that moment."""
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
-            self._figures_then = as_of(self._figures.latest, view, self._hub.view)
+            self._figures_then = figures_at(self._figures.latest, view, self._hub.view)
         return key
 
     async def _give(self, order: dict[str, Any]) -> None:
@@ -193,7 +194,7 @@ class CasePage:
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
-        """A fact is shown at once, signals at the rate of the page."""
+        """Show facts at once, and signals at the rate of the page."""
         loop = asyncio.get_running_loop()
         while True:
             if client.has_socket_connection:
@@ -227,4 +228,45 @@ class CasePage:
         self._scene.show(view, self._figures_then, self._figures.heads)
         self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
         self._beat += 1
-        self._clock.set_content(bar.clock(view, self._beat))
+        self._clock.set_content(clock(view, self._beat))
+
+
+class MomentPanel:
+    """Slider through a recorded case; at its end it follows the live case."""
+
+    def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
+        self._recorded = recorded
+        self._changed = changed
+        with ui.element("section").classes("moment card").props('aria-label="Playback position"'):
+            self._back = self._button("◀", -1, "previous event")
+            self._slider = ui.slider(min=0, max=len(recorded), value=len(recorded), step=1)
+            self._slider.on_value_change(self._moved).props('aria-label="Playback position"').classes("slide")
+            self._on = self._button("▶", +1, "next event")
+            self._text = ui.label("").classes("num")
+
+    def view(self, latest: CaseView) -> CaseView:
+        """The view at the selected moment."""
+        count, chosen = len(self._recorded), int(self._slider.value)
+        if self._slider.props["max"] != count:
+            at_end = chosen >= self._slider.props["max"]
+            self._slider.props(f"max={count}")
+            self._slider.props["max"] = count
+            if at_end:
+                self._slider.set_value(count)
+                chosen = count
+        goes_on = "" if self._recorded.over else ", running"
+        self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{goes_on}")
+        return latest if chosen >= count else self._recorded.at(chosen)
+
+    def _button(self, sign: str, by: int, name: str) -> ui.button:
+        def move() -> None:
+            self._slider.set_value(min(max(int(self._slider.value) + by, 0), len(self._recorded)))
+
+        return (
+            ui.button(sign, on_click=move, color=None)
+            .classes("plain")
+            .props(f'unelevated aria-label="{name}"')
+        )
+
+    def _moved(self) -> None:
+        self._changed()

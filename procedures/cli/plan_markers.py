@@ -12,7 +12,7 @@ from procedures.planning.head.shape import head_shape
 from procedures.planning.markers.sites import propose_markers
 from procedures.planning.markers.template_file import head_of_scene
 from procedures.planning.plan.file import read_plan
-from procedures.reporting.marker_picture import marker_picture
+from procedures.reporting.pictures import marker_picture
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import require_new
 from ronna_hw.marker_template import TemplateMarker

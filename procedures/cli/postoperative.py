@@ -13,7 +13,7 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.planning.plan.model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
-    from procedures.reporting.postoperative import AfterTheOperation
+    from procedures.reporting.files import PostoperativeResult
 
 READING_SHARE = 0.3  # of the progress bar, for each series
 
@@ -67,10 +67,10 @@ def postoperative(
         terminal.tell(f"warning: {sentence}")
     if out is not None or run is not None:
         from procedures.postoperative.pictures import trajectory_picture
-        from procedures.reporting.postoperative import AfterTheOperation
+        from procedures.reporting.files import PostoperativeResult
 
         pose = proof.registration.post_from_pre
-        after = AfterTheOperation(
+        after = PostoperativeResult(
             found, {one.id: trajectory_picture(post, one, pose) for one in found.trajectories}
         )
         if out is not None:
@@ -116,13 +116,13 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
         )
 
 
-def _write(out: Path, after: AfterTheOperation, frames: tuple[str, str]) -> None:
+def _write(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> None:
+    from procedures.exchange.dicom_objects import write_postoperative
     from procedures.exchange.errors import NotWritable
-    from procedures.exchange.postoperative import write_postoperative
-    from procedures.reporting.postoperative import keep_check
+    from procedures.reporting.files import store_check
 
     try:
-        keep_check(out, after)
+        store_check(out, after)
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     write_postoperative(after.found, frames, out)

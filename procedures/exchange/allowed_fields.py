@@ -66,17 +66,17 @@ FILLED_ATTRIBUTES = (
 )
 
 
-def picked(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
+def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
     """The listed fields, in the order of the list; all others are dropped."""
     return {name: content[name] for name in allowed if name in content}
 
 
 def label_of(trajectory: str, number: int) -> str:
-    """The trajectory's name if it is a plain label, otherwise its number, from 1."""
+    """Return the trajectory's name if it is a plain label, otherwise its number, from 1."""
     return trajectory if PLAIN_LABEL.fullmatch(trajectory) else f"trajectory{number}"
 
 
-def only_allowed(made: Dataset) -> Dataset:
+def require_allowed(made: Dataset) -> Dataset:
     """Return the object; raises EXC-004 for an attribute that is not listed, or must be empty and is not."""
     for element in made.iterall():
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:

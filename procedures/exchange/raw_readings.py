@@ -1,6 +1,7 @@
-"""Raw readings of a run for other programs: images, tracker frames, arm states.
+"""Raw readings of a run for other programs: images, tracker frames, arm states, and how far they extend.
 
-They are what the run's tape keeps for replay: every device answer that a result is based on, lossless.
+They are what the run's tape keeps for replay: every device answer that a result is based on, lossless. A
+folder states its extent, because a later program of the run may not have written its own readings.
 """
 
 from __future__ import annotations
@@ -10,22 +11,25 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TextIO
+from typing import Literal, TextIO
 
-import cv2
+from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import read_in_order
 from procedures.engine.replay.sections import BEGINS
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.raw_extent import RawExtent, write_extent
 from procedures.journal.journal import JOURNAL_FILE
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
-from ronna_hw.evidence.journal_reading import chain_until_broken
+from ronna_hw.evidence.journal_reading import Line, chain_until_broken
+from ronna_hw.evidence.manifest import RAW_FOLDER
 from ronna_hw.host.files import remove_folder
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
 from ronna_hw.records import PARTIAL
 
+EXTENT_FILE = "extent.json"
+WRITES_ALL = "ronna-procedure raw RUN --out DIR writes all"
 MOST_RAW_BYTES = 2_000_000_000  # per run, as on its tape
 PICTURES_FOLDER = "pictures"
 TABLES = {
@@ -47,7 +51,7 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class RawReading:
-    """What a device returned in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+    """A device's answer in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
 
     step: str
     device: str
@@ -99,8 +103,44 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
     return out, whole
 
 
+class RawExtent(BaseModel):
+    """The content of `extent.json`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    journal_lines: int = Field(
+        ge=0, description="Length of the journal then: readings of later steps are missing."
+    )
+    whole: bool = Field(description="Whether everything up to there fitted.")
+
+
+def write_extent(folder: Path, extent: RawExtent) -> None:
+    """Write it into a folder of raw readings. Raises OSError."""
+    (folder / EXTENT_FILE).write_text(f"{extent.model_dump_json(by_alias=True)}\n", encoding="utf-8")
+
+
+def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
+    """Describe what is missing from the run's own folder of raw readings; `lines` are those of its journal.
+
+    None if nothing is missing, or if there is no such folder.
+    """
+    folder = run / RAW_FOLDER
+    if not folder.is_dir():
+        return None
+    try:
+        extent = RawExtent.model_validate_json(read_json_bytes(folder / EXTENT_FILE, linked=False))
+    except (OSError, ValueError):
+        return f"{RAW_FOLDER}/ does not state how far its readings extend"
+    since = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
+    if since:
+        first = since[0].get("step", "home")
+        return f"{RAW_FOLDER}/ is from before the run was resumed: readings from {first} on are missing"
+    return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing"
+
+
 def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
-    """Whether everything fitted."""
+    """Write all tables and pictures; returns whether everything fitted."""
     files: dict[str, TextIO] = {}
     pictures, frames, size, readings = 0, 0, 0, 0
     try:
@@ -138,6 +178,8 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
 
 def _write_picture(path: Path, image: CameraImage) -> int:
     """Write the pixels as received, 8 or 16 bits; returns the bytes written."""
+    import cv2  # only here: `show` and `verify` read the extent alone
+
     _, content = cv2.imencode(".png", image.pixels)
     path.write_bytes(content.tobytes())
     return len(content)
@@ -158,7 +200,7 @@ def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> S
 
 
 def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequence[Value]]:
-    """One row per tool and per stray marker; one row for a frame that saw nothing."""
+    """Build a row per tool and per stray marker; a single row for an empty frame."""
     head = (number, of.step, of.theatre_time_s, frame.stamp.device_clock)
     nothing = (None,) * 3
     rows: list[Sequence[Value]] = [

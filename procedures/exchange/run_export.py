@@ -1,16 +1,15 @@
-"""Exports a finished run: spheres and one registration per trajectory, in formats of other programs."""
+"""Export of a finished run: spheres and one registration per trajectory, in formats of other programs."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from typing import Protocol, TypeVar
-
-import numpy as np
-from numpy.typing import ArrayLike
+from typing import TypeVar
 
 from procedures.engine.ancestry import ancestor_of_kind
 from procedures.engine.case import Stored
@@ -19,20 +18,20 @@ from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
     label_of,
-    only_allowed,
-    picked,
+    pick_allowed,
+    require_allowed,
 )
-from procedures.exchange.dicom_object import Origin, write
+from procedures.exchange.dicom_objects import (
+    Origin,
+    fiducial_uid,
+    fiducials,
+    spatial_fiducials,
+    spatial_registration,
+    write,
+)
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.plain_files import (
-    document,
-    registration_table,
-    slicer_markups,
-    table,
-)
-from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
-from procedures.exchange.spatial_registration import spatial_registration
-from procedures.reporting.used_registrations import UsedRegistration, used_registrations
+from procedures.exchange.sphere_files import document, slicer_markups, table
+from procedures.reporting.run_reading import UsedRegistration, used_registrations
 from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -43,16 +42,6 @@ from ronna_hw.records import Record, write_whole
 
 R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that serves every trajectory
-
-
-class Located(Protocol):
-    """A sphere of the CT: centre (3,) in LPS mm and its covariance (3, 3) in mm2."""
-
-    @property
-    def centre_mm(self) -> ArrayLike: ...
-
-    @property
-    def covariance_mm2(self) -> ArrayLike: ...
 
 
 def export_run(run: Path, out: Path) -> list[Path]:
@@ -73,12 +62,12 @@ def export_run(run: Path, out: Path) -> list[Path]:
     fits = _labelled(used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
-    markers = [picked(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
+    markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
     texts = {
         "spheres.csv": table(spheres),
         "spheres.json": document(markers, origin),
         "spheres.mrk.json": slicer_markups(spheres),
-        "registrations.csv": registration_table(fit.result for fit in fits.values()),
+        "registrations.csv": _registration_table(fit.result for fit in fits.values()),
         "registrations.json": _summary(fits),
     }
     own = {_file_of(trajectory) for trajectory in fits}
@@ -95,7 +84,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
-    written.append(write(only_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
+    written.append(write(require_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
             fit.result.robot_from_ct.transform,
@@ -105,22 +94,12 @@ def export_run(run: Path, out: Path) -> list[Path]:
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
         )
-        written.append(write(only_allowed(made), out / _file_of(trajectory)))
+        written.append(write(require_allowed(made), out / _file_of(trajectory)))
     return written
 
 
 def _file_of(trajectory: str) -> str:
     return f"registration-{trajectory}.dcm"
-
-
-def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
-    """Spheres of a localization, named M1, M2, ... in their order."""
-    made = []
-    for number, marker in enumerate(markers, 1):
-        x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
-        rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
-        made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
-    return tuple(made)
 
 
 def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
@@ -151,7 +130,7 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
     document = [
         {
             "trajectory": predicted.target,
-            **picked(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
+            **pick_allowed(fit.result.model_dump(mode="json"), REGISTRATION_FIELDS),
             "predicted_tre_mm": predicted.rms_mm,
             "predicted_tre_limit_mm": predicted.limit_mm,
             "confidence": predicted.confidence,
@@ -161,6 +140,21 @@ def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:
         for predicted in fit.result.predictions
     ]
     return json.dumps({"registrations": document}, indent=1, allow_nan=False) + "\n"
+
+
+def _registration_table(registrations: Iterable[RegisteredRobot]) -> str:
+    """CSV with one row per target, even if several share a registration: the matrix row by row, the error."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]
+    figures = ("pairs", "fre_mm", "predicted_tre_mm", "predicted_tre_limit_mm", "confidence")
+    writer.writerow(("trajectory", *elements, *figures))
+    for one in registrations:
+        matrix = one.robot_from_ct.transform.as_matrix()[:3].ravel().tolist()
+        for predicted in one.predictions:
+            error = (predicted.rms_mm, predicted.limit_mm, predicted.confidence)
+            writer.writerow((predicted.target, *matrix, one.pairs, one.fre_mm, *error))
+    return text.getvalue()
 
 
 def _only(folder: RunFolder, model: type[R]) -> Stored[R]:

@@ -1,20 +1,28 @@
-"""Writes the spheres of one localization to files, each in the format given by its extension."""
+"""Export the spheres of one localization: Slicer markups, JSON, CSV or DICOM, by the file's extension."""
 
 from __future__ import annotations
 
+import csv
 import hashlib
-from collections.abc import Sequence
+import io
+import json
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from procedures.exchange.errors import NotWritable, UnknownForm
 from ronna_hw.records import canonical_json, write_whole
 
 if TYPE_CHECKING:
+    from procedures.exchange.dicom_objects import Fiducial, Origin
     from procedures.imaging import Localization, PatientIdentity
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
+MARKUPS_SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
 
 
 def check_names(paths: Sequence[Path]) -> None:
@@ -32,21 +40,22 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
     check_names(paths)
     if not paths:
         return
-    from procedures.exchange.dicom_object import Origin, name_patient, write
-    from procedures.exchange.plain_files import document, slicer_markups, table
-    from procedures.exchange.run_export import fiducials
-    from procedures.exchange.spatial_fiducials import spatial_fiducials
+    from procedures.exchange import dicom_objects  # pydicom: half a second
 
     markers = [marker.document() for marker in found.markers]
-    spheres = fiducials(found.markers)
+    spheres = dicom_objects.fiducials(found.markers)
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
-    origin = Origin(found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key)
+    origin = dicom_objects.Origin(
+        found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key
+    )
     for path in paths:
         if path.name.endswith(DICOM):
-            made = spatial_fiducials(spheres, origin)
+            made = dicom_objects.spatial_fiducials(spheres, origin)
             if patient is not None:
-                name_patient(made, patient.name, patient.identifier, patient.birth_date, patient.sex)
-            write(made, path)
+                dicom_objects.name_patient(
+                    made, patient.name, patient.identifier, patient.birth_date, patient.sex
+                )
+            dicom_objects.write(made, path)
             continue
         if path.name.endswith(MARKUPS):
             text = slicer_markups(spheres)
@@ -56,3 +65,45 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
             write_whole(path, text.encode())
         except OSError as error:
             raise NotWritable(f"cannot write {path}: {error.strerror}") from error
+
+
+def slicer_markups(fiducials: Sequence[Fiducial]) -> str:
+    """A `.mrk.json` with one control point per sphere, LPS in mm."""
+    points = [
+        {
+            "id": str(number),
+            "label": fiducial.name,
+            "description": f"uncertainty {fiducial.uncertainty_mm:.4f} mm rms",
+            "position": list(fiducial.centre_mm),
+            "selected": True,
+            "locked": True,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for number, fiducial in enumerate(fiducials, 1)
+    ]
+    markups = [
+        {"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}
+    ]
+    return json.dumps({"@schema": MARKUPS_SCHEMA, "markups": markups}, indent=1, allow_nan=False) + "\n"
+
+
+def table(fiducials: Sequence[Fiducial]) -> str:
+    """CSV with name, L, P, S and uncertainty in mm."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
+    writer.writerows((one.name, *one.centre_mm, one.uncertainty_mm) for one in fiducials)
+    return text.getvalue()
+
+
+def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
+    """JSON of the spheres as localized, M1 first, LPS in mm, with their series."""
+    content = {
+        "series_instance_uid": origin.series_instance_uid,
+        "frame_of_reference_uid": origin.frame_of_reference_uid,
+        "coordinate_system": "LPS",
+        "unit": "mm",
+        "spheres": [{"name": f"M{number}", **marker} for number, marker in enumerate(markers, 1)],
+    }
+    return json.dumps(content, indent=1, allow_nan=False) + "\n"

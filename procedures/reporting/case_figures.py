@@ -1,4 +1,4 @@
-"""What a run has measured so far, in the robot frame, for drawing.
+"""Measurements of a run so far, in the robot frame, for drawing.
 
 Read from the folder of a run, running or finished; what does not exist yet, or cannot be read, is missing.
 """
@@ -12,9 +12,9 @@ from typing import TypeVar
 import numpy as np
 
 from procedures.operator.evidence import Evidence
+from procedures.reporting.pictures import timeline_figure
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.reporting.timeline import timeline
-from procedures.reporting.timeline_figure import timeline_figure
+from procedures.reporting.run_statistics import timeline
 from procedures.results.result import StepResult
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.evidence import budget_table, two_way_table
@@ -33,7 +33,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class SphereFigure:
-    """One sphere of the CT, and its position according to each instrument, mm; None if unknown."""
+    """A sphere of the CT, and its position by each instrument, mm; None if unknown."""
 
     number: int  # counts from 1
     ct_mm: Point | None  # by the registration
@@ -63,7 +63,7 @@ class PredictionFigure:
 
 @dataclass(frozen=True)
 class CaseFigures:
-    """Everything known."""
+    """All figures known so far."""
 
     robot_from_ct: Transform | None = None
     robot_from_tracker: Transform | None = None
@@ -114,7 +114,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 
 def _still_true(reading: RunReading, model: type[R]) -> list[R]:
-    """Valid results, without those of targets finished before something moved."""
+    """Return valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

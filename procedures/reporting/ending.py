@@ -1,4 +1,4 @@
-"""How a run ended, according to its journal."""
+"""The ending of a run, from its journal."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Ending:
     instrument_in: str | None = None  # the trajectory it was still in
 
 
-def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
+def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     """The ending according to the journal; `error` is the command line's, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
@@ -78,7 +78,7 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
 
 
 def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
-    """A sentence for a fault that a line names and that no longer stands: who acknowledged it since."""
+    """Word who has acknowledged the fault named by a line since; empty while it stands."""
     place = next(number for number, line in enumerate(journal) if line is last)
     said = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
     names = [
@@ -96,7 +96,7 @@ def _is_named(acknowledged: Line, said: str) -> bool:
 
 
 def _after(journal: Sequence[Line]) -> str:
-    """What a case went through before it was done, in words; empty if it went straight to its end."""
+    """Name the incidents of a finished case; empty if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
@@ -111,7 +111,7 @@ def _after(journal: Sequence[Line]) -> str:
 
 
 def resumes(journal: Sequence[Line]) -> int:
-    """How often a run went on in another program: what was found was accepted."""
+    """Count the resumptions of a run by another program."""
     count, leaving = 0, False
     for line in journal:
         if line["entry"] == Entry.RESTARTED:
@@ -121,7 +121,7 @@ def resumes(journal: Sequence[Line]) -> int:
 
 
 def _emergency_stops(journal: Sequence[Line]) -> int:
-    """Each is acknowledged once, however many steps fail or are refused meanwhile, or none."""
+    """Count emergency stops: each is acknowledged once, however many steps fail meanwhile."""
     count, standing = 0, False
     for line in journal:
         of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM

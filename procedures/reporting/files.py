@@ -1,19 +1,21 @@
-"""The files that accompany a report: its pictures, and their data as tables."""
+"""Files that accompany a report: pictures, tables, a simulated theatre's truth, the postoperative check."""
 
 from __future__ import annotations
 
+import base64
 import contextlib
 import csv
 import io
-from collections.abc import Iterable, Sequence
-from dataclasses import astuple, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import astuple, dataclass, field, fields
 from pathlib import Path
 
+from procedures.postoperative.summary import PostoperativeCheck
 from procedures.reporting.outcome import Truth
-from procedures.reporting.plan_table import MotionRow
-from procedures.reporting.target_table import TargetRow
-from procedures.reporting.timeline import Span
-from ronna_hw.bounded_input import read_json_bytes
+from procedures.reporting.run_reading import RunReading
+from procedures.reporting.run_statistics import Span
+from procedures.reporting.tables import MotionRow, TargetRow
+from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.records import write_whole
 
@@ -21,9 +23,12 @@ REPORT_FOLDER = "report"
 TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
 KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
+LARGEST_PICTURE_BYTES = 20_000_000  # ten times a case's largest
+SUMMARY_FILE = "postoperative.json"
+PICTURE = "postoperative-"  # the trajectory's name follows
 
 
-def keep_truth(run: Path, truth: Truth) -> Path:
+def store_truth(run: Path, truth: Truth) -> Path:
     """Store the theatre verifier's result in a run's folder."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / KEPT_TRUTH
@@ -33,7 +38,7 @@ def keep_truth(run: Path, truth: Truth) -> Path:
     return path
 
 
-def forget_unconfirmed_truth(run: Path) -> bool:
+def drop_unconfirmed_truth(run: Path) -> bool:
     """Remove the errors that are kept unless the seal confirms them: the next seal would cover them."""
     found = inspected(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
@@ -43,8 +48,8 @@ def forget_unconfirmed_truth(run: Path) -> bool:
     return changed
 
 
-def kept_truth(run: Path) -> Truth | None:
-    """What `keep_truth` stored; None if missing or unreadable."""
+def load_truth(run: Path) -> Truth | None:
+    """Load the result stored by `store_truth`; None if missing or unreadable."""
     try:
         return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
     except (OSError, ValueError):
@@ -118,7 +123,7 @@ class ReportFiles:
         self.text(f"clearance-{trajectory}.csv", _csv(head, rows))
 
     def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
-        """Both histograms of the robot link."""
+        """Write both histograms of the robot link."""
         self.text("robot_link.csv", _csv(LINK_COLUMNS, bins))
 
 
@@ -128,3 +133,54 @@ def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     writer.writerow(head)
     writer.writerows(rows)
     return text.getvalue()
+
+
+def load_picture(reading: RunReading, path: Path) -> bytes | None:
+    """A picture's file; None, and with a note, for one that is too large or cannot be read."""
+    try:
+        return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
+    except (OSError, InputRefused):
+        reading.note(f"{path.name} is left out: it cannot be read or is too large for a picture")
+        return None
+
+
+def data_url(picture: bytes) -> str:
+    """A PNG as the address of an image."""
+    return "data:image/png;base64," + base64.b64encode(picture).decode()
+
+
+@dataclass(frozen=True)
+class PostoperativeResult:
+    """The findings, and a PNG per trajectory by its name."""
+
+    found: PostoperativeCheck
+    pictures: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def shown(self) -> list[tuple[str, str]]:
+        """Name and picture, as embedded in a page."""
+        names = [one.id for one in self.found.trajectories]
+        return [(name, data_url(self.pictures[name])) for name in names if name in self.pictures]
+
+
+def store_check(folder: Path, after: PostoperativeResult) -> None:
+    """Store it in this folder, creating it if missing. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
+    for name, picture in after.pictures.items():
+        write_whole(folder / f"{PICTURE}{name}.png", picture)
+
+
+def load_check(reading: RunReading) -> PostoperativeResult | None:
+    """Load a run's check; None without one, and with a note for one that cannot be read."""
+    folder = reading.folder / REPORT_FOLDER
+    try:
+        found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError):
+        reading.note(f"{SUMMARY_FILE}, the check after the operation, cannot be read")
+        return None
+    paths = (path for path in sorted(folder.glob(f"{PICTURE}*.png")) if path.is_file())
+    pictures = {path.stem.removeprefix(PICTURE): load_picture(reading, path) for path in paths}
+    return PostoperativeResult(found, {name: one for name, one in pictures.items() if one is not None})

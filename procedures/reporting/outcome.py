@@ -46,7 +46,7 @@ class RegistrationOutcome(Values):
 
 
 class TargetOutcome(Values):
-    """One target; the application error is known only in a simulated theatre."""
+    """Result at a target; the application error is known only in a simulated theatre."""
 
     id: str
     depth_mm: float
@@ -66,7 +66,7 @@ class TargetOutcome(Values):
 
 
 class RunOutcome(Values):
-    """What every run can report."""
+    """Figures that every run can report."""
 
     run: str
     outcome: str
@@ -95,7 +95,7 @@ class FinishedRun(RunOutcome):
 
 
 class RunError(Values):
-    """What ended a run."""
+    """The error that ended a run."""
 
     code: str
     what: str

@@ -16,26 +16,41 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
-from procedures.reporting.calibration.result_file import figures_if_readable
-from procedures.reporting.calibration.stereo_head import HeadFigures
-from procedures.reporting.clearance_figure import clearance_figure
-from procedures.reporting.embedded import embedded, picture_of
-from procedures.reporting.ending import ending_of
-from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
-from procedures.reporting.happenings import announced_advisories, happenings, questions
-from procedures.reporting.link_counters import link_counters
-from procedures.reporting.link_figure import link_figure, summed_histograms
-from procedures.reporting.looks_figure import looks_figure
-from procedures.reporting.minutes import ALGORITHM_S, LOCALIZATION, OPERATOR_S, times_taken
+from procedures.reporting.calibration_figures import HeadFigures, load_figures
+from procedures.reporting.ending import run_ending
+from procedures.reporting.files import (
+    REPORT_FOLDER,
+    TRUTH_FILE,
+    PostoperativeResult,
+    ReportFiles,
+    data_url,
+    load_check,
+    load_picture,
+    load_truth,
+    store_check,
+    store_truth,
+)
 from procedures.reporting.outcome import RunError, Truth
-from procedures.reporting.plan_table import plan_rows
-from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
+from procedures.reporting.pictures import (
+    clearance_figure,
+    link_figure,
+    looks_figure,
+    summed_histograms,
+    target_figure,
+    timeline_figure,
+)
+from procedures.reporting.run_events import advisories, notable_events, questions
 from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.reporting.run_statistics import (
+    ALGORITHM_S,
+    LOCALIZATION,
+    OPERATOR_S,
+    link_counters,
+    timeline,
+    times_taken,
+)
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
-from procedures.reporting.target_figure import target_figure
-from procedures.reporting.target_table import TargetRow, target_rows
-from procedures.reporting.timeline import timeline
-from procedures.reporting.timeline_figure import timeline_figure
+from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
@@ -69,7 +84,7 @@ def write_report(
     truth: Truth | None = None,
     error: RunError | None = None,
     out: Path | None = None,
-    after: AfterTheOperation | None = None,
+    after: PostoperativeResult | None = None,
 ) -> Path:
     """Write the report of a run folder into it, or into `out`; returns its path.
 
@@ -80,20 +95,20 @@ def write_report(
     out = run if out is None else out
     reading = read_for_report(run)
     files = ReportFiles(out)
-    truth = kept_truth(run) if truth is None else truth
+    truth = load_truth(run) if truth is None else truth
     rows = target_rows(reading, truth or Truth())
     if truth is not None:
-        keep_truth(out, truth)
-    after = kept_check(reading) if after is None else after
+        store_truth(out, truth)
+    after = load_check(reading) if after is None else after
     if after is not None and out != run:
-        keep_check(out / REPORT_FOLDER, after)
+        store_check(out / REPORT_FOLDER, after)
     page = {
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "opened": reading.run.opened,
         "began": _moment(reading, 0),
         "ended": _moment(reading, -1),
-        "ending": ending_of(reading.run.journal, error),
+        "ending": run_ending(reading.run.journal, error),
         "software": list(
             dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
         ),
@@ -125,8 +140,8 @@ def write_report(
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
         "markers_in_ct": {"step": LOCALIZATION, "operator_s": OPERATOR_S, "algorithm_s": ALGORITHM_S},
-        "happenings": happenings(reading.run.journal),
-        "announced": announced_advisories(reading.run.journal),
+        "events": notable_events(reading.run.journal),
+        "announced": advisories(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),
         "lines": len(reading.run.journal),
         "records": reading.run.records,
@@ -150,7 +165,7 @@ def write_report(
 
 
 def _findings(reading: RunReading) -> list[str]:
-    """What CT, plan and drivers reported to the operator without stopping anything."""
+    """Collect remarks of CT, plan and drivers that stopped nothing."""
     series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
     plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
@@ -165,7 +180,7 @@ def _findings(reading: RunReading) -> list[str]:
 
 
 def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
-    """What was planned, with a picture of each trajectory's clearance, also as a file."""
+    """Tabulate the plan and draw each trajectory's clearance, also as files."""
     rows = plan_rows(reading)
     pictures = []
     for row in rows:
@@ -177,7 +192,7 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 
 def _left_out(reading: RunReading) -> list[str]:
-    """Spheres and trajectories left out with the operator's consent, and why."""
+    """Word the spheres and trajectories excluded with the operator's consent, and why."""
     sentences = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
     for stored in (stored for model in models for stored in reading.standing(model)):
@@ -202,7 +217,7 @@ def _spheres(result: StepResult) -> tuple[LeftOutSphere, ...]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """The pictures, each also as a file with its data next to it; empty if there is nothing to draw."""
+    """Draw the pictures, each also as a file with its data; empty without anything to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
@@ -221,7 +236,7 @@ def _figures(
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
     """Result of a calibration, a check or a measurement; empty for a case."""
-    found = figures_if_readable(run)
+    found = load_figures(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
         picture = looks_figure(found.looks_px)
@@ -261,7 +276,7 @@ def _moment(reading: RunReading, place: int) -> str:
 
 
 def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
-    """Name and picture, as embedded in a page; without those of superseded results."""
+    """Return name and embedded picture, without those of superseded results."""
     gone = {
         name
         for line in reading.run.lines(Entry.RESULT)
@@ -269,14 +284,14 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
         for name in hashes_in(line, "pictures")
     }
     return [
-        (path.stem.removeprefix(prefix), embedded(picture))
+        (path.stem.removeprefix(prefix), data_url(picture))
         for path in sorted((reading.folder / PICTURES_FOLDER).glob(f"{prefix}*.png"))
-        if path.is_file() and path.name not in gone and (picture := picture_of(reading, path)) is not None
+        if path.is_file() and path.name not in gone and (picture := load_picture(reading, path)) is not None
     ]
 
 
 def _without_controls(value: Any) -> Any:
-    """Text made safe for a page; what is marked as safe is ours and stays unchanged."""
+    """Make plain text safe for a page; text marked as safe is ours and stays unchanged."""
     return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
 
 

@@ -1,4 +1,4 @@
-"""Reads a run for its report: as far as it can be read, with a note of everything that cannot.
+"""A run read for its report: as far as it can be read, with a note of everything that cannot.
 
 A report matters most for the run that went wrong; a truncated journal or a changed file is mentioned in it
 and does not prevent the rest from being shown.
@@ -12,11 +12,13 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
-from procedures.engine.case import Stored
+from procedures.engine.ancestry import parent_of_kind
+from procedures.engine.case import Case, Stored
 from procedures.engine.run_folder import RunFolder, run_of, typed
-from procedures.reporting.used_registrations import UsedRegistration, used_registrations
 from procedures.results.result import StepResult
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.registration import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspected
@@ -25,13 +27,12 @@ from ronna_hw.records import Record
 
 MOST_CHANGES = 1000  # that a report lists
 MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file with nothing else is skipped
-
 R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)
 class RunReading:
-    """Content of a run folder; `changes`: what differs from the run's; `problems`: what is unknown."""
+    """Content of a run folder, with its `changes` since the run and the `problems` of reading it."""
 
     run: RunFolder
     log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
@@ -49,7 +50,7 @@ class RunReading:
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Those by which the targets were or will be reached, as far as they can be read."""
+        """Return the readable registrations by which the targets were or will be reached."""
         made = self._readable(RegisteredRobot, self.run.records)
         return used_registrations(made, self.run.records, self.run.superseded)
 
@@ -109,3 +110,56 @@ def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:
         if isinstance(content, dict):
             lines.append(content)
     return tuple(lines)
+
+
+@dataclass(frozen=True)
+class UsedRegistration:
+    """A registration, and the targets that it was or will be used for."""
+
+    stored: Stored[RegisteredRobot]
+    targets: tuple[str, ...]
+
+    @property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """Return the predictions at these targets."""
+        return tuple(one for one in self.stored.result.predictions if one.target in self.targets)
+
+    @property
+    def result(self) -> RegisteredRobot:
+        """The registration with only these predictions."""
+        return self.stored.result.model_copy(update={"predictions": self.predictions})
+
+
+def used_registrations(
+    registrations: Sequence[Stored[RegisteredRobot]], records: Sequence[Record], gone: Collection[str]
+) -> tuple[UsedRegistration, ...]:
+    """Find the registrations used in a run, in order; `gone` are identifiers of superseded records.
+
+    A finished target follows the parents of its result, whatever is valid since; any other the valid one.
+    """
+    used = {
+        predicted.target: one.record.identifier
+        for one in registrations
+        if one.record.identifier not in gone
+        for predicted in one.result.predictions
+    }
+    by_name = {record.identifier: record for record in records}
+    for record in records:
+        if record.kind != ReachedTarget.kind or record.identifier in gone or record.trajectory is None:
+            continue
+        positioned = parent_of_kind(record, PositionedGuide.kind, by_name)
+        by = positioned and parent_of_kind(positioned, RegisteredRobot.kind, by_name)
+        if by is not None:
+            used[record.trajectory] = by.identifier
+    found = (
+        UsedRegistration(one, tuple(name for name, by in used.items() if by == one.record.identifier))
+        for one in registrations
+    )
+    return tuple(one for one in found if one.targets)
+
+
+def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
+    """Find the registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
+    records, stands = case.records, {one.record.identifier for one in case.standing}
+    made = [Stored(one, typed(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind]
+    return used_registrations(made, records, {one.identifier for one in records} - stands)

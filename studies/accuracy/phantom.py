@@ -47,7 +47,7 @@ class Markers(StrEnum):
 
 @dataclass(frozen=True)
 class Tilts:
-    """How trajectories tilt from the vertical, and to which sides, about the vertical from the x axis."""
+    """Range of tilts from the vertical, and of their azimuths from the x axis."""
 
     tilts_deg: tuple[float, float]
     sides_deg: tuple[float, float]
@@ -84,7 +84,7 @@ def spheres_mm(markers: Markers) -> Array:
     return np.asarray(turn.apply(SPHERE_CENTRES_MM) + foot + FRAME_STANDOFF_MM * _outward(foot))
 
 
-def phantom(
+def draw_phantom(
     markers: Markers,
     depths_mm: tuple[float, float],
     targets: int,
@@ -116,7 +116,7 @@ def phantom(
     return Phantom(spheres_mm(markers), tuple(drawn))
 
 
-def place(number: int) -> Transform:
+def phantom_pose(number: int) -> Transform:
     """Pose of the phantom, ROBOT <- CT, in position `number`."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM
@@ -130,7 +130,7 @@ def _outward(points_mm: Array) -> Array:
 
 
 def _skin_along(start_mm: Array, direction: Array) -> Array:
-    """Where a ray from inside the head meets the skin."""
+    """Intersect a ray from inside the head with the skin."""
     half = np.array(HALF_AXES_MM[PATIENT])
     along, away = direction / half, start_mm / half
     square, middle = along @ along, along @ away

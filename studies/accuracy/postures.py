@@ -26,7 +26,7 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM
 from studies.accuracy.phantom import Phantom
-from studies.accuracy.solving import PlannedPoses
+from studies.accuracy.random_arms import PlannedPoses
 from studies.errors import PhantomOutOfReach
 
 Array = NDArray[np.float64]
@@ -51,7 +51,7 @@ class Postures:
         return target if self.sets > 1 else 0
 
 
-def postures(
+def plan_postures(
     strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
 ) -> Postures:
     """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""

@@ -1,4 +1,4 @@
-"""Arms of parameter set S, drawn like those of the simulated theatre, many at once.
+"""Arms of parameter set S, drawn like those of the simulated theatre, and their joints at planned poses.
 
 The formulas are those of the simulator's true arm, implemented a second time for arrays: a test compares the
 two. Every arm is drawn from the seed and its own number.
@@ -6,26 +6,28 @@ two. Every arm is drawn from the seed and its own number.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from ronna_hw.arm.deviations import FLANK_SHARE
-from ronna_hw.arm.kinematics import Chain
+from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM, draw_arm, draw_mount
 from sim.world.scene.model import ArmTruth
-from studies.accuracy.turning import Components, mapped, shifted, turned
+from studies.errors import PoseNotSolved
 
 Array = NDArray[np.float64]
-
+Components = tuple[Array, Array, Array]
 ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
 UPPER_ARM, FOREARM = 1, 3  # links between A2 and A3, between A4 and the wrist
+SETTLED_MM = 1e-6  # far below any source of error
+STEPS = 10
 
 
 class Source(StrEnum):
@@ -57,11 +59,11 @@ class RandomArms:
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
         """The arms with these numbers."""
-        return cls.of([drawn_arm(seed, number) for number in numbers])
+        return cls.of([draw_numbered_arm(seed, number) for number in numbers])
 
     @classmethod
     def of(cls, drawn: list[tuple[ArmTruth, Array]]) -> Self:
-        """From true arms, each with its tool error (3,) mm."""
+        """Build from true arms, each with its tool error (3,) mm."""
         truths = [truth for truth, _ in drawn]
         links = [truth.links for truth in truths]
         turns = np.array([[link.rotation_rad for link in arm] for arm in links])
@@ -82,7 +84,7 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """The same arms with the errors of one source only; CT and servo errors are not the arm's."""
+        """Keep the errors of one source only; CT and servo errors are not the arm's."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -107,18 +109,18 @@ class RandomArms:
         x, y, z = (np.broadcast_to(part[:, None], shape) for part in tool.T)
         point: Components = (x, y, z)
         last = len(self.chain.joints) - 1
-        point = mapped(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
+        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
         for number in reversed(range(last + 1)):
             joint = self.chain.joints[number]
             if number < last:
                 point = self._beyond(number, point)
-            point = turned(joint, angles[..., number], shifted(point, joint.to_next_mm))
-        return np.stack(shifted(point, self.chain.base_mm), axis=-1)
+            point = rotate_about_joint(joint, angles[..., number], translate(point, joint.to_next_mm))
+        return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
     def _beyond(self, link: int, point: Components) -> Components:
         """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
-        return shifted(
-            mapped(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
+        return translate(
+            multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
 
     def _acting(self, encoders_rad: Array, flanks: Array) -> Array:
@@ -136,8 +138,135 @@ class RandomArms:
         return np.asarray(angles)
 
 
-def drawn_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
+def draw_numbered_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
     """The true arm with this number, and its tool error (3,) mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)
+
+
+@dataclass(frozen=True)
+class PlannedPoses:
+    """Postures of the nominal arm: joints (p, 6), orientations robot <- tool (p, 3, 3).
+
+    `inverse` (p, 6, 6) maps a small motion of the tool (mm, rad) to one of the joints.
+    """
+
+    tool_mm: Array  # (3,) in the flange frame, to which the nominal tool is parallel
+    joints_rad: Array
+    rotations: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, tool_mm: Array, joints_rad: Array) -> Self:
+        """Build at joint vectors (p, 6)."""
+        _, rotations = nominal_frames(kinematics.chain, joints_rad, tool_mm)
+        inverse = np.empty((len(joints_rad), 6, 6))
+        for place, (joints, rotation) in enumerate(zip(joints_rad.tolist(), rotations, strict=True)):
+            jacobian = kinematics.jacobian(tuple(joints)).copy()
+            jacobian[:3] += np.cross(jacobian[3:].T, rotation @ tool_mm).T
+            inverse[place] = np.linalg.inv(jacobian)
+        return cls(tool_mm, joints_rad, rotations, inverse)
+
+    def __len__(self) -> int:
+        return len(self.joints_rad)
+
+
+def centre_on_spheres(
+    arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array
+) -> tuple[Array, Array]:
+    """Joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
+
+    The believed orientation is the planned one: the servo shifts the tool and does not turn it.
+    """
+    return solve_joints(
+        poses,
+        lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
+        lambda joints, _: spheres_mm - arms.tool_points_mm(joints, flanks),
+        (len(arms), len(poses), 6),
+    )
+
+
+def reach_positions(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
+    """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
+    joints, _ = solve_joints(
+        poses,
+        lambda joints: nominal_frames(arms.chain, joints, poses.tool_mm),
+        lambda _, at: places_mm - at,
+        (*places_mm.shape[:-1], 6),
+    )
+    return joints
+
+
+def solve_joints(
+    poses: PlannedPoses,
+    frames: Callable[[Array], tuple[Array, Array]],
+    missing: Callable[[Array, Array], Array],
+    shape: tuple[int, ...],
+) -> tuple[Array, Array]:
+    """Solve for joints with nothing `missing` (mm) and the tool oriented as planned; returns its places too.
+
+    An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms:
+    each step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so
+    that an arm's result does not depend on the others. `frames` returns the tool's places and orientations
+    at joints. Raises STU-009.
+    """
+    joints = np.array(np.broadcast_to(poses.joints_rad, shape))
+    for _ in range(STEPS):
+        places, rotations = frames(joints)
+        shift = missing(joints, places)
+        turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
+        step = np.concatenate([shift, turn], axis=-1)
+        joints = joints + np.einsum("pij,...pj->...pi", poses.inverse, step)
+    left_mm = float(np.abs(shift).max())  # before the last step
+    if not left_mm < SETTLED_MM:
+        raise PoseNotSolved(
+            f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
+        )
+    return joints, frames(joints)[0]
+
+
+def nominal_frames(chain: Chain, joints_rad: Array, tool_mm: Array) -> tuple[Array, Array]:
+    """Tool points (..., 3) mm and orientations robot <- flange (..., 3, 3) of the nominal arm.
+
+    `joints_rad` is (..., n), `tool_mm` (3,) in the flange frame.
+    """
+    flange = np.reshape(chain.flange_rotation, (3, 3))
+    one = np.ones(joints_rad.shape[:-1])
+    position: Components = tuple(part * one for part in flange @ tool_mm)
+    axes: list[Components] = [tuple(part * one for part in flange[:, k]) for k in range(3)]
+    for number in reversed(range(len(chain.joints))):
+        joint, angle = chain.joints[number], joints_rad[..., number]
+        position = rotate_about_joint(joint, angle, translate(position, joint.to_next_mm))
+        axes = [rotate_about_joint(joint, angle, axis) for axis in axes]
+    position = translate(position, chain.base_mm)
+    rotation = np.stack([np.stack(axis, axis=-1) for axis in axes], axis=-1)
+    return np.stack(position, axis=-1), rotation
+
+
+def rotate_about_joint(joint: Joint, angle_rad: Array, point: Components) -> Components:
+    """Points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
+    (x, y, z), (ax, ay, az) = point, joint.axis
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    along = (ax * x + ay * y + az * z) * (1.0 - cosine)
+    return (
+        x * cosine + (ay * z - az * y) * sine + ax * along,
+        y * cosine + (az * x - ax * z) * sine + ay * along,
+        z * cosine + (ax * y - ay * x) * sine + az * along,
+    )
+
+
+def multiply(matrix: Array, point: Components) -> Components:
+    """Points multiplied by matrices (..., 3, 3) whose leading axes broadcast against the points'."""
+    x, y, z = point
+    first, second, third = (
+        matrix[..., row, 0] * x + matrix[..., row, 1] * y + matrix[..., row, 2] * z for row in range(3)
+    )
+    return first, second, third
+
+
+def translate(point: Components, by: ArrayLike) -> Components:
+    """Points plus vectors (..., 3) that broadcast against them."""
+    vector = np.asarray(by, dtype=float)
+    x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
+    return x, y, z

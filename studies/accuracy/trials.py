@@ -21,8 +21,7 @@ from procedures.registration.rigid_fit import fit_rigid
 from ronna_hw.frames import Transform
 from studies.accuracy.phantom import Markers, Phantom
 from studies.accuracy.postures import Postures
-from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.solving import brought_to, centred
+from studies.accuracy.random_arms import RandomArms, Source, centre_on_spheres, reach_positions
 
 Array = NDArray[np.float64]
 
@@ -52,7 +51,7 @@ class Chance:
         *,
         scan_again: bool = False,
     ) -> Self:
-        """For arms with these numbers at a position; `shape` is targets, spheres.
+        """Draw for arms with these numbers at a position; `shape` is targets, spheres.
 
         Strategies share the draws, so they are compared on equal terms. `scan_again` scans the
         CT at every position.
@@ -84,7 +83,7 @@ class Sizes:
     servo_mm: float = SERVO_MM
 
     def only(self, source: Source) -> Sizes:
-        """The same with one source only."""
+        """Keep one source only."""
         return Sizes(
             self.ct_mm if source is Source.CT else 0.0, self.servo_mm if source is Source.REST else 0.0
         )
@@ -117,7 +116,7 @@ def target_errors(
     for count in counts:
         fit = fit_rigid(image[:, None, :count], recorded[:, :, :count])
         places = np.einsum("atij,tj->ati", fit.rotation[:, serving], targets_ct)
-        joints = brought_to(arms, planned.targets, places + fit.translation_mm[:, serving])
+        joints = reach_positions(arms, planned.targets, places + fit.translation_mm[:, serving])
         tips = arms.tool_points_mm(joints, flanks) + arms.repeatability_mm * chance.target_rest
         found.append(tips - true_targets)
     return np.stack(found, axis=2)
@@ -131,6 +130,6 @@ def _localized(
     sides = np.broadcast_to(planned.arrival, (len(arms), *planned.arrival.shape))
     if any_side:
         sides = chance.sides[:, :sets].reshape(sides.shape)
-    _, believed = centred(arms, planned.localizations, np.tile(spheres_mm, (sets, 1)), sides)
+    _, believed = centre_on_spheres(arms, planned.localizations, np.tile(spheres_mm, (sets, 1)), sides)
     noise = sizes.servo_mm / np.sqrt(AXES) * chance.servo + arms.repeatability_mm * chance.rest
     return np.asarray(believed.reshape(len(arms), sets, count, AXES) + noise[:, :sets])

@@ -18,7 +18,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Bounded:
-    """A value and its bounds in its unit; `low` is None for a zero count, `high` for a full one."""
+    """An estimate and its bounds; `low` is None for a zero count, `high` for a full one."""
 
     value: float
     low: float | None
@@ -78,7 +78,7 @@ def mean(values: ArrayLike) -> Bounded:
 
 
 def mean_length(values: ArrayLike) -> Bounded:
-    """Like `mean`, for lengths, whose mean cannot be below 0."""
+    """Bound the mean of lengths, which cannot be below 0."""
     bound = mean(values)
     return bound if bound.low is None else replace(bound, low=max(0.0, bound.low))
 

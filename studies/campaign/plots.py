@@ -127,7 +127,7 @@ def _bounded(value: float | Bounded) -> Bounded:
 
 
 def _ends(one: Bounded) -> tuple[float, float]:
-    """Bounds; the value itself replaces an unknown one."""
+    """Return the bounds, with the value in place of an unknown one."""
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 

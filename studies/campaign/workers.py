@@ -1,9 +1,13 @@
-"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster."""
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster.
+
+A user method that does not respond is named: an endless loop looks like long work.
+"""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -15,9 +19,8 @@ from urllib.parse import urlsplit
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.process import processes_single_threaded
 from ronna_hw.host.worker_processes import fresh_processes
-from studies.campaign.ledger import Ledger
-from studies.campaign.silence import Silence, Tell
-from studies.campaign.unit import Study, Sums, Unit
+from studies.campaign.folder import Ledger
+from studies.campaign.study import Study, Sums, Unit
 from studies.errors import (
     ExtraMissing,
     MethodAnswerWrong,
@@ -26,12 +29,13 @@ from studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
-from studies.own.method import OwnMethod
+from studies.plugins.method import PluginMethod
 
-ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
+SILENT_S = 10.0
+Tell = Callable[[str], None]
+PROCESS_ENDED = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0
 SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
-
 Finished = Iterator[tuple[Unit, Sums]]
 
 
@@ -61,6 +65,28 @@ def run_study(
             progress(done / everything)
 
 
+class SilenceWatch:
+    """Reports once each unit that has been running for `limit_s`."""
+
+    def __init__(self, names: Sequence[str], tell: Tell, limit_s: float = SILENT_S) -> None:
+        """Watch the user methods `names`; without any, report nothing."""
+        self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
+        self._since: dict[str, float] = {}
+        self._announced: set[str] = set()
+
+    def report_silent(self, keys: Iterable[str]) -> None:
+        """Call at least every `limit_s` with the units that are running."""
+        now_s = time.monotonic()
+        since = {key: self._since.get(key, now_s) for key in keys}
+        self._since = since
+        for key in since.keys() - self._announced:
+            if self._names and now_s - since[key] >= self.limit_s:
+                self._announced.add(key)
+                self._tell(
+                    f"{self._names} has not answered for {self.limit_s:g} s, in {key}; Ctrl-C stops it"
+                )
+
+
 @contextmanager
 def _runner(
     study: Study, units: list[Unit], workers: int | None, scheduler: str | None, tell: Tell
@@ -76,21 +102,21 @@ def _runner(
     else:
         count = workers or len(os.sched_getaffinity(0))
         with processes_single_threaded(), fresh_processes(count) as pool:
-            yield _on_pool(pool, study, units, count, Silence([one.name for one in _own(study)], tell))
+            yield _on_pool(pool, study, units, count, SilenceWatch([one.name for one in _own(study)], tell))
 
 
-def _own(study: Study) -> tuple[OwnMethod, ...]:
+def _own(study: Study) -> tuple[PluginMethod, ...]:
     """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
 
 def _on_pool(
-    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: Silence
+    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: SilenceWatch
 ) -> Finished:
     waiting = {pool.submit(study.run, unit): unit for unit in units}
     lost = set()
     while waiting:
-        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they start in order
+        silence.report_silent(unit.key for unit in islice(waiting.values(), count))  # they start in order
         for future in wait(waiting, silence.limit_s, FIRST_COMPLETED).done:
             unit = waiting.pop(future)
             if isinstance(future.exception(), BrokenProcessPool):  # so do all others that have not finished
@@ -102,10 +128,10 @@ def _on_pool(
 
 
 def _ended(study: Study, keys: list[str]) -> RonnaError:
-    """A worker's process is gone. Units start in order, so it was running one of the first that are lost."""
+    """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
     among = f", in {' or '.join(keys)}"
     if own := _own(study):
-        return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
+        return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
     return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
 
 

@@ -1,1 +1,1 @@
-"""Do correspondence methods find the right pairs? The thesis' protocols, and ours."""
+"""Correspondence methods, by the thesis' protocols and ours."""

@@ -28,20 +28,21 @@ from procedures.registration.correspondence import (
 from procedures.registration.matching import match
 from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
 from procedures.registration.similarity_matrix import match_many_by_similarity
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
-from studies.correspondence.readings import Readings, draw_readings
+from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
 from studies.heads import (
     IMAGE_SIGMA_MM,
     PATIENTS,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
-    in_balls,
+    Readings,
+    draw_readings,
     per_axis_mm,
     sites_mm,
     stated_variance_mm2,
+    uniform_in_ball,
 )
-from studies.own.correspondence import OwnPairing
-from studies.own.method import OwnMethod
+from studies.plugins.answers import PluginPairing
+from studies.plugins.method import PluginMethod
 
 Array = NDArray[np.float64]
 Pairs = frozenset[tuple[int, int]]
@@ -83,12 +84,12 @@ class CorrespondenceStudy:
     readings: tuple[NoiseReading, ...] = tuple(NoiseReading)
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "correspondence"
-    own: tuple[OwnMethod, ...] = ()
+    own: tuple[PluginMethod, ...] = ()
     refused_share: float = REFUSED_SHARE
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
-        return without_empty_own(asdict(self))
+        """Return all inputs of the results."""
+        return omit_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
         """Conditions in the order noise model, patient, fiducials, outliers."""
@@ -106,7 +107,7 @@ class CorrespondenceStudy:
         reading, patient, count, outliers = condition_of(unit.condition)
         random = generator(self.seed, unit)
         seen = draw_readings(sites_mm(patient), count, outliers, reading, unit.runs, random)
-        tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
+        tilts = Rotation.from_rotvec(uniform_in_ball(unit.runs, PRIOR_DISTURBED_RAD, random))
         priors = tilts * seen.rotations
         prior_matrices = np.asarray(priors.as_matrix())
         rights = [frozenset((i, j) for i, j in one) for one in seen.pairs.tolist()]
@@ -126,7 +127,7 @@ class CorrespondenceStudy:
         if any(method in OF_THE_THESIS for method in self.methods):
             sums += self._by_thesis(seen, rights, reading)
         for own in self.own:
-            sums += _by_own(OwnPairing.of(own), seen, rights, reading)
+            sums += _by_own(PluginPairing.of(own), seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
 
     def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
@@ -139,11 +140,7 @@ class CorrespondenceStudy:
             answers = {Method.THESIS: found}
             if Method.VALIDATED in self.methods:
                 answers[Method.VALIDATED] = validate_many(
-                    seen.image_mm,
-                    seen.physical_mm,
-                    found,
-                    stated_variance_mm2(noise),
-                    self.refused_share,
+                    seen.image_mm, seen.physical_mm, found, stated_variance_mm2(noise), self.refused_share
                 )
             for method in answers.keys() & set(self.methods):
                 for right, one in zip(rights, answers[method], strict=True):
@@ -152,7 +149,7 @@ class CorrespondenceStudy:
 
 
 def _by_own(
-    pairing: OwnPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
+    pairing: PluginPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
     """Outcomes of a user's pairing."""
     sums: Counter[str] = Counter()
@@ -185,7 +182,7 @@ def outcome_key(method: str, tolerance_mm: float | None, outcome: str) -> str:
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
-    """How an answer is counted."""
+    """Classify an answer."""
     if status is not MatchStatus.UNIQUE:
         return LOST
     found_pairs = frozenset((i, j) for i, j in pairs.tolist())

@@ -1,29 +1,30 @@
-"""Tables of the correspondence study next to the thesis' figures."""
+"""Outcomes of the correspondence study in the thesis' terms, next to the thesis' figures."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 
 from studies.campaign import bounds
+from studies.campaign.bounds import Bounded, percent
 from studies.campaign.plots import Point, bars, curves
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums
-from studies.correspondence.shares import Range, Series, Shares, shares
-from studies.correspondence.study import Method
+from studies.campaign.study import Cell, Sums, Table
+from studies.correspondence.study import FALSE, LOST, PART, Method, condition_of
+from studies.heads import NoiseReading
 
+Range = tuple[float, float]
 # Unsuccessful and false, per cent, over patients and 0 to 4 outliers: F. Suligoj, thesis, Zagreb 2018, 5.3.2.
 THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | dict.fromkeys(
     range(5, 9), (0.0, 0.81)
 )
 THESIS_FALSE: dict[int, Range] = {3: (0.05, 0.89), 4: (0.01, 0.06)} | dict.fromkeys(range(5, 9), (0.0, 0.026))
-
 POOLED = range(5, 9)  # numbers of fiducials pooled by the thesis and by the goal
 GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a partial result counts as false
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
-    found = shares(sums)
+    """Tabulate each noise model, 5 to 8 fiducials pooled, and the e that reproduce the thesis' figures."""
+    found = outcome_shares(sums)
     made = [
         Table(
             f"Correspondence, noise {noise}",
@@ -54,6 +55,81 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     ]
     of_the_thesis = [_reached(found)] if any(series.tolerance for series in found) else []
     return [*made, _pooled(found), *of_the_thesis]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Identifies results: noise model, method, e as text (empty for ours), number of fiducials."""
+
+    noise: NoiseReading
+    method: str
+    tolerance: str
+    fiducials: int
+
+    @property
+    def tolerance_mm(self) -> float | None:
+        """The method's e."""
+        return float(self.tolerance) if self.tolerance else None
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Shares of the runs in per cent, in total and as a range over the numbers of outliers.
+
+    `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
+    """
+
+    runs: int
+    unsuccessful: float
+    unsuccessful_range: Range
+    false: float
+    false_range: Range
+    part: float
+
+    @property
+    def lost(self) -> float:
+        """No answer at all."""
+        return self.unsuccessful - self.part
+
+    def bounded(self, share: float) -> Bounded:
+        """A share of the runs, per cent, with its bounds."""
+        return percent(share / 100.0 * self.runs, self.runs)
+
+
+def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
+    """Outcomes of the runs of each series, over patients."""
+    counted: dict[Series, dict[int, dict[str, float]]] = {}
+    for condition, content in sums.items():
+        noise, _, fiducials, outliers = condition_of(condition)
+        for key, number in content.items():
+            method, tolerance, outcome = key.split("|")
+            conditions = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
+            into = conditions.setdefault(outliers, {})
+            into[outcome] = into.get(outcome, 0.0) + number
+    ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
+    return {series: _shares(list(conditions.values())) for series, conditions in ordered}
+
+
+def _shares(conditions: list[dict[str, float]]) -> Shares:
+    def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
+        of, outcomes = list(of), set(outcomes)
+        runs = sum(sum(condition.values()) for condition in of)
+        return (
+            100.0
+            * sum(n for condition in of for outcome, n in condition.items() if outcome in outcomes)
+            / runs
+        )
+
+    unsuccessful = [share((LOST, PART), [condition]) for condition in conditions]
+    false = [share((FALSE,), [condition]) for condition in conditions]
+    return Shares(
+        int(sum(sum(condition.values()) for condition in conditions)),
+        share((LOST, PART), conditions),
+        (min(unsuccessful), max(unsuccessful)),
+        share((FALSE,), conditions),
+        (min(false), max(false)),
+        share((PART,), conditions),
+    )
 
 
 def _row(series: Series, one: Shares) -> list[Cell]:
@@ -119,7 +195,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
 
 
 def _reached(found: Mapping[Series, Shares]) -> Table:
-    """For which e the thesis' method reproduces the thesis' figures."""
+    """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
         of_method = {
@@ -177,7 +253,7 @@ def _false_within(series: Series, one: Shares) -> bool:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Success of the thesis' method, validated, against its parameter e, one plot per noise model."""
-    found = shares(sums)
+    found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
         lines: dict[str, list[Point]] = {}
@@ -195,7 +271,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Runs without success by fiducials and method, one plot per noise model."""
-    found = shares(sums)
+    found = outcome_shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
         groups: dict[str, dict[str, float | bounds.Bounded]] = {}

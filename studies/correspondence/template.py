@@ -22,9 +22,7 @@ from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums, Unit, blocks, generator
-from studies.correspondence.readings import draw_readings
+from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, yes_or_no
 from studies.correspondence.study import (
     BLOCK_RUNS,
     FALSE,
@@ -36,20 +34,16 @@ from studies.correspondence.study import (
     condition_of,
     verdict,
 )
-from studies.correspondence.tables import (
-    GOAL_FALSE,
-    GOAL_UNSUCCESSFUL,
-    THESIS_FALSE,
-    THESIS_UNSUCCESSFUL,
-)
+from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
 from studies.heads import (
     HALF_AXES_MM,
     IMAGE_SIGMA_MM,
     PATIENTS,
     PHYSICAL_SIGMA_MM,
     NoiseReading,
-    in_balls,
+    draw_readings,
     per_axis_mm,
+    uniform_in_ball,
 )
 
 Array = NDArray[np.float64]
@@ -70,7 +64,7 @@ class TemplateStudy:
     name: str = "correspondence-template"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -90,7 +84,7 @@ class TemplateStudy:
         random = generator(self.seed, unit)
         template_mm = sites_mm(patient, count, self.margin_mm)
         seen = draw_readings(template_mm, count, outliers, noise, unit.runs, random, IMPLANTED_MM)
-        tilts = Rotation.from_rotvec(in_balls(unit.runs, PRIOR_DISTURBED_RAD, random))
+        tilts = Rotation.from_rotvec(uniform_in_ball(unit.runs, PRIOR_DISTURBED_RAD, random))
         sums: Counter[str] = Counter()
         for run, (pairs, prior) in enumerate(zip(seen.pairs.tolist(), tilts * seen.rotations, strict=True)):
             right = frozenset((i, j) for i, j in pairs)
@@ -144,7 +138,7 @@ def _solved(
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """One row per noise model, method and number of markers, next to the result of five to eight."""
+    """Tabulate each noise model, method and number of markers beside five to eight markers."""
     counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
     for condition, content in sums.items():
         noise, _, markers, outliers = condition_of(condition)
@@ -168,8 +162,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
                 false,
                 bounds.percent(pooled[FALSE], pooled.total()).text,
-                _word(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
-                _word(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
+                yes_or_no(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
+                yes_or_no(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
             )
         )
     return [
@@ -197,14 +191,5 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     ]
 
 
-def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the table is enough."""
-    return {}
-
-
 def _percent(outcomes: Counter[str], *which: str) -> float:
     return 100.0 * sum(outcomes[one] for one in which) / outcomes.total()
-
-
-def _word(held: bool) -> str:
-    return "yes" if held else "NO"

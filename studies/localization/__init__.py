@@ -1,1 +1,1 @@
-"""How well spheres are localized in the CT: phantom families, and the thesis' protocol."""
+"""Accuracy of sphere localization in the CT, on phantom families and by the thesis' protocol."""

@@ -59,12 +59,7 @@ def phantom_scan(
 
 
 def scan_phantom(
-    folder: Path,
-    family: str,
-    protocol: str,
-    seed: int,
-    fiducials: str = "free",
-    markers: int | None = None,
+    folder: Path, family: str, protocol: str, seed: int, fiducials: str = "free", markers: int | None = None
 ) -> tuple[Path, dict[str, Any]]:
     """Write a scan into the folder: its series and its truth. Raises STU-006."""
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]

@@ -16,27 +16,19 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging import (
-    Localization,
-    ThesisFit,
-    Volume,
-    localize,
-    localize_as_thesis,
-    localize_picks,
-)
+from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
-from studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
+from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
 from studies.errors import NotForJudging
 from studies.localization.phantom_scans import PhantomScan, phantom_scan
-from studies.own.localizer import OwnLocalizer
-from studies.own.method import OwnMethod
+from studies.plugins.answers import PluginLocalizer
+from studies.plugins.method import PluginMethod
 from studies.thesis_tables import OPERATORS, TABLE_3
 
 Array = NDArray[np.float64]
-
 BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
 COVERED = ("bandage", "soaked")
 STREAKED = ("streaks", "rays", "posts")  # families whose posts cause streaks
@@ -57,6 +49,7 @@ CHI2_AT_TAIL = 11.345  # of three degrees of freedom
 BIN_MM = 0.001
 SEED_BOUND = 2**31
 OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
+SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 
 
 class Method(StrEnum):
@@ -69,7 +62,6 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
-SUMS = "squares, fourth powers and tails"  # older campaigns lack these sums, which the bounds need
 AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 
@@ -83,11 +75,11 @@ class LocalizationStudy:
     families: tuple[str, ...] = JUDGING
     protocols: tuple[str, ...] = PROTOCOLS
     name: str = "localization"
-    own: tuple[OwnMethod, ...] = ()
+    own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
-        return {**without_empty_own(asdict(self)), "sums": SUMS}
+        """Return all inputs of the results."""
+        return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
         """A unit per volume, then one per set."""
@@ -100,7 +92,7 @@ class LocalizationStudy:
         family, protocol = unit.condition.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
-        own = tuple(OwnLocalizer.of(one) for one in self.own)
+        own = tuple(PluginLocalizer.of(one) for one in self.own)
         if family == FRAMES:
             sums.update(_frame_set(random, own))
         else:
@@ -115,7 +107,8 @@ class LocalizationStudy:
         return {key: float(value) for key, value in sums.items()}
 
 
-def _localized(method: Method, volume: Volume) -> Localization | None:
+def localize_by(method: Method, volume: Volume) -> Localization | None:
+    """Localize by a built-in method; None without a plausible number of markers."""
     try:
         if method is Method.OURS:
             return localize(volume)
@@ -125,8 +118,8 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """One of the built-in methods on one volume."""
-    result = _localized(method, scan.volume)
+    """Run a built-in method on one volume."""
+    result = localize_by(method, scan.volume)
     return _counted(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
     )
@@ -135,7 +128,7 @@ def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
 def _counted(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
-    """Counts for one volume, with covariances if there are markers.
+    """Count hits, misses and errors in a volume, with covariances if there are markers.
 
     Spheres cut by the field of view count neither as missed nor as false.
     """
@@ -170,14 +163,14 @@ def _counted(
     return {f"{who}|{key}": float(value) for key, value in sums.items()}
 
 
-def _frame_set(random: np.random.Generator, own: Sequence[OwnLocalizer] = ()) -> dict[str, float]:
+def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
     """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))
         with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
             for method in AUTOMATIC:
-                result = _localized(method, scan.volume)
+                result = localize_by(method, scan.volume)
                 ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
                 if ordered is not None:
                     points.setdefault(method.value, []).append(ordered)
@@ -230,7 +223,7 @@ def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
 
 
 def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
-    """Sums over several cells."""
+    """Add up several conditions."""
     total: Counter[str] = Counter()
     for condition in conditions:
         total.update(sums.get(condition, {}))

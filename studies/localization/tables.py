@@ -1,4 +1,4 @@
-"""Tables and plots of the localization study."""
+"""Tables, plots and goals of the localization study."""
 
 from __future__ import annotations
 
@@ -8,24 +8,19 @@ from math import sqrt
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from studies.campaign import bounds
 from studies.campaign.plots import bars
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums
+from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.localization.study import (
     AUTOMATIC,
     BIN_MM,
+    COVERED,
     FRAMES,
+    JUDGING,
     STREAKED,
+    TAIL,
     Method,
     pooled,
 )
-from studies.thesis_tables import (
-    HUMAN_OPERATORS,
-    LINE_FIT,
-    OPERATORS,
-    SPHERE_FIT,
-    TABLE_2,
-    TABLE_3,
-)
+from studies.thesis_tables import HUMAN_OPERATORS, LINE_FIT, OPERATORS, SPHERE_FIT, TABLE_2, TABLE_3
 
 SPHERES = 4  # of the frame
 IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
@@ -44,6 +39,21 @@ COLUMNS = (
     "rms / CRB",
     "chi² / 3n",
 )
+RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
+COVERED_RMS_UM = 40.0  # half buried
+LARGEST_UM = 150.0
+SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
+CHI2 = (0.7, 1.4)
+LEAST_OF_A_FAMILY = 60  # spheres: right covariances leave the range once in 900 times (20: once in 17)
+CHANCE = 1e-3  # of right covariances to miss a goal for the tail
+LEAST_SPHERES, LEAST_OBJECTS, LEAST_VOLUMES = 500, 500, 100
+FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
+
+
+def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
+    """All tables of the study; the goals come last, if evaluation families were scanned."""
+    held = goals(sums)
+    return [*tables(sums), held] if held is not None else tables(sums)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
@@ -115,6 +125,36 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     return pictures
 
 
+def goals(sums: Mapping[str, Sums]) -> Table | None:
+    """Ours against the goals, on families not used for tuning; None without them."""
+    conditions = [condition for condition in sums if condition.split("|")[0] in JUDGING]
+    if not conditions:
+        return None
+    rows: list[Sequence[Cell]] = []
+    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
+        for streaked in (False, True):
+            chosen = [
+                condition
+                for condition in conditions
+                if condition.endswith(f"|{protocol}") and (condition.split("|")[0] in STREAKED) == streaked
+            ]
+            total = pooled(sums, chosen)
+            found = of_method(total, Method.OURS, "found")
+            if found:
+                rows += _accuracy(total, protocol, streaked, found)
+        rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
+    for family in dict.fromkeys(condition.split("|")[0] for condition in conditions):
+        of_family = [condition for condition in conditions if condition.startswith(f"{family}|")]
+        rows += _covariances(pooled(sums, of_family), family)
+    rows.append(_tail(pooled(sums, conditions), "all families"))
+    return Table(
+        "Goals",
+        ("figure", "value", "goal", "met"),
+        [*rows, *_detection(pooled(sums, conditions))],
+        "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
+    )
+
+
 def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
     """Our figures and the thesis' side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
@@ -171,7 +211,7 @@ def methods_of(total: Sums) -> list[str]:
 
 
 def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
-    """Upper edge of the bin in which the share is reached."""
+    """Return the upper edge of the bin that reaches the share."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
     reached = 0.0
@@ -234,5 +274,80 @@ def _fle_table(total: Sums) -> Table:
 
 
 def of_method(total: Sums, method: str, key: str) -> float:
-    """One sum of one method; 0 if nothing was counted."""
+    """Return a method's sum; 0 if nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)
+
+
+def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
+    where = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
+    rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
+    rows: list[Sequence[Cell]] = []
+    if protocol in RMS_UM:
+        rows.append(_at_most(f"rms µm, {where}", rms_um, RMS_UM[protocol][streaked]))
+    share_um = percentile_um(total, Method.OURS, found)
+    if streaked and share_um is not None and protocol in SHARE_95_UM:
+        rows.append(_at_most(f"95th percentile µm, {where}", share_um, SHARE_95_UM[protocol]))
+    return rows
+
+
+def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Sequence[Cell]]:
+    """Check each family of a protocol alone: pooled, a bad one would hide behind a good one."""
+    rows: list[Sequence[Cell]] = []
+    for condition in conditions:
+        total, where = sums[condition], ", ".join(condition.split("|")[::-1])
+        found = of_method(total, Method.OURS, "found")
+        if not found:
+            continue
+        if condition.split("|")[0] in COVERED:
+            rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
+            rows.append(_at_most(f"rms µm, {where}", rms_um, COVERED_RMS_UM))
+        largest_um = percentile_um(total, Method.OURS, found, 1.0)
+        if largest_um is not None:
+            rows.append(_at_most(f"largest error µm, {where}", largest_um, LARGEST_UM))
+    return rows
+
+
+def _covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
+    """Whether the stated covariances of a family are right, all protocols: one alone has too few spheres."""
+    found = of_method(total, Method.OURS, "found")
+    if not found:
+        return []
+    (low, high), chi2 = CHI2, of_method(total, Method.OURS, "chi2") / (3.0 * found)
+    spheres = int(of_method(total, Method.OURS, "spheres"))
+    enough = yes_or_no(spheres >= LEAST_OF_A_FAMILY)
+    return [
+        (f"spheres, {family}", spheres, f"at least {LEAST_OF_A_FAMILY}", enough),
+        (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", yes_or_no(low <= chi2 <= high)),
+        _tail(total, family),
+    ]
+
+
+def _tail(total: Sums, where: str) -> Sequence[Cell]:
+    from scipy.stats import binom  # half a second
+
+    found, beyond = (of_method(total, Method.OURS, key) for key in ("found", "tail"))
+    most = float(binom.ppf(1.0 - CHANCE, int(found), TAIL))
+    return _at_most(f"errors outside 99 %, {where}", int(beyond), most)
+
+
+def _detection(total: Sums) -> list[Sequence[Cell]]:
+    spheres, missed, false, large = (
+        of_method(total, Method.OURS, key) for key in ("spheres", "missed", "false", "large")
+    )
+    objects, volumes = total.get("objects", 0.0), total.get("volumes", 0.0)
+    rows: list[Sequence[Cell]] = [
+        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", yes_or_no(spheres >= LEAST_SPHERES)),
+        ("other objects", int(objects), f"at least {LEAST_OBJECTS}", yes_or_no(objects >= LEAST_OBJECTS)),
+        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", yes_or_no(volumes >= LEAST_VOLUMES)),
+        ("missed", int(missed), "0", yes_or_no(missed == 0)),
+        ("false", int(false), "0", yes_or_no(false == 0)),
+    ]
+    if large:
+        share = 100.0 * of_method(total, Method.OURS, "large flagged") / large
+        goal = f"at least {FLAGGED_PERCENT:g}"
+        rows.append(("errors above 0.1 mm flagged, %", share, goal, yes_or_no(share >= FLAGGED_PERCENT)))
+    return rows
+
+
+def _at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
+    return (what, value, f"at most {most:g}", yes_or_no(value <= most))

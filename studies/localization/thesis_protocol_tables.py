@@ -11,29 +11,22 @@ from numpy.typing import NDArray
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from studies.campaign import bounds
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums
+from studies.campaign.study import Cell, Sums, Table
 from studies.localization.study import AUTOMATIC, Method
-from studies.localization.thesis_protocol import SCALE_DRAWS, points_of
-from studies.localization.thesis_scans import (
+from studies.localization.tables import IN_THE_THESIS
+from studies.localization.thesis_protocol import (
     FRAME_MM,
     LARGEST_SCALE_ERROR,
     PATIENT,
     PHANTOM,
+    SCALE_DRAWS,
     draw_scale,
+    points_of,
 )
-from studies.thesis_tables import (
-    AVERAGE_OPERATOR,
-    HUMAN_OPERATORS,
-    LINE_FIT,
-    SPHERE_FIT,
-    TABLE_2,
-    TABLE_3,
-)
+from studies.thesis_tables import AVERAGE_OPERATOR, HUMAN_OPERATORS, TABLE_2, TABLE_3
 
 Array = NDArray[np.float64]
 
-IN_THE_THESIS = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 PERSON_S, PROGRAM_S = 191.5, 28.8  # thesis 5.1: a person, its program on an i7-6700HQ
 WITHIN_PERCENT = 30.0  # of the thesis' figure: the goal for the copy
 SPHERES = len(FRAME_MM)
@@ -42,13 +35,8 @@ SCALE_ERRORS = (0.0, 1.0 / 500.0, 1.0 / 250.0, LARGEST_SCALE_ERROR)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Detection, the localization errors of tables 2 and 3, gains over people, times."""
+    """Tabulate detection, the errors of tables 2 and 3, gains over people, and times."""
     return [_detection(sums), _errors(sums), _gains(sums), _times(sums)]
-
-
-def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the tables are enough."""
-    return {}
 
 
 def _detection(sums: Mapping[str, Sums]) -> Table:
@@ -86,7 +74,7 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
 
 
 def fle_mm(scans: Sequence[Array], scales: Array) -> tuple[float, float, float]:
-    """FLE of scans (4, 3), with axes scaled by `scales` (d, s, 3), mm; means over the draws.
+    """Compute the FLE of scans (4, 3), axes scaled by `scales` (d, s, 3), mm; means over the draws.
 
     FLE by eq. 36 against the frame's coordinates, averaged over the scans; the underlying FRE, likewise; FLE
     by eq. 37 and 38 between all pairs of scans.

@@ -1,7 +1,10 @@
-"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and what remains unknown.
+"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and the errors that remain.
 
 A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
-identified once, at the phantom's first position, and used at all positions.
+identified once, at the phantom's first position, and used at all positions. Identification measures the
+phantom's own spheres with the simulator's true arm, the procedure's choice of poses and its fit, all in this
+process, without protocols or images. The controller then uses the identified arm in place of the true one,
+including the side of its backlash on which each joint rests.
 """
 
 from __future__ import annotations
@@ -13,23 +16,37 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm.error_model import ArmModel
+from procedures.calibration.arm.identification import ArmFit, identify
+from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.calibration.identified_arm import IdentifiedArm
-from studies.accuracy.identified import LOOKS, BelievedArm, identified, identified_errors
-from studies.accuracy.phantom import Markers, phantom, place
-from studies.accuracy.random_arms import RandomArms, drawn_arm
-from studies.accuracy.scenarios import FINE_CT_MM
-from studies.accuracy.scene import Scene
-from studies.accuracy.trials import Sizes
+from procedures.calibration.pose_set import centred_looks
+from procedures.registration.rigid_fit import fit_rigid
+from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.pose import Pose
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Transform
+from sim.world.true_arm import TrueArm
+from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
+from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
+from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
+from studies.accuracy.scene import FINE_CT_MM, Scene
+from studies.accuracy.trials import AXES, Sizes
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.table import Table
-from studies.campaign.unit import Sums, Unit, blocks
+from studies.campaign.study import Sums, Table, Unit, blocks
 from studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 
+Array = NDArray[np.float64]
+LOOKS = 90  # the default of `ronna-arm calibrate`
+STEREO_MM = 0.005  # of a measurement, per axis
+LOOKS_KEY = 9  # of the random numbers
 STRATEGIES = ("nos", "ocs", "jdms", "improved")
 BLOCK_ARMS = 10
-CELL, ARM, PREDICTED = "arms", "arm", "predicted"
+CELL, OF_ARM, PREDICTED = "arms", "arm", "predicted"
 # Assumed when choosing poses: tool frame and arm known to about a tenth.
 EXPECTED = ErrorSizes(tool_mm=0.1, links=0.1, joints=0.1, backlash=0.1)
 GOAL_MM = 0.13
@@ -45,7 +62,7 @@ class IdentifiedStudy:
     name: str = "strategies-identified"
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -57,21 +74,23 @@ class IdentifiedStudy:
 
         Predicted, as sums: predicted|strategy|spheres|inside, rms2.
         """
-        drawn = phantom(Markers.FREE, DEPTHS_MM, TARGETS)
+        drawn = draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS)
         scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
         planned = {
             (scene.number, strategy): scene.planned(strategy, EXPECTED)
             for scene in scenes
             for strategy in STRATEGIES
         }
-        spheres = place(1).apply(drawn.spheres_mm)
+        spheres = phantom_pose(1).apply(drawn.spheres_mm)
         first = unit.block * BLOCK_ARMS
         found: Sums = defaultdict(float)
         for number in range(first, first + unit.runs):
-            fit = identified(self.seed, number, spheres)
-            apart_rad = fit.deviations.backlash_rad - np.array(drawn_arm(self.seed, number)[0].backlash_rad)
-            found[f"{ARM}|{number}|backlash2"] = float(np.mean(np.degrees(apart_rad) ** 2))
-            found[f"{ARM}|{number}|scatter"] = fit.scatter_mm
+            fit = identify_arm(self.seed, number, spheres)
+            apart_rad = fit.deviations.backlash_rad - np.array(
+                draw_numbered_arm(self.seed, number)[0].backlash_rad
+            )
+            found[f"{OF_ARM}|{number}|backlash2"] = float(np.mean(np.degrees(apart_rad) ** 2))
+            found[f"{OF_ARM}|{number}|scatter"] = fit.scatter_mm
             believed = BelievedArm(fit.deviations, fit.flange_from_tool)
             arm = RandomArms.draw(self.seed, [number])
             known = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
@@ -79,7 +98,7 @@ class IdentifiedStudy:
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
-                    errors = identified_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
+                    errors = identified_arm_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
                     predicted = scene.predicted(poses, left, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"
@@ -91,12 +110,12 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Errors at the targets, and what identification leaves."""
+    """Tabulate the errors at the targets and those that identification leaves."""
     errors = _errors(sums)
     arms, predicted = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
         for key, value in content.items():
-            if key.startswith(f"{ARM}|"):
+            if key.startswith(f"{OF_ARM}|"):
                 arms[key.split("|")[2]].append(value)
             elif key.startswith(f"{PREDICTED}|"):
                 predicted[key] += value
@@ -177,3 +196,108 @@ def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float6
                 found[strategy, int(count)][arm].append(error_mm)
     ordered = sorted(found.items(), key=lambda one: (STRATEGIES.index(one[0][0]), one[0][1]))
     return {series: np.array(list(arms.values())) for series, arms in ordered}
+
+
+def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
+    """Identify arm `number` from measurements of spheres (n, 3), mm in the robot frame.
+
+    Raises CAL-002 to CAL-004.
+    """
+    truth, tool_error_mm = draw_numbered_arm(seed, number)
+    arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
+    model = ArmModel(ARM, TOOL)
+    candidates = _candidates(spheres_mm)
+    chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
+    chosen[most_telling(model, candidates, LOOKS)] = True
+    looks = candidates.only(chosen)
+    for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
+        flange = arm.at_rest(joints, flanks, row)
+        away = spheres_mm[looks.sphere[row]] - flange[:3, 3]
+        looks.points_mm[row] = flange[:3, :3].T @ away - TOOL_MM - tool_error_mm
+    looks.points_mm[:] += generator.normal(0.0, STEREO_MM, looks.points_mm.shape)
+    return identify(model, looks)
+
+
+def _candidates(spheres_mm: Array) -> LookArrays:
+    """Measurement poses that the nominal arm reaches, not yet taken."""
+    reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
+    found = []
+    for number, sphere in enumerate(spheres_mm):
+        for order, look in enumerate(centred_looks(reference, sphere, CANDIDATES)):
+            try:
+                joints = ARM.solve_branch(
+                    Pose.from_transform(look.pose @ TOOL.inverse()), branch, ARM.home_rad
+                )
+            except LimitError:
+                continue
+            found.append((number, joints, flanks_of(order)))
+    return LookArrays(
+        joints_rad=np.array([joints for _, joints, _ in found]),
+        flanks=np.array([flanks for _, _, flanks in found], dtype=float),
+        points_mm=np.zeros((len(found), AXES)),
+        covariances_mm2=np.tile(STEREO_MM**2 * np.eye(AXES), (len(found), 1, 1)),
+        sphere=np.array([number for number, _, _ in found], dtype=np.intp),
+    )
+
+
+@dataclass(frozen=True)
+class BelievedArm:
+    """The arm model that the controller uses."""
+
+    deviations: ArmDeviations
+    flange_from_tool: Transform
+
+    def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
+        """Positions (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
+        poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
+        turned = poses[:, :3, :3]
+        places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
+        return places, turned @ self.flange_from_tool.rotation_matrix
+
+
+def identified_arm_errors(
+    arm: RandomArms,
+    believed: BelievedArm,
+    planned: Postures,
+    scene: Scene,
+    numbers: Sequence[int],
+    sizes: Sizes,
+) -> Array:
+    """Error vectors (t, c, 3) mm of one arm, like `target_errors` for many; `numbers` is its own."""
+    phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
+    spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
+    targets_ct = np.array([one.target_mm for one in phantom.trajectories])
+
+    def true_places(joints: Array, flanks: Array) -> Array:
+        return np.asarray(arm.tool_points_mm(joints[None], flanks[None])[0])
+
+    _, seen = solve_joints(
+        planned.localizations,
+        lambda joints: believed.tool(joints, planned.arrival),
+        lambda joints, _: np.tile(spheres, (sets, 1)) - true_places(joints, planned.arrival),
+        planned.localizations.joints_rad.shape,
+    )
+    recorded = seen.reshape(sets, len(spheres), AXES)
+    recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
+    recorded = recorded + arm.repeatability_mm * chance.rest[0, :sets]
+    image = phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0]
+    serving = [planned.set_of(target) for target in range(len(targets_ct))]
+    found = []
+    for count in scene.counts:
+        fit = fit_rigid(image[None, :count], recorded[:, :count])
+        places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
+        joints = _at_targets(believed, planned, places)
+        tips = true_places(joints, planned.target_arrival) + arm.repeatability_mm * chance.target_rest[0]
+        found.append(tips - robot_from_ct.apply(targets_ct))
+    return np.stack(found, axis=1)
+
+
+def _at_targets(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
+    """Joints (t, 6) that the controller commands to have its tool at these places."""
+    joints, _ = solve_joints(
+        planned.targets,
+        lambda joints: believed.tool(joints, planned.target_arrival),
+        lambda _, at: places_mm - at,
+        planned.targets.joints_rad.shape,
+    )
+    return joints

@@ -14,14 +14,13 @@ from itertools import product
 
 import numpy as np
 
-from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
+from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scenarios import SCENARIOS, SET_S, Scenario
-from studies.accuracy.scene import DIGITS, Scene
+from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene
 from studies.accuracy.trials import Sizes
-from studies.campaign.unit import Sums, Unit, blocks, without_empty_own
-from studies.own.method import OwnMethod
-from studies.own.strategy import OwnStrategy
+from studies.campaign.study import Sums, Unit, blocks, omit_empty_own
+from studies.plugins.method import PluginMethod
+from studies.plugins.strategy import PluginStrategy
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
 BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # the thesis' own
@@ -50,12 +49,12 @@ class StrategiesStudy:
     arms: int = 200
     seed: int = 0
     name: str = "strategies"
-    own: tuple[OwnMethod, ...] = ()
+    own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Everything the results depend on."""
+        """Return all inputs of the results."""
         return {
-            **without_empty_own(asdict(self)),
+            **omit_empty_own(asdict(self)),
             "places": PLACES,
             "targets": TARGETS,
             "depths_mm": list(DEPTHS_MM),
@@ -84,8 +83,8 @@ class StrategiesStudy:
         """Errors in mm of single trials, or sums of them; see the keys of each part."""
         part, kind, number = unit.condition.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
-        drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
-        own = tuple(OwnStrategy.of(one) for one in self.own)
+        drawn = draw_phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
+        own = tuple(PluginStrategy.of(one) for one in self.own)
         scene = Scene.of(self.seed, drawn, markers, int(number), own)
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
         arms = range(first, first + unit.runs)

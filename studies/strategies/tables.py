@@ -1,4 +1,4 @@
-"""Tables and figure of the strategies study next to table 4 of the thesis."""
+"""Tables and figure of the strategies study, next to table 4 of the thesis."""
 
 from __future__ import annotations
 
@@ -7,19 +7,18 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import wilcoxon
 
 from studies.accuracy.phantom import Markers, counts_of
 from studies.accuracy.random_arms import Source
-from studies.accuracy.scenarios import SCENARIOS
-from studies.accuracy.scene import DIGITS
+from studies.accuracy.scene import DIGITS, SCENARIOS
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
-from studies.campaign.table import Cell, Table
-from studies.campaign.unit import Sums
-from studies.strategies.pairs import pairs
+from studies.campaign.study import Cell, Sums, Table
 from studies.strategies.study import (
     BIN_MM,
     OF_ARM,
+    PLACES,
     PREDICTED,
     PREDICTION,
     READ_AGAIN,
@@ -32,9 +31,10 @@ from studies.strategies.study import (
 )
 from studies.thesis_tables import TABLE_4, StrategyRow
 
+PAIRS = (("improved", "ocs"), ("improved", "jdms"), ("best", "ocs"), ("best", "improved"))
+PAIRED_SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
 Array = NDArray[np.float64]
 Series = tuple[str, str, int]  # markers, strategy, number of spheres
-
 # OCS in the thesis does not control the approach, so its table is compared with that.
 OF_TABLE_4 = {"nos": "NOS", "thesis-ocs": "OCS", "jdms": "JDMS"}
 LOW_SHARE, HIGH_SHARE = 5.0, 95.0  # per cent of the arms
@@ -53,7 +53,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         _sources(sums),
         _more_spheres(sums),
         _scenarios(sums),
-        pairs(sums),
+        paired_comparison(sums),
         _prediction(sums),
     ]
 
@@ -83,6 +83,42 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
         shape = tuple(len({place[axis] for place in trials}) for axis in range(3))
         arrays[series] = np.array([trials[one] for one in sorted(trials)]).reshape(shape)
     return arrays
+
+
+def paired_comparison(sums: Mapping[str, Sums]) -> Table:
+    """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
+    totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for condition, content in sums.items():
+        if condition.split("|")[0] != SCENARIO:
+            continue
+        for key, sum_mm in content.items():
+            scenario, strategy, spheres, what = key.split("|")
+            if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
+                totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
+    rows: list[list[Cell]] = []
+    for scenario in PAIRED_SCENARIOS:
+        for count in sorted({one[2] for one in totals if one[0] == scenario}):
+            for one, other in PAIRS:
+                mine, others = totals[scenario, one, count], totals[scenario, other, count]
+                apart = np.array([mine[arm] - others[arm] for arm in sorted(mine)])
+                rows.append([scenario, f"{one} - {other}", count, *_judged(apart)])
+    return Table(
+        "Two strategies on the same arms",
+        ("scenario", "pair", "spheres", "difference mm", "95 % from", "to", "arms where it is less %", "p"),
+        rows,
+        "Free spheres, the mean of each arm over 8 positions and 10 targets. p: Wilcoxon signed-rank "
+        "test, two-sided. Best chooses by the predicted error; if it chooses the same everywhere, "
+        "nothing differs.",
+    )
+
+
+def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
+    count, mean = len(apart_mm), float(apart_mm.mean())
+    if count < 2 or not apart_mm.any():
+        return [mean, mean, mean, 0.0, None]
+    bound = bounds.mean(apart_mm)
+    p = f"{float(wilcoxon(apart_mm).pvalue):.1e}"
+    return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
 
 
 def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[str], Sums]]:
@@ -204,7 +240,7 @@ def _sources(sums: Mapping[str, Sums]) -> Table:
 
 
 def _more_spheres(sums: Mapping[str, Sums]) -> Table:
-    """Does the error fall from 3 to 5 spheres as in the thesis, and do the rows keep their pattern?"""
+    """Compare the fall of the error from 3 to 5 spheres, and the pattern of the rows, with the thesis."""
     fewest, *_, most = counts_of(Markers.FREE)
     parts = {TRIALS: SETTLED} | {reading: reading for reading in READINGS}
     errors = {part: trial_errors(sums, part) for part in parts}

@@ -53,7 +53,7 @@ RANKS = {verdict: rank for rank, verdict in enumerate(Verdict)}
 
 @dataclass(frozen=True)
 class Target:
-    """One target that an instrument reached: true error, the limit predicted for it, whether warned of.
+    """A target reached by an instrument: true error, predicted limit, and whether it was warned of.
 
     The limit is 0 where none was predicted.
     """
@@ -128,7 +128,8 @@ def judge(
     not `done`.
     """
     since_s = _localized_s(lines) if change is None else _happened_s(lines, *change)
-    happened = change is not None and since_s <= _ended_s(lines)
+    ended_s = theatre_time_s(lines[-1]) if lines else 0.0
+    happened = change is not None and since_s <= ended_s
     touched, said = _warnings(lines, _localized_s(lines) if not happened else since_s, trajectories)
     targets = tuple(
         Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
@@ -153,7 +154,8 @@ def _warnings(
             step = str(line.get("step", ""))
         if theatre_time_s(line) < since_s:
             continue
-        if line["entry"] in WARNINGS and not _of_sight(line):
+        is_finding = line["entry"] == Entry.FINDING and "targets" not in line
+        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_words(line))):
             named = _named(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
@@ -165,10 +167,6 @@ def _warnings(
             if topic in UNUSUAL_TOPICS:
                 said.append(f"asked: {line.get('subject')}")
     return frozenset(touched), tuple(said)
-
-
-def _of_sight(line: Line) -> bool:
-    return line["entry"] == Entry.FINDING and "targets" not in line and bool(SIGHT.search(_words(line)))
 
 
 def _named(line: Line, trajectories: Sequence[str]) -> set[str]:
@@ -184,7 +182,7 @@ def _words(line: Line) -> str:
 
 
 def _localized_s(lines: Iterable[Line]) -> float:
-    """When the last re-localization was done; infinite without one."""
+    """Return the time of the last re-localization; infinite without one."""
     done = [
         theatre_time_s(line)
         for line in lines
@@ -196,7 +194,3 @@ def _localized_s(lines: Iterable[Line]) -> float:
 def _happened_s(lines: Iterable[Line], step: str, after_s: float) -> float:
     begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
     return next(begun, math.inf) + after_s
-
-
-def _ended_s(lines: Sequence[Line]) -> float:
-    return theatre_time_s(lines[-1]) if lines else 0.0

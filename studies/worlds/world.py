@@ -23,7 +23,7 @@ SCENES = (MINI, "default")
 
 
 class What(StrEnum):
-    """What changes."""
+    """Object that changes."""
 
     HEAD = "head"
     CART = "cart"
@@ -35,7 +35,7 @@ class What(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """One change, which lasts, and what hides it from the tracker; `lines` are those of a fault script."""
+    """A lasting change and what hides it from the tracker; `lines` form a fault script."""
 
     what: What
     step: str
@@ -62,7 +62,7 @@ class Change:
 
 @dataclass(frozen=True)
 class World:
-    """One case: its scene, and the change in it."""
+    """A case: its scene, and the change in it."""
 
     number: int
     scene: str

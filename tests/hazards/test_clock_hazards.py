@@ -37,7 +37,7 @@ DATING = {
     "procedures/cli/calibrating/running.py",
     "procedures/cli/tool/command.py",
     "procedures/exchange/sphere_files.py",
-    "procedures/exchange/postoperative.py",
+    "procedures/exchange/dicom_objects.py",
     "procedures/steps/clinical/set_up.py",
     "procedures/steps/calibration",
 }

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import disturbance_table
+import reference_tables
 
 from drivers.kuka_rsi import errors
 from ronna_hw.errors import RonnaError
@@ -18,19 +18,19 @@ OTHER_FAULTS = {
 
 
 def test_every_test_named_in_the_table_exists_exactly_once() -> None:
-    files = disturbance_table.files_of_tests()
-    named = {name for one in disturbance_table.read_disturbances() for name in one.tests}
+    files = reference_tables.files_of_tests()
+    named = {name for one in reference_tables.read_disturbances() for name in one.tests}
     assert {name: files.get(name, ()) for name in named if len(files.get(name, ())) != 1} == {}
 
 
 def test_every_promise_has_a_test_and_each_code_appears_in_one_of_them() -> None:
-    files = disturbance_table.files_of_tests()
+    files = reference_tables.files_of_tests()
     classes = {
         error.code: error.__name__
         for error in vars(errors).values()
         if isinstance(error, type) and issubclass(error, RonnaError) and "code" in vars(error)
     }
-    for one in disturbance_table.read_disturbances():
+    for one in reference_tables.read_disturbances():
         assert one.tests, one.disturbance
         text = "".join(path.read_text(encoding="utf-8") for name in one.tests for path in files[name])
         for code in one.codes:
@@ -38,6 +38,6 @@ def test_every_promise_has_a_test_and_each_code_appears_in_one_of_them() -> None
 
 
 def test_every_robot_fault_has_a_promise() -> None:
-    promised = {fault for one in disturbance_table.read_disturbances() for fault in one.faults}
+    promised = {fault for one in reference_tables.read_disturbances() for fault in one.faults}
     assert promised | set(OTHER_FAULTS) == {kind.name for kind in ROBOT_FAULTS}
     assert not promised & set(OTHER_FAULTS)

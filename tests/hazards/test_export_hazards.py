@@ -19,8 +19,8 @@ from procedures.engine.case import Case
 from procedures.engine.order import order_of
 from procedures.engine.step import StepKey
 from procedures.exchange import allowed_fields
-from procedures.exchange.allowed_fields import only_allowed
-from procedures.exchange.dicom_object import name_patient
+from procedures.exchange.allowed_fields import require_allowed
+from procedures.exchange.dicom_objects import name_patient
 from procedures.exchange.errors import FieldNotAllowed
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import Entry, Journal
@@ -139,10 +139,10 @@ def test_every_exported_field_is_on_the_allow_list(run: Path, tmp_path: Path) ->
 def test_an_object_with_any_other_field_is_refused(run: Path, tmp_path: Path, attribute: str) -> None:
     export_run(run, tmp_path / "export")
     made = dcmread(tmp_path / "export" / "spheres.dcm")
-    only_allowed(made)
+    require_allowed(made)
     if attribute == "PatientName":
         name_patient(made, "Sown^Patient", "", "", "")
     else:
         setattr(made, attribute, "Sown Hospital")
     with pytest.raises(FieldNotAllowed, match=f"EXC-004.*{attribute}"):
-        only_allowed(made)
+        require_allowed(made)

@@ -1,4 +1,4 @@
-"""Pages about what Python programs may call: signatures and docstrings, as they stand in the modules.
+"""Pages of the Python API: signatures and docstrings, as they stand in the modules.
 
 A member without a docstring has that of the interface it fulfils: drivers inherit nothing but the words.
 """
@@ -22,7 +22,7 @@ from procedures.strategies import strategy, trajectory
 from ronna_hw import frames, theatre
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings, robot
 from ronna_hw.devices.capabilities import RecordsBytes
-from studies.own import contracts
+from studies.plugins import contracts
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -130,7 +130,7 @@ def _fields(one: type[DataclassInstance]) -> Iterator[str]:
 
 
 def _signature(function: Any) -> str:
-    """Without `self` and without types: they are in the module, and the words say what they are."""
+    """Return the signature without `self` and types: those are in the module and in the words."""
     given = inspect.signature(function)
     kept = [
         one.replace(annotation=one.empty, default=_default(one.default))

@@ -1,4 +1,4 @@
-"""Takes the pictures of the console in the docs, from a real case in a real browser.
+"""Take the docs' pictures of the console, from a real case in a real browser.
 
 .venv/bin/python tools/docs/console_pictures.py [FOLDER]     # docs/pictures by default; a minute
 """

@@ -1,4 +1,4 @@
-"""Writes the tables of the reference pages, below the mark; the words above it are written by hand.
+"""Write the tables of the reference pages below the mark; the words above it are written by hand.
 
 `make docs` runs it; a test compares the committed pages with its output.
 """
@@ -10,14 +10,17 @@ import pkgutil
 from types import ModuleType
 
 from api_pages import devices, numerics
-from checklists import checklist
-from data_files import REFERENCE
-from disturbance_table import disturbances
 from hazard_matrix import hazard_table
 from model_tables import model_tables
-from open_questions import parameter_table, robot_parameters
-from page_tables import table
-from scanner_table import scanner_faults
+from reference_tables import (
+    REFERENCE,
+    checklist,
+    disturbances,
+    parameter_table,
+    robot_parameters,
+    scanner_faults,
+    table,
+)
 
 import conformance
 import console
@@ -94,7 +97,7 @@ def with_table(page: str, content: str) -> str:
 
 
 def step_results() -> list[type[StepResult]]:
-    """What all steps leave behind: those of a case in their order, then those of calibrations by name."""
+    """Collect the results of all steps: of a case in order, then of calibrations by name."""
     for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
         importlib.import_module(module.name)
     ours = [model for model in StepResult.__subclasses__() if model.__module__.startswith("procedures.")]
@@ -125,7 +128,7 @@ def _error_codes() -> str:
 
 
 def _exported_fields() -> str:
-    """What may leave a run folder."""
+    """Tabulate the fields that may leave a run folder."""
     rows = [
         (f"`{name}`", where, meaning)
         for where, fields in (

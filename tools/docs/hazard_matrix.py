@@ -12,15 +12,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from data_files import REFERENCE, TESTS, read_rows
-from page_tables import table
+from reference_tables import REFERENCE, TESTS, read_rows, table
 
 WHERE_IT_RUNS = {"soak": "make soak", "slow": "make test-all"}  # by mark; without one: make test
 _MARK = re.compile(r"pytest\.mark\.(\w+)(?:\((\d+)\))?")
 
 
 class Status(StrEnum):
-    """How far a hazard is under control."""
+    """Control status of a hazard."""
 
     COVERED = "covered"
     PARTLY = "partly"
@@ -28,7 +27,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Hazard:
-    """One line of the table; `remains` is empty only when the hazard is covered."""
+    """A line of the table; `remains` is empty only when the hazard is covered."""
 
     number: int
     hazard: str

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from page_tables import table
 from pydantic import BaseModel
+from reference_tables import table
 
 SHOWN_DEFAULT = 24  # characters; a longer one is not for a table
 

@@ -1,4 +1,4 @@
-"""Takes the pictures of the planner in the docs, from a real plan in a real browser.
+"""Take the docs' pictures of the planner, from a real plan in a real browser.
 
 .venv/bin/python tools/docs/planner_pictures.py [FOLDER]     # docs/pictures by default; half a minute
 """

@@ -69,8 +69,7 @@ def check(
     from procedures.cli.calibrating.calibration import observe
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.reporting.calibration.arm import ArmCheckFigures
-    from procedures.reporting.calibration.result_file import write_figures
+    from procedures.reporting.calibration_figures import ArmCheckFigures, write_figures
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     found: list[ArmCheckFigures] = []

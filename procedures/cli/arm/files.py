@@ -8,7 +8,7 @@ from typing import Any
 from procedures.calibration.arm.looks import LOOKS_FILE, ArmLooks
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.reporting.calibration.arm import ArmFigures, ParameterFigures
+from procedures.reporting.calibration_figures import ArmFigures, ParameterFigures
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from ronna_hw.config import Calibrations
 

@@ -27,8 +27,7 @@ from procedures.composition.procedure import Resumption
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.engine.run_lock import held_run
-from procedures.reporting.calibration.figures import RecordFigures
-from procedures.reporting.calibration.result_file import write_figures
+from procedures.reporting.calibration_figures import RecordFigures, write_figures
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.command_line import terminal

@@ -14,8 +14,7 @@ from typing import Any
 
 from procedures.calibration.errors import BadObservations
 from procedures.cli.calibrating.replaced_tables import with_tables
-from procedures.reporting.calibration.figures import RecordFigures
-from procedures.reporting.calibration.result_file import RESULT_FILE, read_figures
+from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded, read_toml, toml_of
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations

@@ -121,12 +121,12 @@ def finished(
     truth: Truth | None = None,
 ) -> FinishedRun:
     """What a finished case came to, by `truth` where that is kept; raises PRO-013 from the verifier."""
-    from procedures.reporting.files import keep_truth
+    from procedures.reporting.files import store_truth
     from procedures.reporting.outcome import Truth
 
     if truth is None:
         truth = truth_of(case.folder) if request.config is None else Truth()
-        keep_truth(case.folder, truth)
+        store_truth(case.folder, truth)
     return _outcome(request, case, trajectories, truth, theatre_time_s, wall_s)
 
 
@@ -139,7 +139,7 @@ def _outcome(
     wall_s: float,
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
-    from procedures.reporting.used_registrations import registrations_of
+    from procedures.reporting.run_reading import registrations_of
     from procedures.steps.clinical.confirmation import ConfirmedTarget
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan

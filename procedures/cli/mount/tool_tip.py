@@ -8,7 +8,7 @@ from typing import Any
 from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
 from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.reporting.calibration.mount import TipFigures
+from procedures.reporting.calibration_figures import TipFigures
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
 

@@ -8,7 +8,7 @@ from typing import Any
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE, FrameLooks
 from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
 from procedures.cli.calibrating.calibration import CalibrationKind
-from procedures.reporting.calibration.mount import FrameFigures
+from procedures.reporting.calibration_figures import FrameFigures
 from procedures.steps.calibration.frame_looks import ObservedFrame
 
 

@@ -20,7 +20,7 @@ from procedures.engine.run_lock import held_run
 from procedures.engine.theatre_lock import last_runs, require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
-from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
+from procedures.reporting.files import KEPT_TRUTH, drop_unconfirmed_truth
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
@@ -142,7 +142,7 @@ def make_ready(left: LeftRun) -> None:
     folder = left.run.path
     _check_writable(folder)
     _remove_half_written(folder)
-    if forget_unconfirmed_truth(folder):
+    if drop_unconfirmed_truth(folder):
         tell(f"{KEPT_TRUTH} was removed: no seal confirms it")
     if left.chain.torn:
         tell(f"the last line of the journal is truncated ({len(left.chain.torn)} bytes): it was set aside")

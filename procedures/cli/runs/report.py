@@ -18,24 +18,24 @@ from ronna_hw.host.files import remove_folder, walk
 from ronna_hw.host.process import interruption_deferred
 
 if TYPE_CHECKING:
-    from procedures.reporting.postoperative import AfterTheOperation
+    from procedures.reporting.files import PostoperativeResult
 
 NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 
 
-def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:
+def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
     """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
-    from procedures.reporting.files import forget_unconfirmed_truth
+    from procedures.reporting.files import drop_unconfirmed_truth
     from procedures.reporting.report import write_report
 
     with contextlib.nullcontext() if out else held_run(run):
         found = inspected(run)
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
-            forget_unconfirmed_truth(run)
+            drop_unconfirmed_truth(run)
             if is_closed(found.chain.lines) and not is_sealed(run):
                 close_again(read_left_run(run))
         for problem in found.problems:

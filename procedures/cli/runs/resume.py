@@ -23,7 +23,7 @@ from procedures.composition.procedure import Resumption
 from procedures.engine.course import Course
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
-from procedures.reporting.files import kept_truth
+from procedures.reporting.files import load_truth
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.manifest import REPORT_FILE, is_sealed
@@ -119,7 +119,7 @@ def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
         order.trajectories,
         moment_s,
         wall_time_s(journal),
-        kept_truth(folder) if is_sealed(folder) else None,
+        load_truth(folder) if is_sealed(folder) else None,
     )
     return _with_report(outcome, folder)
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from procedures.cli.runs.folders import runs_in
 from procedures.engine.run_lock import holder_of_run
-from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
+from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.ending import Ending, ending_of, resumes
-from procedures.reporting.files import KEPT_TRUTH, kept_truth
+from procedures.reporting.ending import Ending, resumes, run_ending
+from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from ronna_hw.command_line.terminal import print_json, print_table, say
@@ -49,7 +49,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print what a run did, how it ended, and the errors at its targets."""
     reading = read_for_report(folder)
-    row, missing = _summary(reading, kept_truth(folder)), missing_in_raw(folder, tuple(reading.run.journal))
+    row, missing = _summary(reading, load_truth(folder)), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
         print_json(row | {"problems": [*reading.changes, *reading.problems], "raw_missing": missing})
         return
@@ -92,7 +92,7 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
 def _listed(folder: Path) -> dict[str, Any]:
     reading = read_for_report(folder, every_file=False, files=(KEPT_TRUTH,))
     kept = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
-    row = _summary(reading, kept_truth(folder) if kept else None)
+    row = _summary(reading, load_truth(folder) if kept else None)
     return row | {"problems": [*reading.changes, *reading.problems]}
 
 
@@ -107,7 +107,7 @@ def _largest(row: dict[str, Any]) -> str:
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
     """A run in plain data: what `list` and `show` print."""
     run = reading.run
-    ending = ending_of(run.journal)
+    ending = run_ending(run.journal)
     running = holder_of_run(reading.folder) if ending.word == "killed" else None
     if running is not None:
         ending = Ending("running", f"{running} has it open.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
-from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
+from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import inspected

@@ -13,7 +13,7 @@ from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.reporting.calibration.stereo_head import HeadCheckFigures
+    from procedures.reporting.calibration_figures import HeadCheckFigures
     from ronna_hw.config import Calibrations
 
 Triple = tuple[float, float, float]
@@ -99,7 +99,7 @@ def check(
     then = read_strict(Baseline, file)
     then.require_complete()
     from procedures.cli.calibrating.running import new_folder, run_steps
-    from procedures.reporting.calibration.result_file import write_figures
+    from procedures.reporting.calibration_figures import write_figures
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
     from procedures.steps.calibration.procedures import head_check
 
@@ -172,7 +172,7 @@ def measure(
 
             write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
         from procedures.cli.stereo.display import show_look
-        from procedures.reporting.calibration.result_file import write_figures
+        from procedures.reporting.calibration_figures import write_figures
 
         write_figures(show_look(seen, as_json=asked.as_json), folder)
 

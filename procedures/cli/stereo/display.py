@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from procedures.relocalization import SphereImage
 from procedures.relocalization.errors import NoSphere, NotTrusted
-from procedures.reporting.calibration.ball import BallFigures, OutlineFigures
-from procedures.reporting.calibration.stereo_head import HeadCheckFigures
+from procedures.reporting.calibration_figures import BallFigures, HeadCheckFigures, OutlineFigures
 from procedures.workcell.stereo_look import Look
 from ronna_hw.command_line import terminal
 

@@ -14,10 +14,9 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import WebSocketRoute
 from starlette.websockets import WebSocket
 
-from console.guard import Guard
+from console.app import add_order_routes
+from console.guard import Guard, Sessions
 from console.hub import Hub
-from console.orders_route import add_order_routes
-from console.sessions import Sessions
 from procedures.cli.console.desk import Desk
 from procedures.engine.orders import AnyOrder, Reply
 

@@ -14,17 +14,17 @@ import numpy as np
 from arm_looks import SPHERES_MM, LookingArm
 from console_requests import ORIGIN, Console
 from good_inputs import FAULTS, ORDERS
-from plan_desks import draw, scan
+from plan_editors import draw, scan
 from scipy.spatial.transform import Rotation
 
-from benchmarks.mount.frame_looks import FrameCell
-from benchmarks.mount.tip_looks import TipCell
+from benchmarks.mount.tool_tip_calibration import TipCell
+from benchmarks.mount.tracker_frame_calibration import FrameCell
 from benchmarks.stereo_head.head_looks import observation_set, true_head
-from console.planning.avoided import imported
-from console.planning.desk import PlanDesk
+from console.guard import ORDERS_PER_SECOND, Rate
 from console.planning.draft import Draft
 from console.planning.judging import judge
-from console.sessions import ORDERS_PER_SECOND, Rate
+from console.planning.plan_editor import PlanEditor
+from console.planning.structure_panel import import_structure
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
 from procedures.cli.calibrating.kinds import kind_of
@@ -96,27 +96,27 @@ def _structure() -> Take:
     def take(data: bytes) -> None:
         for name in ("points.csv", "points.json"):
             with contextlib.suppress(RonnaError):
-                imported(Draft("HFS", 3), "S1", data, name, geometry)
+                import_structure(Draft("HFS", 3), "S1", data, name, geometry)
 
     return take
 
 
 def _unsaved(folder: Path) -> tuple[tuple[bytes, ...], Take]:
     volume, plan = scan(), folder / "drawn.toml"
-    desk = PlanDesk(volume, plan, None)
-    draw(desk)
-    desk.change(imported(desk.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
-    kept = desk.close()
+    editor = PlanEditor(volume, plan, None)
+    draw(editor)
+    editor.change(import_structure(editor.draft, "S1", CROSSING[0], "points.csv", volume.geometry))
+    kept = editor.close()
     assert kept is not None
 
     def take(data: bytes) -> None:
         for aside in folder.glob(f"{kept.name}-*"):
             aside.unlink()
         kept.write_bytes(data)
-        desk = PlanDesk(volume, plan, None)
-        judge(desk.draft, volume, None, thorough=False)
-        desk.change(replace(desk.draft, tool="other"))
-        desk.close()
+        editor = PlanEditor(volume, plan, None)
+        judge(editor.draft, volume, None, thorough=False)
+        editor.change(replace(editor.draft, tool="other"))
+        editor.close()
 
     return (kept.read_bytes(),), take
 

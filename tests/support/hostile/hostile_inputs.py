@@ -52,7 +52,7 @@ from pydicom.uid import DeflatedExplicitVRLittleEndian
 from run_inputs import run_parsers
 from simulator_inputs import simulator_parsers
 
-from console.feed.recorded import RecordedCase
+from console.case_view import RecordedCase
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
 from drivers.basler_stereo.features.feature_map import FeatureMap

@@ -26,18 +26,17 @@ from drivers.basler_stereo.readings import pixels_of
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order
-from procedures.exchange.raw_extent import missing_in_raw
+from procedures.exchange.raw_readings import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
 from procedures.planning.cart.proposed_place import ProposedPlace, read_place
-from procedures.reporting.calibration.result_file import figures_if_readable
-from procedures.reporting.ending import ending_of
-from procedures.reporting.files import kept_truth
-from procedures.reporting.happenings import happenings, questions
-from procedures.reporting.link_counters import link_counters
+from procedures.reporting.calibration_figures import load_figures
+from procedures.reporting.ending import run_ending
+from procedures.reporting.files import load_truth
+from procedures.reporting.run_events import notable_events, questions
 from procedures.reporting.run_reading import read_for_report
-from procedures.reporting.timeline import timeline
+from procedures.reporting.run_statistics import link_counters, timeline
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -66,9 +65,9 @@ from sim.world.saved_world import read_saved_world
 from sim.world.scene.named_scenes import named_scene
 from sim.world.truth import read_samples
 from sim.world.world import World
-from studies.campaign import ledger
-from studies.campaign.unit import add_up
-from studies.correspondence import frame_readings
+from studies.campaign import folder as study_folder
+from studies.campaign.study import add_up
+from studies.correspondence import clinical
 from studies.registration import RegistrationStudy
 
 Take = Callable[[bytes], object]
@@ -87,7 +86,7 @@ STAMP = Stamp(7, 4242, 1.25)
 LEDGER = b"".join(
     json.dumps(line).encode() + b"\n"
     for line in (
-        ledger.head_of(STUDY),
+        study_folder.head_of(STUDY),
         {"unit": UNIT, "sums": {"runs": 2.0, "squares_mm2": 0.5}},
     )
 )
@@ -160,8 +159,8 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (json.dumps(LEFT).encode(),),
             of("theatre/world.json", read_saved_world, run / "theatre"),
         ),
-        "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", kept_truth)),
-        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", figures_if_readable)),
+        "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", load_truth)),
+        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", load_figures)),
         "room": (ROOM_REQUESTS, _asked(room)),
         "raw image": ((mono,), _raw_image),
         "conformance BX": ((body[:46],), _conformance),
@@ -178,10 +177,10 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (b'{"schema":1,"journal_lines":9,"whole":true}\n',),
             of("raw/extent.json", lambda _run: missing_in_raw(run, ())),
         ),
-        "ledger": ((LEDGER,), of(ledger.FILE, _ledger)),
+        "ledger": ((LEDGER,), of(study_folder.FILE, _ledger)),
         "recorded readings": (
             (b'{"seed": 1, "readings_mm": [[[1, 2, 3], [1, 2, 4], [1, 5, 3], [7, 2, 3]]]}',),
-            of(frame_readings.FILE, lambda _run: frame_readings.recorded_readings(run, 1, 1)),
+            of(clinical.READINGS_FILE, lambda _run: clinical.load_or_take_readings(run, 1, 1)),
         ),
     }
 
@@ -200,8 +199,8 @@ def _read_run(run: Path) -> None:
                 lines.append(text)
     journal.write_bytes(b"".join(lines))
     reading = read_for_report(run)
-    ending_of(reading.run.journal)
-    happenings(reading.run.journal)
+    run_ending(reading.run.journal)
+    notable_events(reading.run.journal)
     questions(reading.run.journal)
     timeline(reading.run.journal)
     link_counters(reading.log)
@@ -260,7 +259,7 @@ def _placed(proposal: ProposedPlace) -> None:
 
 def _ledger(folder: Path) -> None:
     """As who may write everything: the first units have the hash of what they say."""
-    file, lines = folder / ledger.FILE, []
+    file, lines = folder / study_folder.FILE, []
     *first, rest = file.read_bytes().split(b"\n", REHASHED)
     for line in first:
         with contextlib.suppress(ValueError, KeyError, TypeError):
@@ -269,7 +268,7 @@ def _ledger(folder: Path) -> None:
             line = json.dumps({**content, "sha256": hashlib.sha256(said).hexdigest()}).encode()
         lines.append(line)
     file.write_bytes(b"\n".join([*lines, rest]))
-    add_up(ledger.Ledger(folder, STUDY).results())
+    add_up(study_folder.Ledger(folder, STUDY).results())
 
 
 def _asked(room: Room) -> Take:

@@ -23,8 +23,8 @@ from procedures.engine.run_folder import typed
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
 from procedures.reporting.case_figures import read_case_figures
+from procedures.reporting.files import SUMMARY_FILE, load_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.postoperative import SUMMARY_FILE, kept_check
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.results.result import FramedPose, StepResult
@@ -94,7 +94,7 @@ def run_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
 
     def checked(data: bytes) -> None:
         (opened / "report" / SUMMARY_FILE).write_bytes(data)
-        if kept_check(read_for_report(opened, every_file=False)) is not None:
+        if load_check(read_for_report(opened, every_file=False)) is not None:
             write_report(opened, out=folder / "out")
 
     return {

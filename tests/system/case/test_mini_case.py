@@ -32,8 +32,7 @@ from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import read_scene
 from studies.accuracy.postures import ARM, TOOL_MM
-from studies.accuracy.random_arms import RandomArms
-from studies.accuracy.solving import PlannedPoses, centred
+from studies.accuracy.random_arms import PlannedPoses, RandomArms, centre_on_spheres
 
 LARGEST_ERROR_MM = 1.5
 TRACKER_MM = 0.2  # of 1,500 drawn scenes the largest is 0.12 mm: the smooth error of both frames is the same
@@ -177,7 +176,7 @@ def test_the_arms_of_the_studies_place_the_spheres_where_the_case_recorded_them(
     spheres_mm = apply(matrix_of(scene.head.robot_from_ct), ct_mm[nearest])
     planned = PlannedPoses.of(ARM, TOOL_MM, np.array(found["joints_rad"]))
     sides = np.array(results["path_check"]["targets"]["T1"]["approach_signs"], dtype=float)
-    _, believed_mm = centred(arms, planned, spheres_mm, np.tile(sides, (1, len(spheres_mm), 1)))
+    _, believed_mm = centre_on_spheres(arms, planned, spheres_mm, np.tile(sides, (1, len(spheres_mm), 1)))
     recorded_mm = np.array(found["points_robot_mm"])
     assert np.abs(recorded_mm - spheres_mm).max() > 1.0  # so wrong is the nominal arm about its tool
     assert np.abs(recorded_mm - believed_mm[0]).max() < WIRES_APART_MM

@@ -15,7 +15,7 @@ from user_commands import in_this_process, one_error
 from sim.world.control_port import ControlPort, Room
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
-from studies.own import trial
+from studies.plugins import trial
 
 BAD_INPUTS = BadInput.read(Path(__file__).with_name("bad_inputs.txt"))
 FEWEST = 150
@@ -51,7 +51,7 @@ def test_a_bad_input_gets_a_message_with_the_value_the_expectation_and_the_actio
 ) -> None:
     monkeypatch.chdir(bench)
     monkeypatch.delenv("RONNA_CONTROL", raising=False)
-    monkeypatch.setattr(trial, "tried_apart", lambda kind, text, _tell: trial.tried(kind, text))
+    monkeypatch.setattr(trial, "try_in_subprocess", lambda kind, text, _tell: trial.try_plugin(kind, text))
     before = sorted(bench.rglob("*"))
     name, *arguments = bad.arguments(names)
     done = in_this_process(app_of(name), *arguments)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from user_commands import Commands, in_this_process
 
-from studies.campaign.unit import Sums, Unit
+from studies.campaign.study import Sums, Unit
 from studies.cli import app
 from studies.registration import RegistrationStudy
 

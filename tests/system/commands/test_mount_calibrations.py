@@ -12,8 +12,8 @@ from arm_looks import ENDPOINTS
 from documented import commands_of, run_all
 from user_commands import Commands, in_this_process, one_error
 
-from benchmarks.mount.frame_looks import FrameCell
-from benchmarks.mount.tip_looks import TipCell
+from benchmarks.mount.tool_tip_calibration import TipCell
+from benchmarks.mount.tracker_frame_calibration import FrameCell
 from procedures.calibration.tool_tip import looks as tip_looks
 from procedures.calibration.tool_tip.tip import LEAST_READINGS
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE

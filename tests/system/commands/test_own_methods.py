@@ -12,7 +12,7 @@ from documented import write_files
 from user_commands import in_this_process
 
 from studies.cli import app
-from studies.own import trial
+from studies.plugins import trial
 
 PAGE = "docs/how-to/research/own-methods.md"
 
@@ -48,5 +48,7 @@ def test_an_unusable_method_leaves_no_folder(folder: Path, monkeypatch: pytest.M
         done = in_this_process(app, command, "--method", "my_strategy:Halfway", "--out", folder / "out")
         assert done.returncode == 2
         assert done.stderr.startswith("STU-012: my_strategy:Halfway cannot be called as a ")
-        monkeypatch.setattr(trial, "tried_apart", lambda kind, text, _tell: trial.tried(kind, text))
+        monkeypatch.setattr(
+            trial, "try_in_subprocess", lambda kind, text, _tell: trial.try_plugin(kind, text)
+        )
     assert [one for one in sorted(folder.iterdir()) if one.name != "__pycache__"] == before

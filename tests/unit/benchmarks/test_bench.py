@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import contest, figures, run
+from benchmarks import figures, run
 from benchmarks.robot import robot_link
 from drivers.kuka_rsi.errors import RecordedCycle
 
@@ -33,7 +33,7 @@ def test_contestants_take_turns_and_warm_up_rounds_do_not_count() -> None:
         return float(len(order))
 
     names = ("a", "b", "c")
-    samples = contest.contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
+    samples = figures.contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
     assert "".join(order) == "abcbcacab"
     assert samples == {"a": [6.0, 8.0], "b": [4.0, 9.0], "c": [5.0, 7.0]}
 
@@ -78,11 +78,11 @@ def test_the_processor_time_of_a_process_grows_with_its_work() -> None:
         assert busy.stdin is not None
         assert busy.stdout is not None
         busy.stdout.readline()
-        first = contest.process_cpu_s(busy.pid)
+        first = figures.process_cpu_s(busy.pid)
         busy.stdin.write(b"\n")
         busy.stdin.flush()
         busy.stdout.readline()
-        second = contest.family_cpu_s(busy.pid)
+        second = figures.family_cpu_s(busy.pid)
         busy.stdin.close()
     assert 0.0 < first < second
 

@@ -1,13 +1,13 @@
-"""A planner's desk with nothing drawn yet."""
+"""A plan editor with nothing drawn yet."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import pytest
-from plan_desks import scan
+from plan_editors import scan
 
-from console.planning.desk import PlanDesk
+from console.planning.plan_editor import PlanEditor
 
 
 @pytest.fixture
@@ -16,5 +16,5 @@ def file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def desk(file: Path) -> PlanDesk:
-    return PlanDesk(scan(), file, None)
+def editor(file: Path) -> PlanEditor:
+    return PlanEditor(scan(), file, None)

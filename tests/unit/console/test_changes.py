@@ -6,7 +6,7 @@ import asyncio
 
 import pytest
 
-from console.web.changes import changed_within
+from console.changes import changed_within
 
 LONG_S = 600.0
 

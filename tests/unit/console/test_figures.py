@@ -12,9 +12,8 @@ from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.routing import Route
 
-from console.feed.recorded import RecordedCase
-from console.feed.view import CaseView, StepRow
-from console.figures import Figures, as_of
+from console.case_view import CaseView, RecordedCase, StepRow
+from console.figures import Figures, figures_at
 from console.hub import Hub
 from procedures.cli.case.leaving_report import seal_run
 from procedures.operator.evidence import Evidence
@@ -32,13 +31,13 @@ FIGURES = CaseFigures(
 
 def after(*done: str) -> CaseFigures:
     view = CaseView(steps=tuple(StepRow(one, one, "", False, "done") for one in done))
-    found = as_of(FIGURES, view, view)
+    found = figures_at(FIGURES, view, view)
     assert found is not None
     return found
 
 
 def test_figures_appear_in_the_order_in_which_they_were_measured() -> None:
-    assert as_of(None, CaseView(), CaseView()) is None
+    assert figures_at(None, CaseView(), CaseView()) is None
     nothing = after("ct_import")
     tracked = after("global_localization")
     matched = after("global_localization", "correspondence")
@@ -64,7 +63,7 @@ def test_figures_of_a_repeated_result_are_hidden_before_the_repetition() -> None
         CaseView(steps=(StepRow("registration", "", "", False, "done", record=record),))
         for record in ("registration-1", "registration-2")
     )
-    shown = [as_of(FIGURES, view, now) for view in (then, now)]
+    shown = [figures_at(FIGURES, view, now) for view in (then, now)]
     assert [bool(one and one.predictions) for one in shown] == [False, True]
 
 

@@ -7,8 +7,7 @@ import time
 import pytest
 from console_requests import HOST, ORIGIN, SOCKET, Console
 
-from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS
-from console.sessions import PAGES, PAGES_S, Role
+from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, MOST_CLIENTS, PAGES, PAGES_S, Role
 
 
 @pytest.fixture

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from console.app import follow_engine, review
+from console.case_view import RecordedCase
 from console.errors import NothingToShow, PortTaken
-from console.feed.engine_socket import follow_engine
-from console.feed.recorded import RecordedCase
+from console.guard import MOST_SESSIONS, Role, Session, Sessions
 from console.hub import NOT_RUNNING, SILENT_FILE_S, SILENT_S, Hub
 from console.listening import HOST, listen
-from console.reviewing import review
-from console.sessions import MOST_SESSIONS, Role, Session, Sessions
 from procedures.engine.events import (
     CaseState,
     DeviceAge,

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_desks import ENTRY, TARGET, scan
+from plan_editors import ENTRY, TARGET, scan
 from recording_cell import mini_theatre_file
 
-from console.planning.draft import Draft, Way
+from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import judge
 from procedures.imaging.markers import Marker
 from procedures.planning.theatre.arm import SixNumbers, TheatreArm, theatre_arm
@@ -22,7 +22,7 @@ DRAFT = Draft(
     "HFS",
     implanted=3,
     instrument_length_mm=250.0,
-    ways=(Way("T1", ENTRY, TARGET),),
+    ways=(DraftTrajectory("T1", ENTRY, TARGET),),
     markers=tuple(Marker(np.array(centre), 0.01 * np.eye(3), 5.75, 1.0, 0.0) for centre in CENTRES_MM),
 )
 

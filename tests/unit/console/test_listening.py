@@ -11,10 +11,9 @@ from collections.abc import AsyncIterator
 
 import pytest
 
-from console import connection, listening
-from console.guard import SESSION, Guard, Receive, Scope, Send
+from console import listening
+from console.guard import SESSION, Guard, Receive, Role, Scope, Send, Sessions
 from console.listening import HOST, listen, server_of
-from console.sessions import Role, Sessions
 from ronna_hw.host import network
 from ronna_hw.host.network import account_at
 
@@ -149,7 +148,7 @@ def test_a_socket_whose_head_is_refused_before_the_guard_is_disconnected() -> No
 def test_an_incomplete_request_is_disconnected_after_the_time_limit(
     monkeypatch: pytest.MonkeyPatch, answered: bytes, half: bytes
 ) -> None:
-    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
 
     async def said() -> bytes:
         async with Served().serving() as console:
@@ -162,7 +161,7 @@ def test_an_incomplete_request_is_disconnected_after_the_time_limit(
 
 
 def test_a_slowly_sent_request_gets_no_more_time_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
 
     async def drip() -> None:
         async with Served().serving() as console:
@@ -233,7 +232,7 @@ def test_a_viewer_with_too_many_connections_gets_no_more_and_locks_out_no_operat
 
 
 def test_an_answer_that_is_not_read_is_given_up_after_its_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "ANSWER_LIMIT_S", 0.1)
+    monkeypatch.setattr(listening, "ANSWER_LIMIT_S", 0.1)
 
     async def stay() -> None:
         async with Served().serving() as console:
@@ -245,7 +244,7 @@ def test_an_answer_that_is_not_read_is_given_up_after_its_time_limit(monkeypatch
 
 
 def test_an_answer_in_one_piece_is_left_to_a_slow_reader(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
 
     async def taken() -> int:
         async with Served().serving() as console:
@@ -262,7 +261,7 @@ def test_an_answer_in_one_piece_is_left_to_a_slow_reader(monkeypatch: pytest.Mon
 
 
 def test_an_open_socket_outlasts_the_request_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+    monkeypatch.setattr(listening, "REQUEST_LIMIT_S", 0.1)
 
     async def stay() -> None:
         async with Served().serving() as console:

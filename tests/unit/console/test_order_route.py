@@ -17,7 +17,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from console.sessions import ORDERS_PER_SECOND
+from console.guard import ORDERS_PER_SECOND
 from procedures.cli.console.desk import Desk, Wish
 
 ORDERS = [

@@ -11,26 +11,25 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 from nicegui import Client, ui
-from plan_desks import ENTRY, TARGET, draw, scan
+from plan_editors import ENTRY, TARGET, draw, scan
 
-from console.pictures.cuts import WINDOWS_HU, Plane
-from console.planning.desk import PlanDesk
+from console.guard import Role, Session
 from console.planning.draft import Axis
 from console.planning.head_scene import ARM_OF_CROSS_MM
-from console.planning.look import ZOOMS
 from console.planning.page import DRAW, SPHERE, PlannerPage
-from console.sessions import Role, Session
+from console.planning.plan_editor import PlanEditor
+from console.planning.slices import WINDOWS_HU, ZOOMS, Plane
 
 AXIAL = list(Plane).index(Plane.AXIAL)
 
 
 def on_the_page(folder: Path, do: Callable[[PlannerPage], Awaitable[None]]) -> None:
-    desk = PlanDesk(scan(), folder / "plan.toml", None)
-    draw(desk)
+    editor = PlanEditor(scan(), folder / "plan.toml", None)
+    draw(editor)
 
     async def page() -> None:
         with Client(ui.page("/of-a-test"), request=None):
-            page = PlannerPage(desk, Session(Role.OPERATOR, "session-1"), low=True)
+            page = PlannerPage(editor, Session(Role.OPERATOR, "session-1"), low=True)
             page.build()
             await do(page)
 
@@ -56,15 +55,15 @@ def test_angles_depth_and_free_angle_are_typed_about_a_target_that_stays(tmp_pat
     async def do(page: PlannerPage) -> None:
         for name, words in (("azimuth", "-80"), ("elevation", "30,5"), ("depth", "60"), ("free angle", "15")):
             enter(page, name, words)
-        way = page._desk.draft.way("T1")
+        way = page._editor.draft.way("T1")
         assert way.target_mm == TARGET
         assert (way.depth_mm, way.free_angle_deg) == (pytest.approx(60.0), 15.0)
         assert way.ends is not None
         axis = Axis.of(*way.ends)
         assert (axis.azimuth_deg, axis.elevation_deg) == (pytest.approx(-80.0), pytest.approx(30.5))
         for _ in range(4):
-            page._desk.undo()
-        assert page._desk.draft.way("T1").entry_mm == ENTRY
+            page._editor.undo()
+        assert page._editor.draft.way("T1").entry_mm == ENTRY
 
     on_the_page(tmp_path, do)
 
@@ -99,7 +98,7 @@ def test_the_enter_key_does_at_the_crosshair_what_a_click_does(tmp_path: Path) -
         page._go(TARGET)
         page._mode.set_value(DRAW)
         await press(page, "Enter")
-        assert page._desk.draft.structures[0].points_mm == (TARGET,)
+        assert page._editor.draft.structures[0].points_mm == (TARGET,)
         page._mode.set_value(SPHERE)
         await press(page, "Enter")
         assert "CT-019" in str(page._words.content)

@@ -9,28 +9,30 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from plan_desks import ENTRY, draw, save, scan
+from plan_editors import ENTRY, draw, save, scan
 
-from console.planning import desk as desk_module
-from console.planning.desk import PlanDesk
+from console.planning import plan_editor
+from console.planning.plan_editor import PlanEditor
 from procedures.planning.errors import PlanInUse
 from procedures.planning.plan.lock import held_plan
 
 
-def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: PlanDesk, file: Path) -> None:
-    draw(desk)
-    save(desk)
-    assert desk.keep() is None
-    draw(desk, standoff_mm=31.0)
-    half, name = desk.draft.with_new_way()
-    desk.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
-    kept = desk.close()
+def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
+    editor: PlanEditor, file: Path
+) -> None:
+    draw(editor)
+    save(editor)
+    assert editor.keep() is None
+    draw(editor, standoff_mm=31.0)
+    half, name = editor.draft.with_new_way()
+    editor.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
+    kept = editor.close()
     assert kept is not None
 
-    again = PlanDesk(scan(), file, None)
+    again = PlanEditor(scan(), file, None)
     assert again.notice is not None
     assert again.notice.code == "PLAN-029"
-    assert again.draft == desk.draft
+    assert again.draft == editor.draft
     assert not again.is_saved
     again.undo()
     assert again.draft.standoff_mm == 30.0
@@ -38,40 +40,40 @@ def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: P
     assert not kept.exists()
 
 
-def test_an_undo_back_to_the_beginning_after_a_save_is_not_lost(desk: PlanDesk, file: Path) -> None:
-    draw(desk)
-    save(desk)
-    desk.close()
-    second = PlanDesk(scan(), file, None)
+def test_an_undo_back_to_the_beginning_after_a_save_is_not_lost(editor: PlanEditor, file: Path) -> None:
+    draw(editor)
+    save(editor)
+    editor.close()
+    second = PlanEditor(scan(), file, None)
     draw(second, standoff_mm=31.0)
     save(second)
     second.undo()
     assert second.close() is not None
-    third = PlanDesk(scan(), file, None)
+    third = PlanEditor(scan(), file, None)
     assert third.notice is not None
     assert third.notice.code == "PLAN-029"
     assert third.draft.standoff_mm == 30.0
 
 
 def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues_its_draft(
-    desk: PlanDesk, file: Path
+    editor: PlanEditor, file: Path
 ) -> None:
-    draw(desk)
-    save(desk)
-    draw(desk, standoff_mm=31.0)
-    other = PlanDesk(scan(), file, None)
+    draw(editor)
+    save(editor)
+    draw(editor, standoff_mm=31.0)
+    other = PlanEditor(scan(), file, None)
     assert other.draft.standoff_mm == 30.0
     assert "another planner" in str(other.read_only)
     draw(other, standoff_mm=35.0)
     assert other.draft.standoff_mm == 30.0
-    save(desk)
-    draw(desk, standoff_mm=32.0)
+    save(editor)
+    draw(editor, standoff_mm=32.0)
     assert other.keep() is None
     assert not other.begin()
-    kept = desk.close()
+    kept = editor.close()
     assert kept is not None
     assert other.begin()
-    assert other.draft == desk.draft
+    assert other.draft == editor.draft
     other.undo()
     assert other.draft.standoff_mm == 31.0
     other.close()
@@ -80,10 +82,10 @@ def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues
 
 
 def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
-    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(desk_module, "AGAIN_S", 0.01)
-    other = PlanDesk(scan(), file, None)
+    monkeypatch.setattr(plan_editor, "AGAIN_S", 0.01)
+    other = PlanEditor(scan(), file, None)
 
     async def becomes_free() -> None:
         work = asyncio.create_task(other.work())
@@ -92,7 +94,7 @@ def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
             await heard.wait()
             heard.clear()
         assert other.read_only is not None
-        desk.close()
+        editor.close()
         while other.read_only is not None:
             await heard.wait()
             heard.clear()
@@ -102,16 +104,16 @@ def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
 
 
 def test_a_plan_inside_a_run_opens_read_only_and_nothing_is_written_next_to_it(
-    desk: PlanDesk, tmp_path: Path
+    editor: PlanEditor, tmp_path: Path
 ) -> None:
-    draw(desk)
-    save(desk)
+    draw(editor)
+    save(editor)
     case = tmp_path / "run" / "case"
     case.mkdir(parents=True)
     (tmp_path / "run" / "journal.jsonl").touch()
-    kept = desk.file.rename(case / "plan.toml")
-    looked = PlanDesk(scan(), kept, None)
-    assert looked.draft.ways == desk.draft.ways
+    kept = editor.file.rename(case / "plan.toml")
+    looked = PlanEditor(scan(), kept, None)
+    assert looked.draft.ways == editor.draft.ways
     assert "run run, which must not change" in str(looked.read_only)
     draw(looked, standoff_mm=31.0)
     assert looked.close() is None
@@ -122,17 +124,17 @@ def test_a_plan_inside_a_run_opens_read_only_and_nothing_is_written_next_to_it(
 
 
 def test_unsaved_changes_to_a_plan_changed_meanwhile_are_set_aside_and_reported(
-    desk: PlanDesk, file: Path
+    editor: PlanEditor, file: Path
 ) -> None:
-    draw(desk)
-    kept = desk.close()
+    draw(editor)
+    kept = editor.close()
     assert kept is not None
     content = kept.read_bytes()
-    other = PlanDesk(scan(), file.with_name("other.toml"), None)
+    other = PlanEditor(scan(), file.with_name("other.toml"), None)
     draw(other, standoff_mm=35.0)
     save(other)
     file.write_bytes(other.file.read_bytes())
-    again = PlanDesk(scan(), file, None)
+    again = PlanEditor(scan(), file, None)
     assert again.draft.standoff_mm == 35.0
     assert again.notice is not None
     assert "plan.toml.unsaved-1" in str(again.notice)
@@ -140,14 +142,14 @@ def test_unsaved_changes_to_a_plan_changed_meanwhile_are_set_aside_and_reported(
 
 
 def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ended(
-    desk: PlanDesk, file: Path
+    editor: PlanEditor, file: Path
 ) -> None:
-    draw(desk)
-    save(desk)
-    draw(desk, standoff_mm=31.0)
-    desk.close()
+    draw(editor)
+    save(editor)
+    draw(editor, standoff_mm=31.0)
+    editor.close()
     with held_plan(file):
-        again = PlanDesk(scan(), file, None)
+        again = PlanEditor(scan(), file, None)
         assert again.draft.standoff_mm == 30.0
         assert again.keep() is None
         assert not again.begin()
@@ -161,42 +163,42 @@ def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ende
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
 def test_damaged_unsaved_changes_are_set_aside(file: Path, content: bytes) -> None:
     file.with_name("plan.toml.unsaved").write_bytes(content)
-    desk = PlanDesk(scan(), file, None)
-    assert desk.notice is not None
-    assert desk.notice.code == "PLAN-029"
+    editor = PlanEditor(scan(), file, None)
+    assert editor.notice is not None
+    assert editor.notice.code == "PLAN-029"
     assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
 def test_a_pipe_in_place_of_a_plan_is_named_without_blocking_and_left_alone(file: Path) -> None:
     os.mkfifo(file)
-    desk = PlanDesk(scan(), file, None)
-    assert "not a regular file" in str(desk.problem)
+    editor = PlanEditor(scan(), file, None)
+    assert "not a regular file" in str(editor.problem)
     assert file.is_fifo()
 
 
 def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(
-    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    draw(desk)
-    save(desk)
-    other = PlanDesk(scan(), file, None)
-    desk.close()
+    draw(editor)
+    save(editor)
+    other = PlanEditor(scan(), file, None)
+    editor.close()
 
     def unreadable(_path: Path) -> str:
         raise OSError(errno.EIO, "Input/output error")
 
-    monkeypatch.setattr(desk_module, "_digest", unreadable)
+    monkeypatch.setattr(plan_editor, "_digest", unreadable)
     assert other.begin()
     assert "Input/output error" in str(other.read_only)
 
 
 def test_a_planner_that_cannot_delete_its_unsaved_changes_still_releases_the_plan(
-    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+    editor: PlanEditor, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def forbidden(_path: Path) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     with monkeypatch.context() as patched:
         patched.setattr(Path, "unlink", forbidden)
-        desk.close()
-    assert PlanDesk(scan(), file, None).read_only is None
+        editor.close()
+    assert PlanEditor(scan(), file, None).read_only is None

@@ -24,7 +24,7 @@ from procedures.imaging.pick_files import read_picks
 from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
 from procedures.planning.plan.file import read_plan
-from procedures.reporting.calibration.result_file import RESULT_FILE, figures_if_readable
+from procedures.reporting.calibration_figures import RESULT_FILE, load_figures
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
@@ -138,7 +138,7 @@ def test_too_many_values_are_refused_before_the_model_reads_them(
     for name in (RESULT_FILE, "place.json", "scene.json"):
         (tmp_path / name).write_bytes(content())
     with bounded_cost(100 << 20, 1.0):
-        assert figures_if_readable(tmp_path) is None
+        assert load_figures(tmp_path) is None
         with pytest.raises(PlaceUnfit, match="too many values"):
             read_place(tmp_path / "place.json")
         with pytest.raises(RonnaError, match="too many values"):

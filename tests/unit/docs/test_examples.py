@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from data_files import REFERENCE
+from reference_tables import REFERENCE
 
 from procedures.cli.case.answers import read_answers
 from procedures.planning.plan.file import read_plan

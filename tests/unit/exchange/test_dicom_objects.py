@@ -18,11 +18,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.exchange.dicom_object import Origin, decimals, write
+from procedures.exchange.dicom_objects import (
+    Fiducial,
+    Origin,
+    decimals,
+    fiducial_uid,
+    spatial_fiducials,
+    spatial_registration,
+    write,
+)
 from procedures.exchange.errors import NotWritable
-from procedures.exchange.plain_files import slicer_markups, table
-from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
-from procedures.exchange.spatial_registration import spatial_registration
+from procedures.exchange.sphere_files import slicer_markups, table
 from ronna_hw.frames import Frame, Transform
 
 ORIGIN = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", datetime(2026, 11, 20, 9, 30, tzinfo=UTC), "a hash")

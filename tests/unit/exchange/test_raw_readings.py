@@ -20,8 +20,7 @@ from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.sections import section_follower
 from procedures.exchange.errors import NothingToExport, NotWritable
-from procedures.exchange.raw_extent import EXTENT_FILE, missing_in_raw
-from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw
+from procedures.exchange.raw_readings import EXTENT_FILE, TABLES, missing_in_raw, raw_readings, write_raw
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (

@@ -15,7 +15,7 @@ from procedures.planning.markers.sites import (
 )
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.reporting.marker_picture import marker_picture
+from procedures.reporting.pictures import marker_picture
 from procedures.strategies.trajectory import Trajectory
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))

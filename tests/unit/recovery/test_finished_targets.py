@@ -46,7 +46,7 @@ from procedures.reporting.outcome import Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
-from procedures.reporting.target_table import target_rows
+from procedures.reporting.tables import target_rows
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat

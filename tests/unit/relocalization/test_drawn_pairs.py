@@ -5,16 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.stereo_head.false_spheres import DECEIVING, SPHERE_SIZED_GLARE, deceive
 from benchmarks.stereo_head.sphere_campaign import (
     CENTRED,
+    DECEIVING,
     DEFOCUSED,
     HALF_HIDDEN,
     HONEST,
     JUST_HIDDEN,
     OCCLUDED,
     OFF_AXIS,
+    SPHERE_SIZED_GLARE,
     campaign,
+    deceive,
 )
 from benchmarks.stereo_head.stereo_pictures import Studio
 

@@ -10,8 +10,7 @@ import pytest
 from clinical_case import ClinicalCell
 from prepared_results import imported_ct
 
-from procedures.reporting.calibration.result_file import KINDS, RESULT_FILE
-from procedures.reporting.calibration.stereo_head import HeadFigures
+from procedures.reporting.calibration_figures import KINDS, RESULT_FILE, HeadFigures
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 

@@ -20,14 +20,13 @@ from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck
-from procedures.reporting import target_table
-from procedures.reporting.embedded import LARGEST_PICTURE_BYTES
+from procedures.reporting import tables
+from procedures.reporting.files import LARGEST_PICTURE_BYTES, PostoperativeResult, store_check
 from procedures.reporting.outcome import TargetTruth, Truth
-from procedures.reporting.plan_table import plan_rows
-from procedures.reporting.postoperative import AfterTheOperation, keep_check
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
-from procedures.reporting.timeline import timeline
+from procedures.reporting.run_statistics import timeline
+from procedures.reporting.tables import plan_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
@@ -134,7 +133,7 @@ def test_the_page_shows_the_warnings_of_a_check_after_the_operation(registered: 
         trajectories=(),
         warnings=("T1 is 3.62 mm off its target: the plan accepts 2 mm",),
     )
-    keep_check(registered / "report", AfterTheOperation(found))
+    store_check(registered / "report", PostoperativeResult(found))
     assert f"<strong>{found.warnings[0]}.</strong>" in write_report(registered).read_text()
 
 
@@ -187,9 +186,7 @@ def test_results_that_a_repetition_superseded_are_named_and_struck_through(engin
 def test_a_formatter_that_drops_a_digit_is_detected(
     registered: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        target_table, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:]
-    )
+    monkeypatch.setattr(tables, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:])
     assert "these figures differ" in write_report(registered, truth=TRUTH).read_text()
 
 
@@ -248,9 +245,7 @@ def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: Clinica
     assert f"{first}; after a restart {second}." in write_report(cell.folder).read_text()
 
 
-def test_incidents_are_listed_with_the_time_and_routine_entries_are_left_out(
-    cell: ClinicalCell,
-) -> None:
+def test_incidents_are_listed_with_the_time_and_routine_entries_are_left_out(cell: ClinicalCell) -> None:
     cell.journal.write(Entry.INTENT, 1.0, step="at_target:T1")
     cell.journal.write(Entry.STAGE, 1.1, trajectory="T1", stop={"bore_mm": 85.0})
     cell.journal.write(Entry.INSTRUMENT, 1.2, trajectory="T1", inside=True)

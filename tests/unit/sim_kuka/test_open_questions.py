@@ -9,8 +9,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import open_questions
 import pytest
+import reference_tables
 from shared_controller import on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
@@ -51,7 +51,7 @@ def test_every_open_question_names_existing_parameters_and_options() -> None:
     parameters = {entry.name for entry in fields(ControllerParameters)}
     options = {f"--{name.replace('_', '-')}" for name in kuka.__annotations__}
     context = load_context()
-    for one in open_questions.read_questions():
+    for one in reference_tables.read_questions():
         assert list(one.answers), one.question
         assert set(one.parameters) <= parameters
         assert set(one.scene) <= set(ArmTruth.model_fields)
@@ -62,7 +62,7 @@ def test_every_open_question_names_existing_parameters_and_options() -> None:
 
 
 def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone() -> None:
-    asked = {name for one in open_questions.read_questions() for name in one.parameters}
+    asked = {name for one in reference_tables.read_questions() for name in one.parameters}
     assert asked | OF_THE_SIMULATION == {entry.name for entry in fields(ControllerParameters)}
     assert not asked & OF_THE_SIMULATION
 

@@ -14,31 +14,34 @@ from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import draw_arm
 from sim.world.true_arm import TrueArm
 from studies import application_error
-from studies.accuracy.identified import BelievedArm, identified, identified_errors
-from studies.accuracy.phantom import Markers, phantom, place
-from studies.accuracy.postures import postures
-from studies.accuracy.predicting import predictions
+from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
+from studies.accuracy.postures import plan_postures
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scenarios import FINE_CT_MM, SCENARIOS, SET_S
-from studies.accuracy.scene import Scene
+from studies.accuracy.scene import FINE_CT_MM, SCENARIOS, SET_S, Scene, predict_targets
 from studies.accuracy.trials import Chance, Sizes, target_errors
 from studies.application_error import ApplicationErrorStudy
-from studies.campaign.unit import Unit
+from studies.campaign.study import Unit
 from studies.errors import PhantomOutOfReach, PoseNotSolved
 from studies.strategies import identified as by_looks
-from studies.strategies.identified import EXPECTED, GOAL_MM, IdentifiedStudy
-from studies.strategies.pairs import SCENARIOS as PAIRED
-from studies.strategies.pairs import pairs
+from studies.strategies.identified import (
+    EXPECTED,
+    GOAL_MM,
+    BelievedArm,
+    IdentifiedStudy,
+    identified_arm_errors,
+    identify_arm,
+)
 from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
-from studies.strategies.tables import plots, tables
+from studies.strategies.tables import PAIRED_SCENARIOS as PAIRED
+from studies.strategies.tables import paired_comparison, plots, tables
 
-HERE = place(1)
-SMALL = phantom(Markers.FREE, (30.0, 120.0), 2)
+HERE = phantom_pose(1)
+SMALL = draw_phantom(Markers.FREE, (30.0, 120.0), 2)
 COUNTS = (3, 5)
 
 
 def errors_mm(strategy: str, arms: RandomArms, sizes: Sizes, numbers: range) -> np.ndarray:
-    planned = postures(strategy_named(strategy), SMALL, HERE)
+    planned = plan_postures(strategy_named(strategy), SMALL, HERE)
     chance = Chance.draw(1, Markers.FREE, numbers, 1, (2, 5))
     return target_errors(arms, planned, SMALL, HERE, chance, COUNTS, sizes)
 
@@ -63,7 +66,7 @@ def test_a_tool_frame_error_cancels_in_one_orientation_and_rotates_with_the_tool
     arms = RandomArms.draw(0, range(2)).only(Source.TOOL)
     none = Sizes(0.0, 0.0)
     assert np.abs(errors_mm("ocs", arms, none, range(2))).max() < 1e-5
-    planned = postures(strategy_named("nos"), SMALL, HERE)
+    planned = plan_postures(strategy_named("nos"), SMALL, HERE)
     turn = planned.targets.rotations - planned.localizations.rotations[0]
     expected = np.einsum("tij,aj->ati", turn, arms.tool_error_mm)
     np.testing.assert_allclose(errors_mm("nos", arms, none, range(2))[:, :, 0], expected, atol=0.05)
@@ -79,12 +82,12 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
     numbers = range(400)
     arms = RandomArms.draw(0, numbers)
     for strategy in ("nos", "ocs"):
-        planned = postures(strategy_named(strategy), SMALL, HERE)
+        planned = plan_postures(strategy_named(strategy), SMALL, HERE)
         found = errors_mm(strategy, arms, Sizes(), numbers)
         inside = [
             one.holds(found[:, target, place_of_count]).mean()
             for place_of_count, count in enumerate(COUNTS)
-            for target, one in enumerate(predictions(planned, SMALL, HERE, count))
+            for target, one in enumerate(predict_targets(planned, SMALL, HERE, count))
         ]
         assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
@@ -93,9 +96,9 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
 def test_harmonics_and_sag_alone_have_the_size_that_is_predicted(strategy: str) -> None:
     numbers = range(400)
     found = errors_mm(strategy, RandomArms.draw(0, numbers).only(Source.JOINTS), Sizes(0.0, 0.0), numbers)
-    planned = postures(strategy_named(strategy), SMALL, HERE)
+    planned = plan_postures(strategy_named(strategy), SMALL, HERE)
     for place_of_count, count in enumerate(COUNTS):
-        predicted = predictions(planned, SMALL, HERE, count)
+        predicted = predict_targets(planned, SMALL, HERE, count)
         square_mm2 = np.mean([one.budget_mm[Source.JOINTS] ** 2 for one in predicted])
         actual_mm2 = np.square(found[:, :, place_of_count]).sum(axis=-1).mean()
         assert np.sqrt(square_mm2 / actual_mm2) == pytest.approx(1.0, abs=0.05)
@@ -135,7 +138,7 @@ def test_two_strategies_are_compared_on_each_arm_and_scatter_between_arms_does_n
         for strategy, mean in mean_mm.items()
         for arm in arms
     }
-    rows = {(row[0], row[1]): row[2:] for row in pairs({f"{SCENARIO}|free|1": sums}).rows}
+    rows = {(row[0], row[1]): row[2:] for row in paired_comparison({f"{SCENARIO}|free|1": sums}).rows}
     for scenario in PAIRED:
         count, apart_mm, low_mm, high_mm, less, p = rows[scenario, "improved - ocs"]
         assert (count, less) == (5, 100.0)
@@ -183,7 +186,7 @@ def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
 def test_a_phantom_out_of_reach_is_refused() -> None:
     away = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1500.0, 0.0, 0.0))
     with pytest.raises(PhantomOutOfReach, match="STU-010: ocs does not reach all spheres for T1"):
-        postures(strategy_named("ocs"), SMALL, away)
+        plan_postures(strategy_named("ocs"), SMALL, away)
 
 
 @pytest.mark.slow
@@ -201,11 +204,11 @@ def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strat
 
 
 def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
-    fit = identified(1, 0, HERE.apply(SMALL.spheres_mm))
+    fit = identify_arm(1, 0, HERE.apply(SMALL.spheres_mm))
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
     arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)
     for strategy in ("nos", "improved"):
-        errors = identified_errors(
+        errors = identified_arm_errors(
             arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
         )
         assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM

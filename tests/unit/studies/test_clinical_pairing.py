@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from studies.campaign.unit import Unit
+from studies.campaign.study import Unit
+from studies.correspondence import clinical
 from studies.correspondence import clinical as clinical_pairing
-from studies.correspondence import frame_readings
 from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
 from studies.localization.study import AUTOMATIC
-from studies.localization.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
+from studies.localization.thesis_protocol import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 
 
 def readings(count: int, sigma_mm: float = 0.15) -> np.ndarray:
@@ -67,32 +67,30 @@ def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_a
 
 def test_a_unit_that_never_sees_the_whole_frame_is_refused() -> None:
     with pytest.raises(TrackerNotSimulated, match="STU-008"):
-        frame_readings._whole_reading(
-            lambda _: np.zeros((0, 3)), frame_readings.FRAME_MM, np.random.default_rng(1)
-        )
+        clinical._whole_reading(lambda _: np.zeros((0, 3)), clinical.FRAME_MM, np.random.default_rng(1))
 
 
 def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = readings(3)
-    monkeypatch.setattr(frame_readings, "read_frames", lambda *_: taken)
-    assert frame_readings.recorded_readings(tmp_path, 3, 1) is taken
-    assert np.array_equal(frame_readings.recorded_readings(tmp_path, 3, 1), taken)
+    monkeypatch.setattr(clinical, "take_readings", lambda *_: taken)
+    assert clinical.load_or_take_readings(tmp_path, 3, 1) is taken
+    assert np.array_equal(clinical.load_or_take_readings(tmp_path, 3, 1), taken)
     with pytest.raises(OtherStudy, match="STU-001"):
-        frame_readings.recorded_readings(tmp_path, 3, 2)
-    (tmp_path / frame_readings.FILE).write_text('{"seed": 1, "readings_mm": 5}')
+        clinical.load_or_take_readings(tmp_path, 3, 2)
+    (tmp_path / clinical.READINGS_FILE).write_text('{"seed": 1, "readings_mm": 5}')
     with pytest.raises(OtherStudy, match="STU-001"):
-        frame_readings.recorded_readings(tmp_path, 3, 1)
-    (tmp_path / frame_readings.FILE).write_text("{}")
+        clinical.load_or_take_readings(tmp_path, 3, 1)
+    (tmp_path / clinical.READINGS_FILE).write_text("{}")
     with pytest.raises(LedgerUnreadable, match="STU-002"):
-        frame_readings.recorded_readings(tmp_path, 3, 1)
+        clinical.load_or_take_readings(tmp_path, 3, 1)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(120)
 def test_the_simulated_unit_reads_the_frame_over_its_wire() -> None:
-    (seen,) = frame_readings.read_frames(1, seed=2)
+    (seen,) = clinical.take_readings(1, seed=2)
     expected = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)
     assert np.linalg.norm(seen[:, None] - seen[None], axis=2) == pytest.approx(expected, abs=1.5)
     assert -2400.0 < seen[:, 2].mean() < -950.0

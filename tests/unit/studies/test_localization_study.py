@@ -9,22 +9,15 @@ import pytest
 
 from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
 from sim.phantom.families.catalogue import FAMILIES, Purpose
-from studies.campaign.ledger import Ledger
-from studies.campaign.unit import Unit, add_up
+from studies.campaign.folder import Ledger
+from studies.campaign.study import Unit, add_up
 from studies.campaign.workers import run_study
 from studies.errors import NotForJudging, PhantomFailed, UnitFailed
 from studies.localization import phantom_scans
 from studies.localization import study as study_module
-from studies.localization.goals import goals
 from studies.localization.phantom_scans import PhantomScan, bound_mm, phantom_scan
-from studies.localization.study import (
-    AUTOMATIC,
-    JUDGING,
-    TUNING,
-    LocalizationStudy,
-    Method,
-)
-from studies.localization.tables import plots, tables
+from studies.localization.study import AUTOMATIC, JUDGING, TUNING, LocalizationStudy, Method
+from studies.localization.tables import goals, plots, tables
 
 CENTRES = np.array([[0.0, 0.0, 0.0], [40.0, 0.0, 0.0], [0.0, 50.0, 0.0], [0.0, 0.0, 60.0]])
 
@@ -72,7 +65,7 @@ def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> No
         one = {"volumes": 1.0, "bound2": 0.002**2}
         for method in AUTOMATIC:
             points = CENTRES + random.normal(size=(4, 3)) * 0.01
-            monkeypatch.setattr(study_module, "_localized", lambda *_, p=points: found_at(p, 0.01))
+            monkeypatch.setattr(study_module, "localize_by", lambda *_, p=points: found_at(p, 0.01))
             one |= study_module._judged(method, scan_of(CENTRES, [True] * 4))
         sums[f"{family}|good"] = one
     together, single = tables(sums)
@@ -207,10 +200,7 @@ def test_every_family_is_studied_for_its_purpose_and_a_tuning_phantom_is_refused
 
 
 def test_a_phantom_failure_is_reported_with_the_generators_own_message() -> None:
-    with (
-        pytest.raises(PhantomFailed, match="unknown family 'martian'"),
-        phantom_scan("martian", "poor", 1),
-    ):
+    with pytest.raises(PhantomFailed, match="unknown family 'martian'"), phantom_scan("martian", "poor", 1):
         pass
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from procedures.planning.head.shape import HeadEllipsoid
 from procedures.planning.markers.sites import allowed, clear_of, propose_markers
 from procedures.planning.markers.template import sites_on
-from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, phantom
+from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.scene import Scene
 from studies.accuracy.trials import CT_FLE_MM, Sizes
@@ -19,7 +19,7 @@ LEAST_GAIN = 0.1  # of the rms error; by the markers' errors alone it is 0.29, b
 
 
 def test_with_random_arms_the_proposed_places_leave_less_error_than_random_places() -> None:
-    drawn = phantom(Markers.FREE, (30.0, 120.0), 5)
+    drawn = draw_phantom(Markers.FREE, (30.0, 120.0), 5)
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=tuple(HALF_AXES_MM[PATIENT]))
     proposed = propose_markers(head, drawn.trajectories, SPHERES, CT_FLE_MM)
     sites, _ = sites_on(head, None, np.random.default_rng(0))

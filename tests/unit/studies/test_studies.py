@@ -15,25 +15,15 @@ import pytest
 from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
-from studies.campaign.code import code
-from studies.campaign.ledger import FILE, Ledger
-from studies.campaign.publish import publish
-from studies.campaign.table import Table
-from studies.campaign.unit import Unit, add_up, blocks, generator
+from studies.campaign import folder as study_folder
+from studies.campaign.folder import FILE, Ledger, code, publish
+from studies.campaign.study import Table, Unit, add_up, blocks, generator
 from studies.campaign.workers import run_study
 from studies.correspondence import study as study_module
-from studies.correspondence.readings import draw_readings
-from studies.correspondence.shares import Series, shares
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from studies.correspondence.tables import bars_beside_thesis, plots, tables
-from studies.errors import (
-    ExtraMissing,
-    LedgerUnreadable,
-    OtherStudy,
-    SchedulerUnreachable,
-    UnitFailed,
-)
-from studies.heads import NoiseReading, disturbance, sites_mm
+from studies.correspondence.tables import Series, bars_beside_thesis, outcome_shares, plots, tables
+from studies.errors import ExtraMissing, LedgerUnreadable, OtherStudy, SchedulerUnreachable, UnitFailed
+from studies.heads import NoiseReading, draw_noise, draw_readings, sites_mm
 from studies.registration import RegistrationStudy
 from studies.strategies.study import ANY_SIDE, TRIALS, StrategiesStudy
 
@@ -155,9 +145,17 @@ def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
 
 def test_results_of_other_code_are_not_added_to(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Ledger(tmp_path, SMALL)
-    monkeypatch.setattr("studies.campaign.ledger.code", lambda: "other")
+    monkeypatch.setattr("studies.campaign.folder.code", lambda: "other")
     with pytest.raises(OtherStudy, match=r"STU-001: .* results of other code: .*[0-9a-f]{16}, now other"):
         Ledger(tmp_path, SMALL)
+
+
+def test_the_hash_of_the_code_covers_every_package_that_results_depend_on() -> None:
+    root = Path(study_folder.studies.__file__).parents[1]
+    covered = {file.relative_to(root).parts[0] for file in study_folder.source_files(root)}
+    assert covered == {"procedures", "ronna_hw", "sim", "studies"}
+    assert Path(study_folder.__file__) in study_folder.source_files(root)
+    assert hashlib.sha256().hexdigest()[:16] not in code()  # of nothing
 
 
 def test_a_damaged_line_loses_only_its_own_unit(tmp_path: Path) -> None:
@@ -212,7 +210,7 @@ def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
 
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
     sums = results(SMALL, tmp_path, workers=1)
-    found = shares(sums)
+    found = outcome_shares(sums)
     assert {series.method for series in found} == {one.value for one in Method}
     assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
     pictures = bars_beside_thesis(sums) | plots(sums)
@@ -246,7 +244,7 @@ def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() ->
     assert shown == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
     key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
     lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
-    ((_, share),) = shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
+    ((_, share),) = outcome_shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
     assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
 
 
@@ -295,8 +293,8 @@ def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
 
 def test_both_readings_of_the_noise_have_their_stated_size() -> None:
     random = np.random.default_rng(1)
-    per_axis = disturbance((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
-    norm = disturbance((20_000, 3), 0.56, NoiseReading.NORM, random)
+    per_axis = draw_noise((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
+    norm = draw_noise((20_000, 3), 0.56, NoiseReading.NORM, random)
     assert per_axis.std() == pytest.approx(0.56, rel=0.02)
     assert np.sqrt((norm**2).sum(axis=1).mean()) == pytest.approx(0.56, rel=0.02)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from studies.campaign.unit import Unit
+from studies.campaign.study import Unit
 from studies.correspondence.study import condition_key
 from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm, tables
 from studies.heads import NoiseReading

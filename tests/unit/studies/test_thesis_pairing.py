@@ -12,10 +12,9 @@ from functools import cache
 import pytest
 
 from procedures.registration.pairing_validation import REFUSED_SHARE
-from studies.campaign.unit import Unit
-from studies.correspondence.shares import Series, Shares, shares
+from studies.campaign.study import Unit
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key
-from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
+from studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL, Series, Shares, outcome_shares
 from studies.heads import PATIENTS, NoiseReading
 
 RUNS, SMALL_E_MM, LARGE_E_MM = 150, 1.5, 2.5
@@ -26,7 +25,7 @@ STRICT_SHARE, STRICT_RUNS = 0.015, 5_000  # of the correct pairings refused; fal
 def outcome(markers: int, e_mm: float, refused_share: float = REFUSED_SHARE, runs: int = RUNS) -> Shares:
     study = CorrespondenceStudy(runs, 4, (Method.VALIDATED,), (e_mm,), refused_share=refused_share)
     conditions = [condition_key(NoiseReading.NORM, patient, markers, 4) for patient in PATIENTS]
-    found = shares({condition: study.run(Unit(condition, 0, runs)) for condition in conditions})
+    found = outcome_shares({condition: study.run(Unit(condition, 0, runs)) for condition in conditions})
     return found[Series(NoiseReading.NORM, Method.VALIDATED.value, str(e_mm), markers)]
 
 
@@ -70,7 +69,7 @@ def test_at_the_small_e_five_and_eight_markers_lose_one_more_often_than_in_the_t
 def test_without_validation_wrong_pairings_of_three_are_more_than_twice_as_frequent() -> None:
     study = CorrespondenceStudy(RUNS, 4, (Method.THESIS, Method.VALIDATED), (LARGE_E_MM,))
     conditions = [condition_key(NoiseReading.NORM, patient, 3, 4) for patient in PATIENTS]
-    found = shares({condition: study.run(Unit(condition, 0, RUNS)) for condition in conditions})
+    found = outcome_shares({condition: study.run(Unit(condition, 0, RUNS)) for condition in conditions})
     plain, validated = (
         found[Series(NoiseReading.NORM, method.value, str(LARGE_E_MM), 3)].false
         for method in (Method.THESIS, Method.VALIDATED)

@@ -13,17 +13,10 @@ import pytest
 from sim.world.faults import check_faults, parse_faults
 from sim.world.scene.named_scenes import named_scene
 from studies.errors import WorldNotRun
-from studies.worlds import case as world_case
+from studies.worlds import study as worlds_study
 from studies.worlds.study import WorldsStudy
 from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
-from studies.worlds.world import (
-    MOST_BENT_MM,
-    MOST_DEG,
-    MOST_MM,
-    STEPS_S,
-    What,
-    draw_world,
-)
+from studies.worlds.world import MOST_BENT_MM, MOST_DEG, MOST_MM, STEPS_S, What, draw_world
 
 LIMITS_MM = {"T1": 0.3, "T2": 0.4}
 CHANGE = ("positioning:T1", 1.0)  # begins at 11 s
@@ -203,6 +196,6 @@ def test_a_case_that_never_began_is_an_error_with_its_last_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
-    monkeypatch.setattr(world_case, "finished_command", lambda *_arguments: ended)
+    monkeypatch.setattr(worlds_study, "finished_command", lambda *_arguments: ended)
     with pytest.raises(WorldNotRun, match=r"STU-015.*no such scene"):
-        world_case.carry_out(draw_world(0, 0), tmp_path / "world")
+        worlds_study.run_world(draw_world(0, 0), tmp_path / "world")

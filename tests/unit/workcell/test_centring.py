@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.stereo_head.servo_campaign import calibrated_cell, servo_campaign
-from benchmarks.stereo_head.stereo_cell import StereoCell, without_arm_errors
+from benchmarks.stereo_head.stereo_cell import StereoCell, calibrated_cell, servo_campaign, without_arm_errors
 from procedures.cli.stereo.display import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from procedures.workcell.errors import SphereNotFound

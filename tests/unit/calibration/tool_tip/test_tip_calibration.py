@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from user_commands import in_this_process
 
-from benchmarks.mount.tip_looks import TipCell
+from benchmarks.mount.tool_tip_calibration import TipCell
 from procedures.calibration.errors import (
     BadObservations,
     BallAndDivotApart,

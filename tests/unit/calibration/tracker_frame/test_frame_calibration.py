@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.mount.frame_looks import FrameCell
-from benchmarks.mount.tracker_frame_calibration import apart
+from benchmarks.mount.tracker_frame_calibration import FrameCell, apart
 from procedures.calibration.errors import (
     DegeneratePoses,
     DoesNotFit,

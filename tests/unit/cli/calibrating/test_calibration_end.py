@@ -23,7 +23,7 @@ from procedures.cli.calibrating.calibration import (
     show,
 )
 from procedures.cli.case.request import CalibrationRun, TheatreRequest
-from procedures.reporting.calibration.figures import Figure, RecordFigures
+from procedures.reporting.calibration_figures import Figure, RecordFigures
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file

@@ -28,12 +28,10 @@ from procedures.engine.events.stream import EventStream
 from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
-from procedures.reporting.files import keep_truth, kept_truth
+from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import (
-    EXIT_REFUSED,
-)
+from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
@@ -205,11 +203,11 @@ def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path
 
 @pytest.mark.parametrize("seal", [True, False], ids=["sealed", "seal removed"])
 def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, seal: bool) -> None:
-    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),)))
+    store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),)))
     seal_run(run)
     (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
     assert (row["max_application_error_mm"], row["problems"]) == (1.25, [])
-    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
+    store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
     if not seal:
         (run / SEAL_FILE).unlink()
     (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
@@ -225,11 +223,11 @@ def test_no_session_vouches_for_an_error_that_no_seal_confirms(
     run: Path, take_up: Callable[[Path], object]
 ) -> None:
     truth = Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),))
-    kept = keep_truth(run, truth)
+    kept = store_truth(run, truth)
     seal_run(run)
     make_ready(read_left_run(run))
-    assert kept_truth(run) == truth
-    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
+    assert load_truth(run) == truth
+    store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
     (run / SEAL_FILE).unlink()
     take_up(run)
     assert not kept.exists()

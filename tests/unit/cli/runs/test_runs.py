@@ -21,7 +21,7 @@ from procedures.engine import run_folder
 from procedures.engine.run_folder import RunFolder
 from procedures.engine.run_lock import held_run
 from procedures.journal.journal import ONLY_LEAVING, Entry
-from procedures.reporting.files import keep_truth, kept_truth
+from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import Truth
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
@@ -35,7 +35,7 @@ def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_i
     cell = RecordingCell(folder)
     cell.journal.write(Entry.OPENED, 0.0, run=folder.name)
     cell.engine(plain_order()).close("done")
-    keep_truth(folder, kept := Truth(targets=()))
+    store_truth(folder, kept := Truth(targets=()))
     if sealed:
         seal_run(folder)
     given: list[Truth | None] = []
@@ -45,7 +45,7 @@ def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_i
     monkeypatch.setattr(runs_resume, "show_outcome", lambda *_, **__: None)
     runs_resume.resume(folder, accept=True, answers=None, as_json=False)
     assert given == [kept if sealed else None]
-    assert kept_truth(folder) == given[0]
+    assert load_truth(folder) == given[0]
     assert is_sealed(folder)
     assert f"{folder.name} is finished" in capsys.readouterr().err
 

@@ -1,0 +1,174 @@
+"""The tracker: our driver, bare ndicapi and scikit-surgerynditracker on the simulated unit, by BX replies."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+from benchmarks.figures import Figure, compared, contest, process_cpu_s, rate_of
+from benchmarks.peers import tracker_clients
+from benchmarks.peers.tracker_clients import MakeReader, Reader
+from benchmarks.robot.robot_cell import peer
+from ronna_hw.host.child_process import ChildProcess, command
+from sim.polaris.unit.tool_definition import write_definition
+from sim.world.process import load_scene
+from sim.world.scene.model import Scene, TrackerTool
+from sim.world.scene.named_scenes import robot_frame
+from sim.world.world import World
+
+ROUNDS = 10
+BLOCK_S = 0.12
+
+
+@dataclass(frozen=True)
+class Stand:
+    """A client, its requests and its unit. In an unpaced world every request gets a frame of its own.
+
+    Without a scene the unit is one that knows a single answer.
+    """
+
+    client: MakeReader
+    endpoint: str
+    scene: Scene | None
+    roms: Sequence[Path] = ()
+    paced: bool = True
+
+    def unit(self, name: str) -> ChildProcess:
+        """Its unit, started."""
+        if self.scene is None:
+            return peer("canned_unit", self.endpoint)
+        world = World.create(self.scene, paced=self.paced)
+        arguments = command("sim.cli", "polaris", "--endpoint", self.endpoint, "--world", world.endpoint)
+        return ChildProcess(f"ronna-sim polaris for {name}", arguments)
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Samples by stand, one per round; `unit_cpu_s` is over all rounds together."""
+
+    per_second: dict[str, list[float]]
+    client_cpu_s: dict[str, list[float]]
+    unit_cpu_s: dict[str, float]
+
+
+def rates_of(stands: Mapping[str, Stand]) -> Rates:
+    """Readings per second of each stand, and the CPU time per reading on either side."""
+    with ExitStack() as stack:
+        readers: dict[str, Reader] = {}
+        pids: dict[str, int] = {}
+        for name, stand in stands.items():
+            unit = stack.enter_context(stand.unit(name))
+            readers[name] = stand.client(stack, unit.ready["endpoint"], stand.roms)
+            pids[name] = unit.process.pid
+        client_cpu_s: dict[str, list[float]] = {name: [] for name in stands}
+        unit_s = dict.fromkeys(stands, 0.0)
+        readings = dict.fromkeys(stands, 0.0)
+
+        def block(name: str) -> float:
+            before_s = process_cpu_s(pids[name])
+            rate, cpu_s = rate_of(readers[name], BLOCK_S)
+            client_cpu_s[name].append(cpu_s)
+            unit_s[name] += process_cpu_s(pids[name]) - before_s
+            readings[name] += rate * BLOCK_S
+            return rate
+
+        per_second = contest({name: partial(block, name) for name in stands}, ROUNDS)
+        return Rates(per_second, client_cpu_s, {name: unit_s[name] / readings[name] for name in stands})
+
+
+LINES = {"TCP": "tcp://127.0.0.1:0", "pty": "serial-pty"}
+OURS, NDICAPI, SCIKIT = "driver", "ndicapi", "scikit-surgerynditracker"
+CLIENTS = {OURS: tracker_clients.driver, NDICAPI: tracker_clients.ndicapi, SCIKIT: tracker_clients.scikit}
+UNIT, CANNED = "ronna-sim polaris", "one fixed reply"
+FEW, MANY = "1 tool", "3 tools, 6 strays"
+# Goals for the driver relative to the peers' rates, and for the unit in replies per second, by line and load.
+DRIVER_GOALS = {SCIKIT: 1.0, NDICAPI: 1.0 / 3.0}
+UNIT_GOALS = {("TCP", FEW): 15e3, ("pty", FEW): 5e3, ("TCP", MANY): 8e3, ("pty", MANY): 3e3}
+MORE_TOOLS_MM = {  # markers of planar tools, no segment alike within them or in the first tool
+    "pointer": ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
+    "probe": ((0.0, 0.0, 0.0), (0.0, 95.0, 0.0), (59.0, 38.0, 0.0), (-46.0, 119.0, 0.0)),
+}
+MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0, -1350.0))  # besides three
+
+
+def measure() -> list[Figure]:
+    """Readings per second as fast as each client can request them, then the unit's replies per second."""
+    with tempfile.TemporaryDirectory() as folder:
+        roms = _definitions(Path(folder))
+        figures: list[Figure] = []
+        for line in LINES:
+            figures += _clients(line, roms[:1])
+        for line in LINES:
+            figures += _unit(line, roms)
+        return figures
+
+
+def _clients(line: str, roms: Sequence[Path]) -> list[Figure]:
+    """The clients compared, one tool, a unit that follows the host's clock."""
+    bench = load_scene("bench")
+    rates = rates_of({name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()})
+    what = f"readings/s, {line}"
+    figures = [replace(figure, what=what) for figure in _over_peers(rates)]
+    figures += compared(f"CPU/reading, {line}", "µs", rates.client_cpu_s, NDICAPI, scale=1e6)
+    return figures
+
+
+def _over_peers(rates: Rates) -> list[Figure]:
+    """All clients compared with ndicapi, and our driver with each peer that sets it a goal."""
+    rows = compared("", "1/s", rates.per_second, NDICAPI)
+    others = [row for row in rows if row.who != OURS]
+    ours = []
+    for rival, share in DRIVER_GOALS.items():
+        pair = {name: rates.per_second[name] for name in (OURS, rival)}
+        ours.append(compared("", "1/s", pair, rival)[0].ratio_at_least(share))
+    return [*ours, *others]
+
+
+def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
+    """The unit's replies to ndicapi while its frames repeat, like a real unit's, and with every frame new.
+
+    Compared with the minimum for a unit written in Python: one that knows a single answer.
+    """
+    bench = load_scene("bench")
+    strays = (*bench.tracker.strays_mm, *MORE_STRAYS_MM)
+    crowded = bench.model_copy(update={"tracker": bench.tracker.model_copy(update={"strays_mm": strays})})
+    few = Stand(tracker_clients.ndicapi_replies, LINES[line], bench, roms[:1])
+    many = replace(few, scene=crowded, roms=roms)
+    rates = rates_of(
+        {
+            FEW: few,
+            MANY: many,
+            f"{FEW}, all new": replace(few, paced=False),
+            f"{MANY}, all new": replace(many, paced=False),
+            CANNED: Stand(tracker_clients.ndicapi_bare, LINES[line], scene=None),
+        }
+    )
+    figures = []
+    for figure in compared("", "1/s", rates.per_second, CANNED):
+        goal = UNIT_GOALS.get((line, figure.who))
+        figures.append(figure if goal is None else figure.at_least(goal))
+    cpu_s = {load: [spent] for load, spent in rates.unit_cpu_s.items()}
+    return [
+        *(_of_unit(figure, f"replies/s, {line}") for figure in figures),
+        *(_of_unit(figure, f"CPU/reply, {line}") for figure in compared("", "µs", cpu_s, CANNED, scale=1e6)),
+    ]
+
+
+def _of_unit(figure: Figure, what: str) -> Figure:
+    """The load belongs to what was measured, not to who did the work."""
+    if figure.who == CANNED:
+        return replace(figure, what=what)
+    return replace(figure, what=f"{what}, {figure.who}", who=UNIT)
+
+
+def _definitions(folder: Path) -> list[Path]:
+    more = (TrackerTool(name=name, part_number=name, markers_mm=mm) for name, mm in MORE_TOOLS_MM.items())
+    files = []
+    for tool in (robot_frame(), *more):
+        files.append(folder / f"{tool.name}.rom")
+        files[-1].write_bytes(write_definition(tool))
+    return files

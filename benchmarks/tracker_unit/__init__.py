@@ -1,1 +1,0 @@
-"""The tracker against other clients."""

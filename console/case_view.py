@@ -1,0 +1,338 @@
+"""The state of a case at one moment, folded from its events: everything the page shows.
+
+The fold is pure; it is fed by the engine's socket or by a run's file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from procedures.engine.events import (
+    Advisory,
+    Answered,
+    Bodies,
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Event,
+    Fault,
+    Happening,
+    JournalLine,
+    LinkHealth,
+    MeasuringVolume,
+    Order,
+    OrderedStep,
+    Pose,
+    Progress,
+    Questioned,
+    Refusal,
+    Seat,
+    SignalsLost,
+    StepState,
+    Waiting,
+)
+
+RATE_OVER_S = 1.0  # theatre time
+NOTICES_KEPT = 40
+JOURNAL_KEPT = 200
+MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
+BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
+EVERY = 100  # events between stored views
+
+
+@dataclass(frozen=True)
+class StepRow:
+    """A step in the order of the case, and its outcome."""
+
+    step: str
+    title: str
+    phase: str
+    moves: bool
+    state: str = ""  # begun, done, failed, interrupted, superseded; empty: not yet
+    summary: str = ""
+    record: str | None = None
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Counts per second of theatre time, over the last second or more."""
+
+    count: int
+    since_s: float  # when it was that many
+    hz: float | None = None
+
+    def at(self, count: int, now_s: float) -> Rate:
+        """The rate now; fewer than before means that counting began again."""
+        if count < self.count:
+            return Rate(count, now_s)
+        span_s = now_s - self.since_s
+        return self if span_s < RATE_OVER_S else Rate(count, now_s, (count - self.count) / span_s)
+
+
+@dataclass(frozen=True)
+class DeviceRow:
+    """A device as it was last seen."""
+
+    seen: DeviceState
+    age_s: float | None = None  # of its latest reading, theatre time
+    validity: str = ""  # of that reading
+    rate: Rate | None = None  # of its readings
+
+
+@dataclass(frozen=True)
+class ReportedPose:
+    """A pose of an arm and the theatre time of its report."""
+
+    pose: Pose
+    said_s: float
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A fault, a refusal or a finding: what happened, and what to do; `settled` once the step has passed."""
+
+    kind: str
+    theatre_time_s: float
+    what: str
+    advice: str = ""
+    code: str = ""
+    step: str = ""  # the step it happened in
+    settled: bool = False
+
+
+@dataclass(frozen=True)
+class CaseView:
+    """The case after event `number`; `fact` is the last one that is not a signal."""
+
+    number: int = 0
+    fact: int = 0
+    theatre_time_s: float = 0.0
+    host_time: str = ""
+    run: str = ""
+    theatre: str = ""
+    banner: str | None = None  # None: not reported yet; empty: hardware
+    strategy: str = ""
+    state: str = "opening"
+    reason: str = ""
+    steps: tuple[StepRow, ...] = ()
+    running: str = ""
+    share: float = 0.0
+    doing: str = ""
+    waiting: Waiting | None = None
+    question: Questioned | None = None
+    asked_at: str = ""  # host time
+    seat: Seat | None = None
+    devices: dict[str, DeviceRow] = field(default_factory=dict)
+    link: LinkHealth | None = None
+    link_said_s: float = 0.0  # when that was reported, theatre time
+    link_rate: Rate | None = None  # of its cycles
+    bodies: Bodies | None = None
+    volume: MeasuringVolume | None = None
+    pose: ReportedPose | None = None
+    notices: tuple[Notice, ...] = ()
+    journal: tuple[str, ...] = ()
+    results: int = 0  # number of results added or superseded so far
+    outcome: str = ""  # of a closed run
+
+    @property
+    def mode(self) -> str:
+        """Operating mode of the controller, as last reported."""
+        said = (fact for row in self.devices.values() for fact in row.seen.says)
+        return next((fact.found for fact in said if fact.name == "operating mode"), "")
+
+    @property
+    def upcoming(self) -> str:
+        """The next step, as far as the events show."""
+        if self.waiting is not None:
+            return self.waiting.upcoming or ""
+        return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")
+
+
+def fold(view: CaseView, event: Event) -> CaseView:
+    """The view after one more event."""
+    changed = replace(
+        view,
+        number=event.number,
+        fact=view.fact if event.what.signal else event.number,
+        theatre_time_s=event.theatre_time_s,
+        host_time=event.host_time.isoformat(timespec="milliseconds"),
+    )
+    changed = replace(changed, **_changes(changed, event.what))
+    if event.what.signal and event.number < view.number:  # written late to a run's file
+        return replace(
+            changed, number=view.number, theatre_time_s=view.theatre_time_s, host_time=view.host_time
+        )
+    return changed
+
+
+def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
+    match what:
+        case CaseState(state=state, reason=reason):
+            return {"state": state, "reason": reason}
+        case StepState() as step:
+            return _step(view, step)
+        case Progress(step=step, share=share, text=text):
+            return {"share": share, "doing": text} if step == view.running else {}
+        case Questioned():
+            return {"question": what, "asked_at": view.host_time}
+        case Answered(question=number):
+            stands = view.question is not None and view.question.question != number
+            return {} if stands else {"question": None}
+        case Seat():
+            return {"seat": what if what.holder else None}
+        case Order(steps=steps):
+            standing = sum(one.record is not None for one in steps)
+            return {"steps": tuple(map(_ordered, steps)), "results": view.results + standing}
+        case Waiting():
+            return {"waiting": what}
+        case Bodies():
+            return {"bodies": what}
+        case MeasuringVolume():
+            return {"volume": what}
+        case LinkHealth():
+            now_s = view.theatre_time_s
+            return {
+                "link": what,
+                "link_said_s": now_s,
+                "link_rate": _rate(view.link_rate, what.cycles, now_s),
+            }
+        case Pose():
+            return {"pose": ReportedPose(what, view.theatre_time_s)}
+        case DeviceState(device=device) | DeviceAge(device=device):
+            return _device(view, device, what)
+        case JournalLine(line=line):
+            return _journal(view, line)
+        case SignalsLost():
+            return {}  # of the file; the picture has the latest of each
+        case Fault() | Refusal() | Advisory():
+            return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
+
+
+def _ordered(one: OrderedStep) -> StepRow:
+    state = "" if one.record is None else "done"
+    return StepRow(one.step, one.title, one.phase, one.moves, state, record=one.record)
+
+
+def _step(view: CaseView, step: StepState) -> dict[str, Any]:
+    if step.state == "superseded":
+        rows = tuple(
+            replace(row, state="superseded", summary=step.summary or row.summary)
+            if row.record == step.record
+            else row
+            for row in view.steps
+        )
+        return {"steps": rows, "results": view.results + 1}
+    rows = tuple(
+        replace(row, state=step.state, summary=step.summary, record=step.record or row.record)
+        if row.step == step.step
+        else row
+        for row in view.steps
+    )
+    begun = step.state == "begun"
+    return {
+        "steps": rows,
+        "notices": _settled(view.notices, step.step) if step.state == "done" else view.notices,
+        "running": step.step if begun else "",
+        "share": 0.0,
+        "doing": "",
+        "waiting": None,
+        "results": view.results + (step.state == "done"),
+    }
+
+
+def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
+    """Mark notices as settled once their step is done, including what a fault left to be done there."""
+    return tuple(
+        replace(one, settled=True) if one.step == step and one.kind != "finding" else one for one in notices
+    )
+
+
+def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
+    known = view.devices.get(device)
+    if isinstance(what, DeviceState):
+        if known is None and len(view.devices) == MOST_DEVICES:
+            return {}
+        row = replace(known, seen=what) if known else DeviceRow(what)
+    elif known is None:
+        return {}
+    else:
+        count, now_s = what.readings, view.theatre_time_s
+        rate = None if count is None else _rate(known.rate, count, now_s)
+        row = DeviceRow(known.seen, what.age_s, what.validity, rate)
+    return {"devices": {**view.devices, device: row}}
+
+
+def _rate(before: Rate | None, count: int, now_s: float) -> Rate:
+    return before.at(count, now_s) if before else Rate(count, now_s)
+
+
+def _notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
+    match what:
+        case Fault(code=code, what=text, advice=advice):
+            text = text.removesuffix(advice).rstrip()
+            text = text.removeprefix(f"{code}: ")
+            return Notice(
+                "fault", view.theatre_time_s, text, advice, code, step=view.running or view.upcoming
+            )
+        case Refusal(step=step, unmet=unmet):
+            refused = f"{step} cannot start: {'; '.join(unmet)}"
+            return Notice("refused", view.theatre_time_s, refused, step=step)
+        case Advisory(text=text):
+            return Notice("finding", view.theatre_time_s, text)
+
+
+def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
+    entry = str(line.get("entry"))
+    about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
+    changes: dict[str, Any] = {
+        "journal": (*view.journal, f"{line.get('sequence')} {entry} {about}".rstrip())[-JOURNAL_KEPT:]
+    }
+    if entry in BEGINNINGS:  # of a session: anything the last one left open is over
+        changes |= {
+            "outcome": "",
+            "running": "",
+            "question": None,
+            "seat": None,
+            "run": str(line.get("run") or ""),
+            "theatre": str(line.get("theatre") or ""),
+            "banner": str(line.get("banner") or ""),
+            "strategy": str(line.get("strategy") or ""),
+        }
+    elif entry == CLOSED:
+        changes["outcome"] = str(line.get("outcome") or "")
+    return changes
+
+
+class RecordedCase:
+    """Events in order; a view is folded from the last one stored before it."""
+
+    def __init__(self) -> None:
+        self._events: list[Event] = []
+        self._kept: list[CaseView] = [CaseView()]
+        self.latest = CaseView()
+        self.over = False  # the writer is gone
+
+    def extend(self, events: Iterable[Event]) -> None:
+        """Append events."""
+        for event in events:
+            self._events.append(event)
+            self.latest = fold(self.latest, event)
+            if len(self._events) % EVERY == 0:
+                self._kept.append(self.latest)
+
+    def __len__(self) -> int:
+        return len(self._events)
+
+    def at(self, count: int) -> CaseView:
+        """The view after this many events."""
+        count = min(max(count, 0), len(self._events))
+        view = self._kept[count // EVERY]
+        for event in self._events[count - count % EVERY : count]:
+            view = fold(view, event)
+        return view
+
+    def time_s(self, count: int) -> float:
+        """Theatre time after this many events."""
+        return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0

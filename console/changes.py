@@ -1,0 +1,40 @@
+"""Change notification for the pages of a case or a plan."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+
+
+class ChangeNotifier:
+    """Pages subscribe with an event that is set on every change."""
+
+    def __init__(self) -> None:
+        self._waiting: set[asyncio.Event] = set()
+
+    def subscribe(self) -> asyncio.Event:
+        """An event that is set whenever something changes."""
+        event = asyncio.Event()
+        self._waiting.add(event)
+        return event
+
+    def unsubscribe(self, event: asyncio.Event) -> None:
+        """Remove the subscription."""
+        self._waiting.discard(event)
+
+    def tell(self) -> None:
+        """Wake all subscribers."""
+        for event in self._waiting:
+            event.set()
+
+
+async def changed_within(changed: asyncio.Event, limit_s: float) -> None:
+    """Return when the event is set, or after the limit; the event is then clear.
+
+    Not with `asyncio.wait_for`: before Python 3.12 it loses a cancellation if the event is set at that
+    moment, and the page of a closed tab would be updated for ever.
+    """
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(limit_s):
+            await changed.wait()
+    changed.clear()

@@ -1,0 +1,200 @@
+"""Panels of the case's state: head of the page, progress of the steps, devices and the robot link."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+from console.case_view import CaseView, DeviceRow, Rate, StepRow
+from console.panels.html import table_of, tag, text
+
+OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
+MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
+    "done": ("✓", "done", "ok"),
+    "begun": ("▶", "now", "now"),
+    "failed": ("✗", "failed", "bad"),
+    "interrupted": ("■", "interrupted", "bad"),
+    "superseded": ("~", "superseded", "warn"),
+    "next": ("→", "next", "next"),
+    "": ("·", "pending", "dim"),
+}
+OLD_S = 2.0  # theatre time after which a reading is shown as old
+SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
+HEAD = ("device", "state", "reading", "rate", "says", "fault")
+WHOLE = ("", "ok")  # validities that need not be mentioned
+
+
+def banner(view: CaseView) -> str:
+    """Simulated or hardware; they must never be confused."""
+    if view.banner is None:
+        return tag("div", OPENING, class_="banner opening")
+    if view.banner:
+        return tag("div", f"◇ {text(view.banner)}", class_="banner simulated")
+    return tag("div", f"⚠ {HARDWARE}", class_="banner hardware")
+
+
+def case_line(view: CaseView) -> str:
+    """The run, its theatre and strategy."""
+    run = tag("b", text(view.run or "no run yet"))
+    more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
+    ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""
+    return tag("div", f'{run}{ended}<div class="dim">{text(more)}</div>', class_="case")
+
+
+def clock(view: CaseView, beat: int) -> str:
+    """Theatre time, with a number that changes while the page is updated."""
+    return tag(
+        "div",
+        tag("span", f"{view.theatre_time_s:.1f} s", class_="num") + '<div class="dim">theatre time</div>',
+        id="clock",
+        class_="clock",
+        data_n=str(view.number),
+        data_fact=str(view.fact),
+        data_beat=str(beat),
+        data_outcome=view.outcome,
+    )
+
+
+def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
+    """Show the operator's seat and the rights of this page."""
+    holder = view.seat.holder if view.seat else ""
+    if is_mine:
+        words, kind = f"You are operating as {holder}", "ok"
+    elif holder:
+        words, kind = f"{holder} is operating; you are viewing", ""
+    elif may_operate:
+        words, kind = "The operator's seat is empty", "warn"
+    else:
+        words, kind = "You are viewing; no one is operating from a page", "dim"
+    return tag("div", text(words), class_=f"seat {kind}", role="status")
+
+
+def chart(view: CaseView) -> str:
+    """The steps by phase; a finished phase is collapsed while another is not finished."""
+    finished = all(row.state == "done" for row in view.steps)
+    latest = next((row for row in reversed(view.steps) if row.state == "done"), None)
+    phases = []
+    for phase, rows in groupby(view.steps, key=lambda row: row.phase):
+        steps = list(rows)
+        done = all(row.state == "done" for row in steps)
+        words = f"{phase.capitalize()}: {len(steps)} steps done" if done else phase.capitalize()
+        body = tag("summary", text(words))
+        body += tag("ol", "".join(_step(view, row, with_summary=finished or row is latest) for row in steps))
+        phases.append(f"<details{'' if done and not finished else ' open'}>{body}</details>")
+    return _state(view) + ("".join(phases) or tag("p", "Opening the theatre.", class_="dim"))
+
+
+def chart_key(view: CaseView) -> object:
+    """Return a key that changes with the chart."""
+    return (
+        view.steps,
+        view.running,
+        view.question is None,
+        view.waiting,
+        view.state,
+        view.reason,
+        round(view.share, 2),
+        view.doing,
+    )
+
+
+def _state(view: CaseView) -> str:
+    state = tag("strong", text(view.state.replace(".", " · ").replace("_", " ")))
+    reason = tag("div", text(view.reason), class_="warn") if view.reason else ""
+    unmet = view.waiting.unmet if view.waiting else ()
+    refused = "".join(tag("li", text(one)) for one in unmet)
+    why = (
+        tag("div", f"{text(view.upcoming)} cannot start:" + tag("ul", refused), class_="bad") if unmet else ""
+    )
+    waits = ""
+    if view.waiting is not None and not unmet and view.upcoming and view.question is None:
+        waits = tag("div", f"waiting for the operator; next: {text(view.upcoming)}", class_="next")
+    return tag("div", state + reason + waits + why, class_="state", role="status")
+
+
+def _step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
+    is_next = row.state not in ("begun", "done") and row.step == view.upcoming and not view.running
+    sign, word, kind = MARKS["next" if is_next and not row.state else row.state]
+    moves = tag("span", "moves", class_="moves") if row.moves else ""
+    shown = tag("span", sign, class_="mark", aria_hidden="true") + tag(
+        "span", f"{text(row.title)} {_place(row)}{moves}", class_="title"
+    )
+    below = row.summary if with_summary or row.state != "done" else ""
+    if row.state == "begun":
+        below = f"{view.share:.0%} {view.doing}".strip() if view.share or view.doing else ""
+        shown += tag("progress", "", max="1", value=f"{view.share:.3f}", aria_label="progress")
+    detail = tag("div", text(below), class_="summary") if below else ""
+    return tag("li", shown + tag("span", word, class_="word") + detail, class_=kind, data_step=row.step)
+
+
+def _place(row: StepRow) -> str:
+    _, _, place = row.step.partition(":")
+    return tag("b", text(place)) + " " if place else ""
+
+
+def devices(view: CaseView) -> str:
+    """Show one row per device."""
+    if not view.devices:
+        return tag("p", "No device connected yet.", class_="dim")
+    head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
+    body = "".join(_row(name, row) for name, row in view.devices.items())
+    return _link(view) + table_of(head, body)
+
+
+def devices_key(view: CaseView) -> object:
+    """Return a key that changes with the table."""
+    return tuple((name, row.seen, _age(row), row.rate) for name, row in view.devices.items()), view.link
+
+
+def mode(view: CaseView) -> str:
+    """Operating mode of the controller, for the head of the page."""
+    if not view.mode:
+        return tag("div", '<b>-</b><div class="dim">controller</div>', class_="mode")
+    return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")
+
+
+def _row(name: str, row: DeviceRow) -> str:
+    sign, kind = SIGNS.get(row.seen.state, ("◐", ""))
+    state = tag("td", f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}', class_=kind)
+    old = row.age_s is not None and row.age_s > OLD_S
+    doubt = "" if row.validity in WHOLE else f" {text(row.validity)}"
+    age = tag("td", _age(row) + (" old" if old else "") + doubt, class_="num warn" if old or doubt else "num")
+    rate = tag("td", _rate(row.rate) or "-", class_="num")
+    fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
+    return tag(
+        "tr", tag("th", text(name), scope="row") + state + age + rate + _says(row) + fault, data_device=name
+    )
+
+
+def _says(row: DeviceRow) -> str:
+    """List a device's facts; those that keep the case from continuing are highlighted."""
+    remarks = [
+        f"{text(fact.name)} {text(fact.found)}"
+        if fact.ready
+        else tag("strong", f"⚠ {text(fact.name)}: {text(fact.found)}", class_="bad")
+        for fact in row.seen.says
+    ]
+    remarks += [tag("span", f"! {text(one)}", class_="warn") for one in row.seen.notices]
+    return tag("td", "; ".join(remarks) or "-", class_="says" if remarks else "dim")
+
+
+def _age(row: DeviceRow) -> str:
+    return "-" if row.age_s is None else f"{row.age_s:.1f} s"
+
+
+def _rate(rate: Rate | None) -> str:
+    return "" if rate is None or rate.hz is None else f"{rate.hz:.0f} Hz"
+
+
+def _link(view: CaseView) -> str:
+    link = view.link
+    if link is None:
+        return tag("p", "No robot link data yet.", class_="dim")
+    rate = f" at {hz}" if (hz := _rate(view.link_rate)) else ""
+    late = "bad" if link.late or link.lost or link.rejected else ""
+    counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
+    return tag(
+        "p",
+        f"Robot link {view.theatre_time_s - view.link_said_s:.0f} s ago: {link.cycles} cycles{rate}, "
+        + tag("span", counts, class_=late)
+        + f"; turnaround {link.turnaround_median_us:.0f} µs median, {link.turnaround_p99_us:.0f} µs p99",
+    )

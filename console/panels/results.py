@@ -1,0 +1,191 @@
+"""Panels of the results: accuracy, pictures, notices, and the ends of journal and log."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePath
+
+from console.case_view import CaseView, Notice
+from console.errors import UnreliableRun
+from console.hub import Hub
+from console.panels.html import evidence_table, tag, text
+from procedures.reporting.case_figures import PLAN_PICTURE, CaseFigures
+from ronna_hw.bounded_input import parse_json
+from ronna_hw.host.files import open_regular
+from ronna_hw.log_output import LOG_FILE
+
+NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether the fit is consistent."
+MOST = 4
+LIVE_OLD_S = 2.0  # host time after which a live image no longer shows the head's view
+SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
+JOURNAL_LINES = LOG_LINES = 60
+TAIL_BYTES = 16_384  # about eighty lines
+HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
+
+
+def accuracy(figures: CaseFigures | None) -> str:
+    """The tables of the valid registrations."""
+    if figures is None or not figures.predictions:
+        return tag("p", "No registration yet.", class_="dim")
+    rows = "".join(
+        tag(
+            "tr",
+            tag("th", text(one.target), scope="row")
+            + tag("td", f"{one.rms_mm:.2f}", class_="num big")
+            + tag("td", f"{one.limit_mm:.2f} at {one.confidence:.0%}", class_="num")
+            + tag("td", f"{one.margin_mm:g}", class_="num"),
+        )
+        for one in figures.predictions
+    )
+    head = tag(
+        "tr", "".join(tag("th", one, scope="col") for one in ("target", "mm rms", "limit mm", "margin mm"))
+    )
+    total = tag(
+        "table",
+        f"<caption>Predicted error at the targets</caption><thead>{head}</thead><tbody>{rows}</tbody>",
+    )
+    return total + "".join(map(evidence_table, figures.tables)) + tag("p", NOTE, class_="dim")
+
+
+def live_pair(hub: Hub) -> str:
+    """The last pair, with the outlines found in it."""
+    if not hub.pair:
+        return ""
+    age_s = hub.pair_age_s
+    old = age_s > LIVE_OLD_S
+    words = f"taken {age_s:.0f} s ago" if old else "now"
+    image = f'<img src="/picture/pair?n={hub.pairs}" alt="Both cameras of the stereo head, {words}">'
+    caption = tag("figcaption", f"stereo head, {words}", class_="warn" if old else "ok")
+    return tag("figure", image + caption, class_="live old" if old else "live")
+
+
+def live_key(hub: Hub) -> object:
+    """Return a key that changes with the live pair."""
+    age_s = hub.pair_age_s
+    return hub.pairs, int(age_s) if age_s > LIVE_OLD_S else 0
+
+
+def pictures(figures: CaseFigures | None) -> str:
+    """The measured stereo pairs with the outlines found in them, newest first."""
+    names = figures.pictures[-MOST:][::-1] if figures else ()
+    if not names:
+        return tag("p", "No stereo picture yet.", class_="dim")
+    return tag("div", "".join(map(_picture, names)), class_="pictures")
+
+
+def _picture(name: str) -> str:
+    what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
+    alt_text = f"{text(what)}: both cameras, detected outline overlaid"
+    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
+    return tag("figure", image + tag("figcaption", text(what)))
+
+
+def cuts(view: CaseView, figures: CaseFigures | None) -> str:
+    """Show three planes through each target; those of the current step are open."""
+    if figures is None or not figures.cuts:
+        return tag("p", "The plan has not been checked yet.", class_="dim")
+    at_hand = (view.running or view.upcoming).partition(":")[2]
+    names = {PurePath(name).stem.removeprefix(PLAN_PICTURE): name for name in figures.cuts}
+    shown = at_hand if at_hand in names else next(iter(names))
+    return "".join(_cut(way, name, is_open=way == shown) for way, name in names.items())
+
+
+def cuts_key(view: CaseView) -> object:
+    """Return the part of the view that the cuts depend on."""
+    return (view.running or view.upcoming).partition(":")[2]
+
+
+def _cut(way: str, name: str, *, is_open: bool) -> str:
+    alt_text = f"Trajectory {text(way)} in three planes through its target"
+    image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
+    return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{image}</details>"
+
+
+def course(figures: CaseFigures | None) -> str:
+    """Show the timeline of the report."""
+    if figures is None or not figures.course:
+        return tag("p", "Shown for the latest state only.", class_="dim")
+    return tag("div", figures.course, class_="paper")
+
+
+def notices(view: CaseView) -> str:
+    """A list."""
+    if not view.notices:
+        return tag("p", "No faults or refusals.", class_="dim")
+    return tag("ul", "".join(_notice(one) for one in reversed(view.notices)), class_="notices")
+
+
+def _notice(notice: Notice) -> str:
+    words, kind = ("✓ settled", "dim") if notice.settled else SIGNS[notice.kind]
+    head = tag("strong", f"{words} {text(notice.code)}".rstrip(), class_=kind)
+    when = tag("span", f"{notice.theatre_time_s:.1f} s", class_="when")
+    advice = (
+        tag("div", f"Do: {text(notice.advice)}", class_="advice")
+        if notice.advice and not notice.settled
+        else ""
+    )
+    return tag("li", f"{head} {when}<div>{text(notice.what)}</div>{advice}")
+
+
+def problems(figures: CaseFigures | None) -> str:
+    """Warn of truncated, changed or incompatible parts of a run folder."""
+    if figures is None or not figures.problems:
+        return ""
+    first, *more = figures.problems
+    others = f" and {len(more)} more" if more else ""
+    error = UnreliableRun(f"parts of this run cannot be relied on: {first}{others}")
+    return tag("div", text(error), class_="said", role="alert")
+
+
+def log(lines: tuple[str, ...]) -> str:
+    """The last lines, newest first; warnings and errors are marked by their level."""
+    shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
+    return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
+
+
+def _level(line: str) -> str:
+    level = line.split(" ", 2)[1:2]
+    return {"warning": "warn", "error": "bad", "critical": "bad"}.get(level[0] if level else "", "")
+
+
+def journal(view: CaseView) -> str:
+    """The last lines, newest first."""
+    lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
+    return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")
+
+
+class LogTail:
+    """The end of a run's log, shared by all pages and re-read once it has grown."""
+
+    def __init__(self, folder: Path) -> None:
+        self._path = folder / LOG_FILE
+        self._size = -1
+        self._lines: tuple[str, ...] = ()
+
+    def lines(self) -> tuple[str, ...]:
+        """The last lines as text, oldest first; empty if there is no log."""
+        try:
+            size = self._path.stat().st_size
+            if size != self._size:
+                self._size, self._lines = size, self._read(size)
+        except OSError:
+            self._size, self._lines = -1, ()
+        return self._lines
+
+    def _read(self, size: int) -> tuple[str, ...]:
+        with open_regular(self._path) as file:
+            file.seek(max(0, size - TAIL_BYTES))
+            content = file.read(TAIL_BYTES)
+        first, *rest = content.split(b"\n")
+        whole = rest[:-1] if size > TAIL_BYTES else [first, *rest[:-1]]  # the first may be incomplete
+        return tuple(text for line in whole if (text := _as_text(line)))
+
+
+def _as_text(line: bytes) -> str:
+    """`10:21:05 info step begins: part engine, step ct_import`; empty for a line that is not a log line."""
+    try:
+        content = parse_json(line)
+        time, level, event = (str(content.pop(name, "")) for name in HEADS)
+        more = ", ".join(f"{name} {value}" for name, value in content.items() if name != "versions")
+    except (ValueError, AttributeError, TypeError):
+        return ""
+    return f"{time[11:19]} {level} {event}{f': {more}' if more else ''}"

@@ -1,1 +1,0 @@
-"""Images made from the CT: the surface of the head."""

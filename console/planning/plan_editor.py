@@ -1,0 +1,358 @@
+"""The plan editor shared by all pages: the CT, the current draft, its assessment, and its file."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from console.changes import ChangeNotifier
+from console.planning.draft import Draft, History, UnsavedFile
+from console.planning.judging import Judged, judge
+from console.scene.head_surface import head_surface, stl
+from procedures.imaging import Candidate, Volume, likeliest_first, localize, localize_picks
+from procedures.imaging.errors import MarkerCountWrong, PickRefused
+from procedures.imaging.localization import DIAMETER_MM
+from procedures.imaging.markers import Marker
+from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
+from procedures.planning.head.tissue import sampled_hu
+from procedures.planning.plan.file import parse_plan, read_plan, write_plan
+from procedures.planning.plan.lock import PlannerLock, plan_in_use, replaced_plan
+from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
+from procedures.planning.plan.seal import sealed
+from procedures.planning.theatre.arm import TheatreArm
+from procedures.strategies.trajectory import Point
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, InputRefused, read_bounded
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+
+REFUSED = "refused"
+KEEPING_S = 0.3  # host time between writes of unsaved changes
+AGAIN_S = 0.5  # host time between checks whether the plan has become free
+
+
+class PlanEditor(ChangeNotifier):
+    """Keeps one draft. Every change is announced; background threads check it again."""
+
+    def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
+        super().__init__()
+        self.volume = volume
+        self.theatre = theatre
+        self.file = plan
+        self.candidates: Sequence[Candidate] = ()
+        self.searching = True
+        self.head = b""
+        self.problem: RonnaError | None = None  # why the file is left unchanged
+        self.notice: RonnaError | None = None  # of the CT or the plan, to be read first
+        self.not_kept: RonnaError | None = None  # why a crash would lose unsaved changes
+        self._markers: tuple[Marker, ...] = ()  # those that were found
+        self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
+        self._to_check = asyncio.Event()
+        self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
+        self._lock = PlannerLock(plan)
+        self._begun = False
+        self._read()
+        self.problem = self.problem or _refuse_in_run_folder(plan)
+        self.begin()
+        self.judged = Judged(self.draft)
+
+    @property
+    def read_only(self) -> RonnaError | None:
+        """Why nothing can be changed."""
+        if self._begun and not self._saving.locked():  # our own save is not a case
+            return self._block_reason()
+        return None if self._begun else self._blocked_by
+
+    def begin(self) -> bool:
+        """Take the plan for editing; then saved and unsaved changes of others are adopted.
+
+        False while a case or another planner has it; call again later.
+        """
+        if not self._begun:
+            self._blocked_by = self._block_reason()
+            if self._blocked_by is not None:
+                return False
+            self._begun = True
+            if not self._is_unchanged():
+                self._read()
+            if self.problem is None:
+                self._restore_unsaved()
+        return True
+
+    def close(self) -> Path | None:
+        """Leave the plan to the next planner; returns the file with unsaved changes, if any."""
+        kept = self.keep()
+        self._lock.leave()
+        return kept
+
+    def _block_reason(self) -> RonnaError | None:
+        if self.problem is not None:
+            return self.problem
+        name = self.file.name
+        if not self._lock.take():
+            return PlanInUse(f"{name} is open in another planner: read-only")
+        if plan_in_use(self.file):
+            return PlanInUse(f"a case is running on {name}: read-only")
+        return None
+
+    def hu_at(self, place_mm: Point) -> str:
+        """Word the CT's value at a position."""
+        hu = sampled_hu(self.volume, [place_mm])
+        return f"{hu[0]:.0f} HU" if len(hu) else "outside the scan"
+
+    # The file
+
+    def _read(self) -> None:
+        draft = self._read_draft() or Draft(self.volume.patient_position, FEWEST_MARKERS)
+        self.history = History(draft)
+        self._saved: Draft | None = draft if self._on_disk else None
+        self._found(self._markers)
+
+    def _is_unchanged(self) -> bool:
+        try:
+            return _digest(self.file) == self._on_disk
+        except OSError:  # reading it reports what is wrong
+            return False
+
+    def _read_draft(self) -> Draft | None:
+        """Read the draft of the plan file, if there is a usable one."""
+        try:
+            self._on_disk = _digest(self.file)
+            if not self._on_disk:
+                return None
+            plan = read_plan(self.file, sealed_only=False)
+            if plan.series_instance_uid != self.volume.series_instance_uid:
+                raise WrongSeries(
+                    f"{self.file.name} belongs to another CT series and is left unchanged",
+                    expected=self.volume.series_instance_uid,
+                    got=plan.series_instance_uid,
+                )
+        except (RonnaError, OSError) as problem:
+            self.problem = problem if isinstance(problem, RonnaError) else PlanMistakes(str(problem.strerror))
+            return None
+        try:
+            read_plan(self.file)
+        except RonnaError as altered:
+            self.notice = altered
+        return Draft.of(plan)
+
+    def _restore_unsaved(self) -> None:
+        """Restore what was drawn but not saved when the planner ended."""
+        try:
+            drawn = self._unsaved.restore(self._on_disk, self.draft)
+        except UnsavedChanges as aside:
+            self.notice = self.notice or aside
+            return
+        if drawn is not None and drawn != self.draft:
+            self.history.change(drawn)
+            self.notice = UnsavedChanges("unsaved changes from the last session were restored")
+
+    def keep(self) -> Path | None:
+        """Store unsaved changes next to the plan; returns the file, or None if there are none."""
+        self.not_kept = None
+        if not self._begun:
+            return None
+        saved, drawn = self._saved, replace(self.draft, markers=())
+        unsaved = self.history.can_undo if saved is None else drawn != replace(saved, markers=())
+        try:
+            if self.problem is None and unsaved:
+                self._unsaved.keep(self.draft, self._on_disk)
+                return self._unsaved.path
+            if self.problem is None:
+                self._unsaved.forget()
+        except OSError as error:
+            why = f"unsaved changes cannot be stored next to the plan: {error.strerror}"
+            self.not_kept = PlanNotSaved(why)
+        return None
+
+    @property
+    def is_saved(self) -> bool:
+        """Whether the file contains the current draft."""
+        return self._saved is not None and self._saved.content("") == self.draft.content("")
+
+    async def save(self, author: str) -> None:
+        """Write the plan, sealed. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
+        if self.read_only is not None:
+            raise self.read_only
+        name = " ".join(author.split())
+        if not name:
+            raise PlanMistakes("the plan needs an author", action="Enter your name next to Save.")
+        draft = self.draft
+        missing = [one.identifier for one in draft.ways if one.ends is None]
+        if missing:
+            raise PlanMistakes(
+                f"entry or target of {' and '.join(missing)} is not set",
+                action="Set both, or remove the trajectory.",
+            )
+        plan = parse_plan(draft.content(self.volume.series_instance_uid), self.file.name)
+        async with self._saving:
+            await asyncio.to_thread(self._write, plan, name, draft)
+        self._saved, self.notice = draft, None
+        self.altered()
+
+    def _write(self, plan: Plan, author: str, draft: Draft) -> None:
+        plan = sealed(plan, author, self.volume)
+        spheres = (
+            f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
+            for number, one in enumerate(draft.markers, start=1)
+        )
+        with replaced_plan(self.file):  # a case that has begun since wins
+            if self._was_changed_by_others():
+                raise PlanNotSaved(
+                    f"{self.file.name} was changed by another program since it was opened",
+                    action="Nothing was overwritten. Move that file away, then save again.",
+                )
+            notes = ("Saved by the planner. Coordinates: LPS of the series, mm.", *spheres)
+            write_plan(self.file, plan, notes)
+            self._on_disk = _digest(self.file)
+
+    def _was_changed_by_others(self) -> bool:
+        try:
+            return _digest(self.file) not in ("", self._on_disk)
+        except OSError as error:
+            raise PlanNotSaved(f"cannot read {self.file.name}: {error.strerror}") from error
+
+    # The draft
+
+    @property
+    def draft(self) -> Draft:
+        """The current draft."""
+        return self.history.now
+
+    def change(self, draft: Draft, *, goes_on: bool = False) -> None:
+        """Apply a change to the draft; see `History.change`. Refused while it is read-only."""
+        if self.read_only is None:
+            self.history.change(draft, goes_on=goes_on)
+        self.altered()
+
+    def undo(self) -> None:
+        """Undo the last change. Refused while the draft is read-only."""
+        if self.read_only is None:
+            self.history.undo()
+        self.altered()
+
+    def redo(self) -> None:
+        """Redo the last change undone. Refused while the draft is read-only."""
+        if self.read_only is None:
+            self.history.redo()
+        self.altered()
+
+    def altered(self) -> None:
+        """Have the draft checked and stored, and the pages notified."""
+        self._changed.set()
+        self._to_keep.set()
+        self.tell()
+
+    async def add_marker(self, place_mm: Point) -> None:
+        """Measure the sphere at a position, and count it as a marker. Raises CT-019."""
+        found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
+        (marker,) = found.markers
+        for number, one in enumerate(self.draft.markers, start=1):
+            if float(np.linalg.norm(one.centre_mm - marker.centre_mm)) < DIAMETER_MM:
+                raise PickRefused(f"this is sphere {number}")
+        self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
+
+    def reject_marker(self, number: int) -> None:
+        """Stop counting a sphere (from 1) as a marker."""
+        left = tuple(one for k, one in enumerate(self.draft.markers, start=1) if k != number)
+        self.change(replace(self.draft, markers=left))
+
+    # Background work
+
+    async def work(self) -> None:
+        """Build the head, find the spheres, judge and store the draft whenever it changes; never ends."""
+        await asyncio.gather(
+            self._prepare(), self._judge_all(), self._check_all(), self._keep_all(), self._await_the_plan()
+        )
+
+    async def _await_the_plan(self) -> None:
+        while self.problem is None and not self._begun:
+            await asyncio.sleep(AGAIN_S)
+            if self.begin():
+                self.altered()
+
+    async def _prepare(self) -> None:
+        try:
+            self.head = await asyncio.to_thread(lambda: stl(*head_surface(self.volume)))
+            self.tell()
+        except ValueError:  # nothing but air: the search for spheres reports it
+            pass
+        try:
+            found = await asyncio.to_thread(localize, self.volume)
+            self.candidates = likeliest_first(found.candidates)
+            self._found(found.markers)
+        except MarkerCountWrong as none:
+            self.candidates, self.notice = likeliest_first(none.candidates), self.notice or none
+        except RonnaError as problem:
+            self.notice = self.notice or problem
+        self.searching = False
+        self.altered()
+
+    def _found(self, markers: tuple[Marker, ...]) -> None:
+        """Give the spheres to every draft so far, so that undo does not lose them."""
+        self._markers = markers
+        count = len(markers)
+        is_new = not self._on_disk and FEWEST_MARKERS <= count <= MOST_MARKERS
+
+        def with_markers(draft: Draft) -> Draft:
+            return replace(draft, markers=markers, implanted=count if is_new else draft.implanted)
+
+        self.history.replace_all(with_markers)
+        if self._saved is not None:
+            self._saved = with_markers(self._saved)
+
+    async def _judge_all(self) -> None:
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            self._announce(await self._judged(self.draft, thorough=False))
+            if not self.judged.thorough and not self._changed.is_set():
+                self._to_check.set()
+
+    async def _check_all(self) -> None:
+        """Check thoroughly, which takes long; a draft changed meanwhile makes the result obsolete."""
+        while True:
+            await self._to_check.wait()
+            self._to_check.clear()
+            judged = await self._judged(self.draft, thorough=True)
+            if judged.draft is self.draft:
+                self._announce(judged)
+
+    async def _judged(self, draft: Draft, *, thorough: bool) -> Judged:
+        return await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
+
+    def _announce(self, judged: Judged) -> None:
+        self.judged = judged
+        self.tell()
+
+    async def _keep_all(self) -> None:
+        while True:
+            await self._to_keep.wait()
+            self._to_keep.clear()
+            await asyncio.to_thread(self.keep)
+            await asyncio.sleep(KEEPING_S)
+
+
+def _digest(path: Path) -> str:
+    """Hash a file; empty if missing, `REFUSED` if it cannot be a plan. Raises OSError."""
+    try:
+        return hashlib.sha256(read_bounded(path, LARGEST_TOML_BYTES)).hexdigest()
+    except FileNotFoundError:
+        return ""
+    except InputRefused:  # reading the plan says why
+        return REFUSED
+
+
+def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
+    """Refuse a plan within a run folder, where any write would count as tampering."""
+    run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
+    if run is None:
+        return None
+    return PlanInUse(
+        f"{plan.name} belongs to run {run.name}, which must not change",
+        action="You can view it here; to edit, copy it and open the copy with --plan.",
+    )

@@ -1,0 +1,262 @@
+"""Slices of a CT for a page: its view, the image of each plane, and the routes that serve them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from dataclasses import dataclass, field
+from enum import StrEnum
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from starlette.requests import Request
+from starlette.responses import PlainTextResponse, Response
+
+from console.planning.draft import DraftTrajectory
+from console.planning.plan_editor import PlanEditor
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.strategies.trajectory import Point
+
+Array = NDArray[np.float64]
+SIZE_PX = 400  # of an image, which is square
+UNSCANNED_HU = -32768  # no CT has this value
+UNSCANNED_GREY = 40  # unlike the black of air
+ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
+PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
+WINDOWS_HU = {
+    "spheres": (-1000.0, 600.0),
+    "soft tissue": (-160.0, 240.0),
+    "brain": (0.0, 80.0),
+    "bone": (-500.0, 2000.0),
+    "everything": (-1024.0, 3071.0),
+}
+ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
+TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
+FARTHEST_MM = 10_000.0
+LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
+UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
+
+
+class Plane(StrEnum):
+    """Plane of an image."""
+
+    AXIAL = "axial"
+    CORONAL = "coronal"
+    SAGITTAL = "sagittal"
+    ALONG = "along"
+
+
+# To the right and down in the image, LPS: as seen from the feet, from the front, from the left.
+DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
+    Plane.AXIAL: ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    Plane.CORONAL: ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
+    Plane.SAGITTAL: ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0)),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Cut:
+    """Pose of an image: its centre, its directions to the right and down, LPS; `step_mm` per pixel."""
+
+    middle_mm: Array
+    right: Array
+    down: Array
+    step_mm: float
+
+    @cached_property
+    def normal(self) -> Array:
+        """Into the image."""
+        return np.asarray(np.cross(self.right, self.down))
+
+    def to_patient_mm(self, x_px: float, y_px: float) -> Point:
+        """The position of a point in the image; (0, 0) is the corner of its first pixel."""
+        half = SIZE_PX / 2.0
+        place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
+        return as_point(place)
+
+    def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
+        """Image position of a point, px, and its distance behind the image, mm."""
+        away = np.asarray(place_mm, dtype=float) - self.middle_mm
+        half = SIZE_PX / 2.0
+        return (
+            half + float(away @ self.right) / self.step_mm,
+            half + float(away @ self.down) / self.step_mm,
+            float(away @ self.normal),
+        )
+
+
+def as_point(place: ArrayLike) -> Point:
+    """Three plain numbers."""
+    x, y, z = (float(value) for value in np.asarray(place))
+    return x, y, z
+
+
+def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
+    """The image, black at the lower end of the window and white at the upper."""
+    low, high = window_hu
+    hu = cut_hu(volume, cut)
+    grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
+    grey[hu == UNSCANNED_HU] = UNSCANNED_GREY
+    _, encoded = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
+    return bytes(encoded)
+
+
+def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
+    """HU of every pixel (rows, columns), interpolated within a slice; along a trajectory also between."""
+    geometry = volume.geometry
+    first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
+    per_px = (
+        cut.step_mm * np.stack([cut.right @ geometry.axes, cut.down @ geometry.axes]) / geometry.spacing_mm
+    )
+    across = np.flatnonzero(np.abs(per_px).max(axis=0) * SIZE_PX < ALIGNED)
+    if len(across) != 1:
+        return _between_slices(volume, first, per_px)
+    (axis,) = across
+    number = round(float(first[axis]))
+    if not 0 <= number < volume.voxels.shape[axis]:
+        return np.full((SIZE_PX, SIZE_PX), UNSCANNED_HU, np.int16)
+    row, column = (one for one in range(3) if one != axis)
+    mapping = np.array(
+        [[per_px[0, column], per_px[1, column], first[column]], [per_px[0, row], per_px[1, row], first[row]]]
+    )
+    return np.asarray(
+        cv2.warpAffine(
+            np.ascontiguousarray(np.take(volume.voxels, number, axis=axis)),
+            mapping,
+            (SIZE_PX, SIZE_PX),
+            flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=UNSCANNED_HU,
+        ),
+        dtype=np.int16,
+    )
+
+
+def _between_slices(volume: Volume, first: Array, per_px: Array) -> NDArray[np.int16]:
+    from scipy import ndimage
+
+    matrix = np.stack([per_px[1], per_px[0], np.zeros(3)], axis=1)
+    hu = ndimage.affine_transform(
+        volume.voxels,
+        matrix,
+        offset=first,
+        output_shape=(SIZE_PX, SIZE_PX, 1),
+        order=1,
+        mode="constant",
+        cval=UNSCANNED_HU,
+        prefilter=False,
+    )
+    return np.asarray(hu[..., 0])
+
+
+@dataclass
+class PageView:
+    """The view of one page. Every image but the one along a trajectory passes through the crosshair."""
+
+    geometry: VoxelGeometry
+    place_mm: Point = (0.0, 0.0, 0.0)
+    zoom: int = 0  # step of ZOOMS
+    focus_mm: Point = (0.0, 0.0, 0.0)  # centre of a magnified image
+    window: str = next(iter(WINDOWS_HU))
+    turn_deg: float = 0.0
+    way: str = "T1"  # the one being edited
+    _bounds: tuple[Array, Array] = field(init=False)
+
+    def __post_init__(self) -> None:
+        corners = np.array(np.meshgrid(*[(-0.5, n - 0.5) for n in self.geometry.shape])).reshape(3, -1).T
+        places = self.geometry.to_patient_mm(corners)
+        self._bounds = places.min(axis=0), places.max(axis=0)
+        self.place_mm = self.focus_mm = as_point((self._bounds[0] + self._bounds[1]) / 2.0)
+
+    @property
+    def step_mm(self) -> float:
+        """Size of a pixel: without zoom the whole scan fits."""
+        return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
+
+    def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
+        """The image of a plane; None along an incomplete trajectory."""
+        if plane is Plane.ALONG:
+            return None if way is None or way.ends is None else self._along(*way.ends)
+        right, down = (np.array(one) for one in DIRECTIONS[plane])
+        normal = np.cross(right, down)
+        focus, place = np.array(self.focus_mm), np.array(self.place_mm)
+        return Cut(focus + normal * float((place - focus) @ normal), right, down, self.step_mm)
+
+    def _along(self, entry_mm: Point, target_mm: Point) -> Cut | None:
+        entry, target = np.array(entry_mm), np.array(target_mm)
+        length_mm = float(np.linalg.norm(target - entry))
+        if length_mm == 0.0:
+            return None
+        down = (target - entry) / length_mm
+        helper = np.eye(3)[int(np.abs(down).argmin())]
+        right = np.cross(down, helper)
+        right /= np.linalg.norm(right)
+        turn = math.radians(self.turn_deg)
+        turned = math.cos(turn) * right + math.sin(turn) * np.cross(down, right)
+        return Cut((entry + target) / 2.0, turned, down, self.step_mm)
+
+    def go_to(self, place_mm: Point) -> None:
+        """Move the crosshair, within the scan."""
+        low, high = self._bounds
+        self.place_mm = as_point(np.clip(place_mm, low, high))
+
+    def scroll(self, plane: Plane, steps: int) -> None:
+        """Scroll by this many slices."""
+        if plane is Plane.ALONG:
+            self.turn_deg = (self.turn_deg + TURN_DEG * steps) % 360.0
+            return
+        right, down = (np.array(one) for one in DIRECTIONS[plane])
+        normal = np.cross(right, down)
+        axis = int(np.abs(normal @ self.geometry.axes).argmax())
+        self.go_to(as_point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
+
+    def move(self, plane: Plane, right: int, down: int) -> None:
+        """Move the crosshair within an image, by its pixels."""
+        if plane is Plane.ALONG:
+            return
+        across, downwards = (np.array(one) for one in DIRECTIONS[plane])
+        self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
+
+    def magnify(self, steps: int) -> None:
+        """Zoom about the crosshair; fully zoomed out, show the whole scan."""
+        self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
+        low, high = self._bounds
+        self.focus_mm = self.place_mm if self.zoom else as_point((low + high) / 2.0)
+
+
+def add_pictures(app: Any, editor: PlanEditor) -> None:
+    """Serve the images of a plan's CT; no address reveals whose it is."""
+
+    async def cut(request: Request) -> Response:
+        try:
+            wanted, window = _read(dict(request.query_params))
+        except (KeyError, ValueError):
+            return PlainTextResponse("No such picture.", 404)
+        picture = await asyncio.to_thread(cut_png, editor.volume, wanted, window)
+        return Response(picture, media_type="image/png")
+
+    async def head(_request: Request) -> Response:
+        return Response(editor.head, media_type="model/stl") if editor.head else PlainTextResponse("", 404)
+
+    app.add_route("/cut.png", cut, methods=["GET"])
+    app.add_route("/picture/head.stl", head, methods=["GET"])
+
+
+def _read(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
+    """Raises KeyError, ValueError for an invalid request."""
+    middle, right, down = (_three(given[name]) for name in "mrd")
+    step_mm = float(given["s"])
+    square = abs(right @ down) < UNIT and all(abs(np.linalg.norm(one) - 1.0) < UNIT for one in (right, down))
+    if not (square and LEAST_STEP_MM <= step_mm <= MOST_STEP_MM and np.abs(middle).max() <= FARTHEST_MM):
+        raise ValueError("no picture")
+    return Cut(middle, right, down, step_mm), WINDOWS_HU[given["w"]]
+
+
+def _three(words: str) -> Any:
+    values = [float(one) for one in words.split(",")]
+    if len(values) != 3 or not all(map(math.isfinite, values)):
+        raise ValueError("expected three numbers")
+    return np.array(values)

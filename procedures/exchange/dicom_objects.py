@@ -1,0 +1,316 @@
+"""Registrations, fiducials and the postoperative check as DICOM objects.
+
+They carry no patient identity unless `name_patient` adds it. Attributes that DICOM requires but allows to be
+empty stay empty: a clinical archive fills them in on import. Identifiers are derived from the content, so the
+same result always yields the same object.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib.metadata import version
+from io import BytesIO
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import (
+    UID,
+    ExplicitVRLittleEndian,
+    SpatialFiducialsStorage,
+    SpatialRegistrationStorage,
+    generate_uid,
+)
+from scipy.spatial.transform import RigidTransform
+
+from procedures.exchange.allowed_fields import label_of, require_allowed
+from procedures.exchange.errors import NotWritable
+from procedures.postoperative.summary import PostoperativeCheck
+from ronna_hw.frames import Transform
+from ronna_hw.records import canonical_json, write_whole
+
+MAKER = "ronna-hw"
+NOT_CLINICAL = "research software, not a medical device"
+FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
+CONTENT_ALIGNMENT = ("125024", "DCM", "Image Content-based Alignment")
+REGISTRATION_FILE = "postoperative-registration.dcm"
+POINTS_FILE = "postoperative-points.dcm"
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Origin of a result: the CT series, its frame of reference, when it was made, and a key.
+
+    `key`, for example a record's hash, makes the identifiers unique to this result.
+    """
+
+    series_instance_uid: str
+    frame_of_reference_uid: str
+    made: datetime
+    key: str
+
+
+@dataclass(frozen=True)
+class Fiducial:
+    """A point: name, position (LPS, mm), radius of its uncertainty (3-D rms, mm), and kind.
+
+    An uncertainty of 0 means not stated.
+    """
+
+    name: str
+    centre_mm: tuple[float, float, float]
+    uncertainty_mm: float
+    description: str = "marker sphere"
+
+
+class Located(Protocol):
+    """A sphere of the CT: centre (3,) in LPS mm and its covariance (3, 3) in mm2."""
+
+    @property
+    def centre_mm(self) -> ArrayLike: ...
+
+    @property
+    def covariance_mm2(self) -> ArrayLike: ...
+
+
+def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
+    """Spheres of a localization, named M1, M2, ... in their order."""
+    made = []
+    for number, marker in enumerate(markers, 1):
+        x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
+        rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
+        made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
+    return tuple(made)
+
+
+def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
+    """The UID of a sphere, both in the fiducials object and in a registration that used it."""
+    return str(uid(origin, "fiducial", fiducial.name))
+
+
+def spatial_fiducials(
+    fiducials: Sequence[Fiducial],
+    origin: Origin,
+    *,
+    label: str = "MARKERS",
+    description: str = "centres of marker spheres",
+) -> Dataset:
+    """The object for the points of one CT series."""
+    made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
+    group = Dataset()
+    group.FrameOfReferenceUID = origin.frame_of_reference_uid
+    group.FiducialSequence = [_fiducial_item(fiducial, origin) for fiducial in fiducials]
+    made.FiducialSetSequence = [group]
+    return made
+
+
+def _fiducial_item(fiducial: Fiducial, origin: Origin) -> Dataset:
+    item = Dataset()
+    item.FiducialIdentifier = fiducial.name
+    item.FiducialDescription = fiducial.description
+    item.FiducialUID = fiducial_uid(origin, fiducial)
+    item.ShapeType = "POINT"
+    item.NumberOfContourPoints = 1
+    item.ContourData = decimals(fiducial.centre_mm)
+    if fiducial.uncertainty_mm > 0.0:
+        item.ContourUncertaintyRadius = fiducial.uncertainty_mm
+    return item
+
+
+def spatial_registration(
+    robot_from_ct: Transform,
+    origin: Origin,
+    *,
+    spheres: Origin | None = None,
+    placing: str = "",
+    label: str = "CT_TO_ROBOT",
+    description: str = "",
+    fiducial_uids: Sequence[str] = (),
+) -> Dataset:
+    """The object for a pose robot <- CT.
+
+    Its own frame of reference is the robot's; the pose maps the CT's into it. `fiducial_uids` name the
+    spheres used by the fit, in the fiducials object of the origin `spheres` (by default the same). All
+    registrations made from the same spheres with the cart at the same `placing` share one robot frame; once
+    the cart has moved, it is a different one.
+    """
+    spheres = spheres or origin
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = uid(spheres, "robot frame", placing)
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = [
+        _item(made.FrameOfReferenceUID, np.eye(4)),
+        _item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
+    ]
+    if fiducial_uids:
+        made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]
+    return made
+
+
+def frames_registration(
+    first_from_second: NDArray[np.float64],
+    origin: Origin,
+    second_frame_uid: str,
+    *,
+    label: str,
+    description: str,
+) -> Dataset:
+    """The object for the pose (4, 4) mm of a second CT in the frame of reference of the origin's CT."""
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = origin.frame_of_reference_uid
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = [
+        _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
+        _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
+    ]
+    return made
+
+
+def _item(
+    frame_of_reference_uid: str,
+    matrix: NDArray[np.float64],
+    alignment: tuple[str, str, str] = FIDUCIAL_ALIGNMENT,
+) -> Dataset:
+    step = Dataset()
+    step.FrameOfReferenceTransformationMatrixType = "RIGID"
+    step.FrameOfReferenceTransformationMatrix = decimals(matrix.ravel().tolist())
+    transform = Dataset()
+    transform.RegistrationTypeCodeSequence = [code_item(*alignment)]
+    transform.MatrixSequence = [step]
+    item = Dataset()
+    item.FrameOfReferenceUID = frame_of_reference_uid
+    item.MatrixRegistrationSequence = [transform]
+    return item
+
+
+def _used(fiducial_uid: str, origin: Origin) -> Dataset:
+    item = Dataset()
+    item.ReferencedSOPClassUID = SpatialFiducialsStorage
+    item.ReferencedSOPInstanceUID = instance_uid(origin, "FID")
+    item.FiducialUID = fiducial_uid
+    return item
+
+
+def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
+    """Write both objects; `frames` are the frames of reference of the planned CT and the later one.
+
+    The registration is left out when both CTs claim the same frame of reference. Raises EXC-002, EXC-004.
+    """
+    key = hashlib.sha256(canonical_json(check.model_dump(mode="json"))).hexdigest()
+    origin = Origin(check.pre_series_instance_uid, frames[0], datetime.now(UTC), key)
+    points = spatial_fiducials(
+        _points(check), origin, label="POSTOPERATIVE", description="planned and found entries and targets"
+    )
+    written = [write(require_allowed(points), folder / POINTS_FILE)]
+    if frames[0] != frames[1]:
+        pre_from_post = RigidTransform.from_matrix(np.array(check.post_from_pre)).inv().as_matrix()
+        registration = frames_registration(
+            pre_from_post, origin, frames[1], label="POST_TO_PRE", description="registered on bone"
+        )
+        written.append(write(require_allowed(registration), folder / REGISTRATION_FILE))
+    return tuple(written)
+
+
+def _points(check: PostoperativeCheck) -> list[Fiducial]:
+    found = []
+    for number, one in enumerate(check.trajectories, start=1):
+        label = label_of(one.id, number)
+        places = {
+            "planned entry": one.planned_entry_mm,
+            "planned target": one.planned_target_mm,
+            "entry": one.entry_mm,
+            "tip": one.tip_mm,
+        }
+        found += [
+            Fiducial(f"{label} {what}", place, 0.0, "point of a trajectory")
+            for what, place in places.items()
+            if place is not None
+        ]
+    return found
+
+
+def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
+    """An object complete except for its content."""
+    instance = instance_uid(origin, modality)
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = sop_class
+    meta.MediaStorageSOPInstanceUID = instance
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    made = Dataset()
+    made.file_meta = meta
+    made.SpecificCharacterSet = "ISO_IR 192"
+    made.SOPClassUID = sop_class
+    made.SOPInstanceUID = instance
+    name_patient(made, "", "", "", "")
+    for name in ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "StudyID"):
+        setattr(made, name, "")
+    made.StudyInstanceUID = uid(origin, "study")
+    made.SeriesInstanceUID = uid(origin, modality, "series")
+    made.SeriesNumber = 1
+    made.InstanceNumber = 1
+    made.Modality = modality
+    made.Manufacturer = MAKER
+    made.ManufacturerModelName = NOT_CLINICAL
+    made.DeviceSerialNumber = "none"
+    made.SoftwareVersions = version("ronna-hw")
+    made.Laterality = ""
+    made.ContentDate = origin.made.strftime("%Y%m%d")
+    made.ContentTime = origin.made.strftime("%H%M%S")
+    made.ContentLabel = label
+    made.ContentDescription = description
+    made.ContentCreatorName = ""
+    return made
+
+
+def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
+    """Set the patient identity, in the series' own notation (birth date YYYYMMDD)."""
+    made.PatientName, made.PatientID = name, identifier
+    made.PatientBirthDate, made.PatientSex = birth_date, sex
+
+
+def instance_uid(origin: Origin, modality: str) -> UID:
+    """The SOP instance UID of the object of this modality for a result."""
+    return uid(origin, modality, "instance")
+
+
+def uid(origin: Origin, *what: str) -> UID:
+    """A UID derived from the origin and its purpose."""
+    return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
+
+
+def code_item(value: str, scheme: str, meaning: str) -> Dataset:
+    """An item of a code sequence."""
+    item = Dataset()
+    item.CodeValue = value
+    item.CodingSchemeDesignator = scheme
+    item.CodeMeaning = meaning
+    return item
+
+
+def decimals(values: Sequence[float]) -> list[str]:
+    """Numbers as decimal strings of at most 16 characters, with as many digits as fit."""
+    return [_decimal(float(value)) for value in values]
+
+
+def write(made: Dataset, path: Path) -> Path:
+    """Write an object as a DICOM file; raises EXC-002."""
+    content = BytesIO()
+    made.save_as(content, enforce_file_format=True)
+    try:
+        write_whole(path, content.getvalue())
+    except OSError as error:
+        raise NotWritable(f"cannot write {path}: {error.strerror}") from error
+    return path
+
+
+def _decimal(value: float) -> str:
+    for digits in range(16, 0, -1):
+        text = f"{value:.{digits}g}"
+        if len(text) <= 16:
+            return text
+    raise ValueError(f"{value} cannot be written as a DICOM decimal string")

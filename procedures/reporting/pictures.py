@@ -1,0 +1,306 @@
+"""Figures of a report as SVG, and of proposed markers as PNG.
+
+A canvas is as wide as a phone's screen, so that its text is readable there in portrait; elsewhere it scales
+with the page.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import math
+from collections.abc import Sequence
+from html import escape
+from typing import Literal
+
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.markers.sites import ProposedMarkers
+from procedures.reporting.numbers import millimetres, seconds, tenths
+from procedures.reporting.run_statistics import Span
+from procedures.reporting.tables import MotionRow, TargetRow
+from procedures.steps.link_health import LinkHealth
+from procedures.strategies.trajectory import Trajectory
+
+WIDTH = 420.0  # user units, equal to CSS pixels on a phone
+TEXT_SIZE = 11.0
+# Mean application error of published work on phantoms, mm. Sources in docs/reference/published-figures.md.
+PUBLISHED_MM = (
+    ("RONNA, OCS, 5 fiducials, phantom", 0.260),
+    ("RONNA, JDMS, 5 fiducials, phantom", 0.369),
+    ("RONNA, NOS, 5 fiducials, phantom", 1.327),
+    ("RONNA G3, targets < 50 mm deep, phantom", 0.43),
+    ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
+)
+GRID = "#dfe5e8"
+VALUE_ROOM = 70.0  # for the number after a bar
+LEFT, TOP = 44.0, 20.0  # of the plots with axes
+# Errors at the targets: colours, heights of a row and of its bar
+OURS, PREDICTED, PUBLISHED = "#1f6f8b", "#9cc5d3", "#b9b9b9"
+TARGET_ROW, TARGET_BAR = 31.0, 12.0
+# Clearance of the motions
+HEAD, OTHER = "#1f6f8b", "#9cc5d3"
+MOTION_ROW, MOTION_BAR = 40.0, 10.0
+LONGEST_MM = 200.0  # a longer bar carries no information
+# Timeline
+STEP, MOTION, REST, BROKEN = "#d3e3e9", "#1f6f8b", "#e0a030", "#b3261e"
+SPAN_ROW, SPAN_BAR, AXIS, MARGIN = 30.0, 11.0, 20.0, 12.0
+LEAST_WIDTH = 1.5  # so that what took no theatre time is still visible
+MOST_TICKS = 6
+# Histograms of the robot link
+TURNAROUND, JITTER = "#1f6f8b", "#b3541e"
+LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have
+HISTOGRAM_HEIGHT = 150.0
+# Residuals of a calibration's views
+USED, LEFT_OUT = "#1f6f8b", "#b3261e"
+LOOKS_HEIGHT = 120.0
+GAP = 0.2  # of a bar's width
+# Proposed markers
+DOTS_PER_INCH, SIZE_IN = 110, (10.0, 3.8)
+VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
+    ("from the right", 1, 2, (True, False)),
+    ("from the front", 0, 2, (False, False)),
+    ("from above", 0, 1, (True, True)),
+)
+
+
+class Canvas:
+    """Collects shapes from the top down; `svg` is the finished picture."""
+
+    def __init__(self, height: float, title: str) -> None:
+        self._height = height
+        self._title = title
+        self._shapes: list[str] = []
+
+    def rectangle(
+        self, x: float, y: float, width: float, height: float, fill: str, *, title: str = ""
+    ) -> None:
+        """A filled rectangle; `title` is shown on hover."""
+        inside = f"<title>{escape(title)}</title>" if title else ""
+        self._shapes.append(
+            f'<rect x="{x:.2f}" y="{y:.2f}" width="{max(width, 0.0):.2f}" height="{height:.2f}" '
+            f'fill="{fill}">{inside}</rect>'
+        )
+
+    def line(self, x1: float, y1: float, x2: float, y2: float, stroke: str) -> None:
+        """A thin line."""
+        self._shapes.append(
+            f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" stroke="{stroke}"/>'
+        )
+
+    def text(
+        self, x: float, y: float, words: str, *, anchor: Literal["start", "middle", "end"] = "start"
+    ) -> None:
+        """Text with its baseline at y."""
+        self._shapes.append(f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}">{escape(words)}</text>')
+
+    @property
+    def svg(self) -> str:
+        """The picture, as a standalone file or embedded in a page."""
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {self._height:g}" role="img" '
+            f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}">'
+            f"<title>{escape(self._title)}</title>{''.join(self._shapes)}</svg>"
+        )
+
+
+def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
+    """Draw bars with their numbers, in mm."""
+    bars: list[tuple[str, float, str]] = []
+    for row in rows:
+        if row.error_mm is not None:
+            measured = "against the simulated truth" if simulated else "measured"
+            bars.append((f"{row.target}: {measured}", row.error_mm, OURS))
+        bars.append((f"{row.target}: predicted, rms", row.predicted.rms_mm, PREDICTED))
+    bars += [(name, value, PUBLISHED) for name, value in PUBLISHED_MM]
+    canvas = Canvas(TARGET_ROW * len(bars) + 4, "Error of the needle tip at the targets, mm")
+    scale = (WIDTH - VALUE_ROOM) / max(value for _, value, _ in bars)
+    for number, (label, value, colour) in enumerate(bars):
+        top = TARGET_ROW * number
+        canvas.text(0, top + 12, label)
+        canvas.rectangle(0, top + 16, value * scale, TARGET_BAR, colour)
+        canvas.text(value * scale + 4, top + 26, f"{millimetres(value)} mm")
+    return canvas.svg
+
+
+def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
+    """Draw two bars for each motion, mm."""
+    canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
+    scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
+    for number, one in enumerate(motions):
+        top = MOTION_ROW * number
+        pair = "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
+        canvas.text(0, top + 11, _way(one) + pair)
+        bars = [(one.head_mm, HEAD), (None if one.closest is None else one.closest.distance_mm, OTHER)]
+        for place, (value_mm, colour) in enumerate(bars):
+            if value_mm is not None:
+                length = scale * min(value_mm, LONGEST_MM)
+                canvas.rectangle(0, top + 15 + place * (MOTION_BAR + 1), length, MOTION_BAR, colour)
+                canvas.text(length + 4, top + 24 + place * (MOTION_BAR + 1), f"{tenths(value_mm)} mm")
+    return canvas.svg
+
+
+def _way(one: MotionRow) -> str:
+    """Name a motion for a reader; spheres count from 1."""
+    if one.start == one.end:
+        return f"{_place(one.end)}, along the axis"
+    return f"{_place(one.start)} → {_place(one.end)}"
+
+
+def _place(name: str) -> str:
+    *_, last = name.split("/")
+    kind, _, number = last.partition(" ")
+    return f"sphere {int(number) + 1}" if kind == "fiducial" and number.isdigit() else last
+
+
+def timeline_figure(spans: Sequence[Span]) -> str:
+    """Draw steps light, motions dark, pauses amber, and abnormal ends red."""
+    rows = list(dict.fromkeys(span.row for span in spans))
+    begin_s = min(span.begin_s for span in spans)
+    length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
+    scale = (WIDTH - 2 * MARGIN) / length_s
+    height = SPAN_ROW * len(rows) + AXIS
+    canvas = Canvas(height, "Steps and motions in theatre time, s")
+    for tick_s in _ticks(length_s):
+        x = MARGIN + tick_s * scale
+        canvas.line(x, 0, x, height - AXIS + 4, GRID)
+        canvas.text(x, height - 5, f"{tick_s:g} s", anchor="middle")
+    for number, row in enumerate(rows):
+        top = SPAN_ROW * number
+        mine = [span for span in spans if span.row == row]
+        lasted_s = sum(span.end_s - span.begin_s for span in mine if span.kind == "step")
+        canvas.text(MARGIN, top + 12, f"{row}, {seconds(lasted_s)} s")
+        for kind, inset in (("step", 0.0), ("motion", 2.0), ("rest", 2.0)):
+            for span in mine:
+                if span.kind == kind:
+                    canvas.rectangle(
+                        MARGIN + (span.begin_s - begin_s) * scale,
+                        top + 16 + inset,
+                        max((span.end_s - span.begin_s) * scale, LEAST_WIDTH),
+                        SPAN_BAR - 2 * inset,
+                        _colour(span),
+                        title=f"{span.name}: {seconds(span.begin_s)} to {seconds(span.end_s)} s, "
+                        f"{span.ended}",
+                    )
+    return canvas.svg
+
+
+def _colour(span: Span) -> str:
+    if span.kind == "rest":
+        return REST
+    if span.ended != "done":
+        return BROKEN
+    return STEP if span.kind == "step" else MOTION
+
+
+def _ticks(length_s: float) -> list[float]:
+    """Choose round times from zero, at most `MOST_TICKS`."""
+    magnitude = 10.0 ** math.floor(math.log10(length_s / MOST_TICKS))
+    step = next(f * magnitude for f in (1, 2, 5, 10, 20) if length_s / (f * magnitude) <= MOST_TICKS - 1)
+    return [number * step for number in range(int(length_s / step) + 1)]
+
+
+def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
+    """Sum the bins (from us, to us, turnaround, jitter) of all streams, without empty ends."""
+    edges = links[0].histogram_edges_us
+    alike = [link for link in links if link.histogram_edges_us == edges]
+    bins = []
+    for number, (low, high) in enumerate(itertools.pairwise(edges)):
+        turnaround = sum(link.histogram_counts[number] for link in alike)
+        jitter = sum(link.jitter_counts[number] for link in alike if link.jitter_counts)
+        bins.append((low, high, turnaround, jitter))
+    filled = [number for number, one in enumerate(bins) if one[2] or one[3]]
+    return bins[filled[0] : filled[-1] + 1] if filled else []
+
+
+def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
+    """Draw cycles over microseconds of host time: turnaround filled, jitter as a line."""
+    canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
+    low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
+    most = max(max(one[2], one[3]) for one in bins)
+    across = (WIDTH - LEFT - 10) / max(high - low, 1e-6)
+    up = HISTOGRAM_HEIGHT / math.log10(most + 1)
+
+    def x(value_us: float) -> float:
+        return LEFT + (math.log10(max(value_us, LEAST_SHOWN_US)) - low) * across
+
+    def y(count: int) -> float:
+        return TOP + HISTOGRAM_HEIGHT - math.log10(count + 1) * up
+
+    canvas.text(LEFT, 11, "filled: turnaround; line: jitter of the telegrams; cycles")
+    for power in range(math.ceil(low), math.floor(high) + 1):
+        canvas.line(x(10.0**power), TOP, x(10.0**power), TOP + HISTOGRAM_HEIGHT, GRID)
+        canvas.text(x(10.0**power), TOP + HISTOGRAM_HEIGHT + 15, f"{10**power:g} µs", anchor="middle")
+    for power in range(len(str(most))):
+        canvas.line(LEFT, y(10**power), WIDTH - 10, y(10**power), GRID)
+        canvas.text(LEFT - 4, y(10**power) + 4, f"{10**power:g}", anchor="end")
+    for begin, end, turnaround, _ in bins:
+        canvas.rectangle(
+            x(begin), y(turnaround), x(end) - x(begin), TOP + HISTOGRAM_HEIGHT - y(turnaround), TURNAROUND
+        )
+    before = TOP + HISTOGRAM_HEIGHT
+    for begin, end, _, jitter in bins:
+        canvas.line(x(begin), before, x(begin), y(jitter), JITTER)
+        canvas.line(x(begin), y(jitter), x(end), y(jitter), JITTER)
+        before = y(jitter)
+    return canvas.svg
+
+
+def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
+    """Draw the rms of each view, px; excluded views are red and cut at the picture's height."""
+    canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
+    highest_px = max((value for value, used in looks_px if used), default=1.0)
+    across, up = (WIDTH - LEFT) / len(looks_px), LOOKS_HEIGHT / max(highest_px, 1e-6)
+    for value_px in (0.0, highest_px / 2, highest_px):
+        y = TOP + LOOKS_HEIGHT - value_px * up
+        canvas.line(LEFT, y, WIDTH, y, GRID)
+        canvas.text(LEFT - 4, y + 4, f"{value_px:.2f}", anchor="end")
+    canvas.text(LEFT, 11, "rms of each measurement, px; red: left out")
+    for number, (value_px, used) in enumerate(looks_px):
+        height = min(value_px, highest_px) * up
+        canvas.rectangle(
+            LEFT + number * across,
+            TOP + LOOKS_HEIGHT - height,
+            across * (1 - GAP),
+            height,
+            USED if used else LEFT_OUT,
+            title=f"measurement {number + 1}: {value_px:.2f} px",
+        )
+    canvas.text(LEFT, TOP + LOOKS_HEIGHT + 14, "1", anchor="start")
+    canvas.text(WIDTH, TOP + LOOKS_HEIGHT + 14, str(len(looks_px)), anchor="end")
+    return canvas.svg
+
+
+def marker_picture(
+    proposed: ProposedMarkers, head: HeadEllipsoid, trajectories: Sequence[Trajectory]
+) -> bytes:
+    """PNG: the head's ellipsoid, numbered markers, and each trajectory. LPS, mm."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Ellipse
+
+    figure = Figure(figsize=SIZE_IN, layout="constrained")
+    for axes, (title, across, up, (leftwards, downwards)) in zip(
+        figure.subplots(1, len(VIEWS)), VIEWS, strict=True
+    ):
+        middle = head.centre_mm[across], head.centre_mm[up]
+        size = 2.0 * head.semi_axes_mm[across], 2.0 * head.semi_axes_mm[up]
+        axes.add_patch(Ellipse(middle, *size, fill=False, color="grey"))
+        for one in trajectories:
+            ends = one.entry_mm, one.target_mm
+            axes.plot([end[across] for end in ends], [end[up] for end in ends], "-", color="C0")
+            axes.annotate(one.identifier, (one.target_mm[across], one.target_mm[up]), color="C0")
+        for number, centre in enumerate(proposed.centres_mm, start=1):
+            axes.plot(centre[across], centre[up], "o", color="C3")
+            axes.annotate(str(number), (centre[across], centre[up]), color="C3")
+        axes.set_title(title)
+        axes.set_aspect("equal")
+        if leftwards:
+            axes.invert_xaxis()
+        if downwards:
+            axes.invert_yaxis()
+        axes.set_xlabel("xyz"[across] + " mm")
+        axes.set_ylabel("xyz"[up] + " mm")
+    FigureCanvasAgg(figure)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=DOTS_PER_INCH)
+    return content.getvalue()

@@ -1,0 +1,145 @@
+"""Events of a run besides the normal course of its steps, and the questions put to the operator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from procedures.journal.journal import Entry, JournalValue, Line, theatre_time_s
+from procedures.reporting.numbers import NOT_KNOWN
+
+_NOTICES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+    Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
+    Entry.SEAT: (
+        "seat",
+        lambda line: (
+            f"{line['by']} took the operator's seat" if line.get("by") else "The operator's seat became free"
+        ),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class RunEvent:
+    """An event with its wall-clock and theatre time, kind, step and text."""
+
+    clock_time: str
+    theatre_time_s: float
+    kind: str
+    step: str
+    text: str
+
+
+@dataclass(frozen=True)
+class AskedQuestion:
+    """A question as it was shown, and its answer."""
+
+    clock_time: str
+    theatre_time_s: float
+    topic: str
+    subject: str
+    value: str
+    answer: str
+
+
+def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
+    """Every question with its answer, in order."""
+    return tuple(
+        AskedQuestion(
+            clock_time(line),
+            theatre_time_s(line),
+            *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer")),
+        )
+        for line in journal
+        if line["entry"] == Entry.CONFIRMATION
+    )
+
+
+def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
+    """Return refusals, pauses, faults, acknowledgements, repetitions and voided results.
+
+    Findings that every program opening a run makes about the previous one are reported once.
+    """
+    found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
+    first: dict[str, RunEvent] = {}
+    for number, one in enumerate(_of_kinds(journal, _SENTENCES)):
+        first.setdefault(one.text if one.text in found else str(number), one)
+    return tuple(first.values())
+
+
+def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
+    """Return the findings and seat changes that stopped nothing; identical texts once."""
+    first: dict[str, RunEvent] = {}
+    for one in _of_kinds(journal, _NOTICES):
+        first.setdefault(one.text, one)
+    return tuple(first.values())
+
+
+def clock_time(line: Line) -> str:
+    """Return the wall-clock time of a line; a dash if unknown."""
+    try:
+        return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
+    except ValueError:
+        return NOT_KNOWN
+
+
+def _of_kinds(
+    journal: Sequence[Line], sentences: Mapping[str, tuple[str, Callable[[Line], str]]]
+) -> Iterator[RunEvent]:
+    step = ""
+    for line in journal:
+        entry = str(line["entry"])
+        if entry == Entry.INTENT:
+            step = str(line.get("step", ""))
+        if entry in sentences and (text := sentences[entry][1](line)):
+            where = str(line.get("step", step))
+            yield RunEvent(clock_time(line), theatre_time_s(line), sentences[entry][0], where, text)
+
+
+def _superseded(line: Line) -> str:
+    gone = _words(line.get("supersedes"))
+    return f"Repeated; these results are no longer valid: {gone}" if gone else ""
+
+
+def _acknowledged(line: Line) -> str:
+    who, device, fault = (str(line.get(field, "")) for field in ("by", "device", "fault"))
+    code, words, _ = fault.partition(": ")
+    what = code if words and code.isupper() else fault  # an error has been told when it came
+    return f"{who} acknowledged the fault of the {device}: {what}"
+
+
+def _restarted(line: Line) -> str:
+    """Word what a resuming program found of the previous one."""
+    begun, torn = line.get("begun"), line.get("torn_bytes")
+    first = f"The program ended before {begun} was complete" if begun else ""
+    return f"{first}; the last line of its journal was truncated and set aside" if torn else first
+
+
+_SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+    Entry.RESULT: ("repetition", _superseded),
+    Entry.REFUSED: ("refusal", lambda line: _words(line.get("unmet"))),
+    Entry.FAILED: ("fault", lambda line: str(line.get("what", line.get("code", "")))),
+    Entry.RESTED: ("rest", lambda line: str(line.get("reason", ""))),
+    Entry.INTERRUPTED: ("fault", lambda _line: "The step was ended; the arm was stopped"),
+    Entry.VOIDED: (
+        "fault",
+        lambda line: (
+            f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
+        ),
+    ),
+    Entry.ACKNOWLEDGED: ("fault", _acknowledged),
+    Entry.DOUBTED: (
+        "fault",
+        lambda line: f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}",
+    ),
+    Entry.RESTARTED: ("fault", _restarted),
+    Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
+    Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
+}
+
+
+def _words(value: JournalValue) -> str:
+    if isinstance(value, list | tuple):
+        return "; ".join(map(str, value))
+    return "" if value is None else str(value)

@@ -1,0 +1,140 @@
+"""Rows of the report's tables: predicted and true errors at the targets, the plan and its checked motions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from procedures.planning.path_check.motions import BACK
+from procedures.reporting.numbers import millimetres, tenths
+from procedures.reporting.outcome import Truth
+from procedures.reporting.run_reading import RunReading
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import Prediction
+from procedures.steps.clinical.target_measurement import MeasuredTarget
+
+
+@dataclass(frozen=True)
+class TargetRow:
+    """A target; its error is known only against a simulated truth, and only if the tip arrived."""
+
+    target: str
+    depth_mm: float | None
+    predicted: Prediction
+    error_mm: float | None
+    lateral_mm: float | None
+    axial_mm: float | None
+    measured_mm: float | None = None  # by the stereo head in place of the guide, on a phantom
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Return the cells of the report's table: target, depth, prediction, limit, error."""
+        return (
+            self.target,
+            tenths(self.depth_mm),
+            millimetres(self.predicted.rms_mm),
+            millimetres(self.predicted.limit_mm),
+            millimetres(self.error_mm),
+        )
+
+
+def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
+    """A row for each registered target, with the prediction of its registration."""
+    plan = reading.find(CheckedPlan)
+    depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
+    true = {one.id: one for one in truth.targets}
+    measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
+    rows = []
+    for used in reading.registrations:
+        for predicted in used.predictions:
+            at = true.get(predicted.target)
+            rows.append(
+                TargetRow(
+                    predicted.target,
+                    depth_mm.get(predicted.target),
+                    predicted,
+                    None if at is None else at.application_error_mm,
+                    None if at is None else at.lateral_mm,
+                    None if at is None else at.axial_mm,
+                    measured_mm.get(predicted.target),
+                )
+            )
+    return tuple(rows)
+
+
+@dataclass(frozen=True)
+class MotionRow:
+    """A checked motion: its end points, and its clearance to the head and to anything else."""
+
+    start: str
+    end: str
+    kind: str
+    head_mm: float | None
+    closest: ClosestApproach | None
+
+
+@dataclass(frozen=True)
+class PlanRow:
+    """A trajectory: entry and target in LPS mm, angles about the axis, clearance of its motions.
+
+    What only the path check provides is None before it, and for a trajectory that was left out.
+    """
+
+    name: str
+    entry_mm: tuple[float, float, float]
+    target_mm: tuple[float, float, float]
+    depth_mm: float
+    margin_mm: float
+    planned_angle_deg: float
+    turn_deg: float | None
+    strategy: str | None
+    motions: tuple[MotionRow, ...]
+
+    @property
+    def nearest(self) -> MotionRow | None:
+        """The motion that comes closest to anything."""
+        known = [one for one in self.motions if one.closest is not None]
+        return min(known, key=lambda one: one.closest.distance_mm if one.closest else math.inf, default=None)
+
+    @property
+    def nearest_head_mm(self) -> float | None:
+        """Least distance of anything moving to the head."""
+        return min((one.head_mm for one in self.motions if one.head_mm is not None), default=None)
+
+
+def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
+    """A row for each planned trajectory."""
+    checked, paths = reading.find(CheckedPlan), reading.find(CheckedPaths)
+    if checked is None:
+        return ()
+    return tuple(
+        PlanRow(
+            name=one.id,
+            entry_mm=one.entry_mm,
+            target_mm=one.target_mm,
+            depth_mm=one.depth_mm,
+            margin_mm=one.margin_mm,
+            planned_angle_deg=one.free_angle_deg,
+            turn_deg=_turn_deg(paths, one.id),
+            strategy=None if paths is None or one.id in paths.left_out else paths.strategy_of(one.id),
+            motions=() if paths is None else _motions(paths.motions, one.id),
+        )
+        for one in checked.plan.trajectories
+    )
+
+
+def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
+    turn_rad = None if paths is None else paths.free_angle_turns_rad.get(trajectory)
+    return None if turn_rad is None else math.degrees(turn_rad)
+
+
+def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
+    """Select the motions of a trajectory in order; a line back clears whatever the line clears."""
+    return tuple(
+        MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
+        for one in previews
+        if trajectory in (one.start.split("/")[0], one.end.split("/")[0]) and one.kind != BACK
+    )

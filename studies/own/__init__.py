@@ -1,1 +1,0 @@
-"""User methods in the studies: found by name, checked, run next to ours on the same data."""

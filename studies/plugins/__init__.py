@@ -1,0 +1,1 @@
+"""User methods in the studies: found by name, checked, run beside ours on the same data."""

@@ -1,0 +1,200 @@
+"""User methods as the studies call them, with every answer checked for its kind.
+
+Arguments cannot be modified, and errors are reported with their line. Strategies are in `strategy`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import sys
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from procedures.imaging.errors import MarkerCountWrong
+from procedures.imaging.volume import Volume
+from studies.errors import MethodAnswerWrong, MethodFailed
+from studies.plugins.method import PluginMethod
+
+GLOBAL_SEED = 0
+Array = NDArray[np.float64]
+REAL = "iuf"  # NumPy's kinds: whole numbers, with or without a sign, and floating point
+IN_WORDS = {"U": "text", "S": "bytes", "c": "complex numbers", "b": "truth values"}
+Pairs = NDArray[np.intp]
+BESIDE_MM = 10.0  # outside the volume: the centre of a sphere cut by the field of view
+ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm over a head
+
+
+@dataclass(frozen=True)
+class CheckedPlugin:
+    """A named user method in this process; `result` and `form` word its required answer."""
+
+    name: str
+    function: Callable[..., Any]
+    result: ClassVar[str]
+    form: ClassVar[str]
+
+    @classmethod
+    def of(cls, method: PluginMethod) -> Self:
+        """Load into this process. Raises STU-012."""
+        return cls(method.name, method.function())
+
+    def _wrong(self, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(f"{self.name} did not return {self.result}", expected=self.form, got=got)
+
+
+class PluginPairing(CheckedPlugin):
+    """Called like `Pairing`; raises STU-013 and STU-014."""
+
+    result = "a pairing"
+    form = "None, or whole numbers (k, 2): indices from 0 of image and physical points, each point once"
+
+    def __call__(
+        self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
+    ) -> Pairs | None:
+        """Pairs (k, 2); None without a unique answer."""
+        answer = call_plugin(
+            self.name,
+            self.function,
+            image_mm,
+            physical_mm,
+            sigma_image_mm=sigma_image_mm,
+            sigma_physical_mm=sigma_physical_mm,
+        )
+        if answer is None:
+            return None
+        try:
+            pairs = np.asarray(answer)
+        except ValueError:  # rows of unequal length
+            pairs = np.asarray(None)
+        if pairs.size == 0 and pairs.dtype != object:
+            return np.empty((0, 2), dtype=np.intp)
+        if pairs.dtype.kind not in "iu" or pairs.ndim != 2 or pairs.shape[1] != 2:
+            raise self._wrong(f"{type(answer).__name__} of {pairs.dtype}, shape {pairs.shape}")
+        for side, points in enumerate((image_mm, physical_mm)):
+            of_side = pairs[:, side]
+            if of_side.min() < 0 or of_side.max() >= len(points):
+                raise self._wrong(f"index {of_side.max()} of {len(points)} points")
+            if len(set(of_side.tolist())) < len(of_side):
+                raise self._wrong("a point in two pairs")
+        return pairs.astype(np.intp)
+
+
+class PluginLocalizer(CheckedPlugin):
+    """Called like `Localizer`; raises STU-013 and STU-014."""
+
+    result = "centres"
+    form = "numbers (n, 3): patient coordinates LPS in mm, as returned by volume.geometry.to_patient_mm"
+
+    def __call__(self, volume: Volume) -> Array:
+        """Centres (n, 3), LPS mm."""
+        try:
+            answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
+        except MarkerCountWrong:  # how our localizer says that there are none
+            return np.empty((0, 3))
+        try:
+            centres_mm = real_numbers(answer)
+        except ValueError as error:
+            raise self._wrong(str(error)) from None
+        if centres_mm.size == 0:
+            return np.empty((0, 3))
+        if centres_mm.ndim != 2 or centres_mm.shape[1] != 3:
+            raise self._wrong(f"shape {centres_mm.shape}")
+        if not np.isfinite(centres_mm).all():
+            raise self._wrong("numbers that are not finite")
+        geometry = volume.geometry
+        beyond = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
+        outside = (beyond > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
+        if outside.any():
+            shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
+            raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")
+        return centres_mm
+
+
+class PluginRegistration(CheckedPlugin):
+    """Called like `PairedRegistration`; raises STU-013 and STU-014."""
+
+    result = "a rigid transform"
+    form = "a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1"
+
+    def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
+        """The transform physical <- image."""
+        answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
+        if isinstance(answer, RigidTransform):
+            answer = answer.as_matrix()
+        try:
+            matrix = real_numbers(answer)
+        except ValueError as error:
+            raise self._wrong(str(error)) from None
+        if matrix.shape != (4, 4):
+            raise self._wrong(f"shape {matrix.shape}")
+        if not np.isfinite(matrix).all():
+            raise self._wrong("numbers that are not finite")
+        if (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            raise self._wrong(f"a last row {matrix[3].tolist()}")
+        rotation = matrix[:3, :3]
+        bent = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        if bent > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+            raise self._wrong("a mirror image" if bent <= ROTATION_TOLERANCE else f"axes off by {bent:.1g}")
+        return RigidTransform.from_matrix(matrix)
+
+
+def call_plugin(
+    name: str,
+    function: Callable[..., Any],
+    *arguments: object,
+    passed: tuple[type[Exception], ...] = (),
+    **named: object,
+) -> Any:
+    """The answer to these arguments; raises STU-013 for anything the method raises, except `passed`.
+
+    The global generators are seeded before each call, so that a unit's result does not depend on its worker.
+    What the method prints goes to standard error: standard output is for results.
+    """
+    random.seed(GLOBAL_SEED)
+    np.random.seed(GLOBAL_SEED)  # for methods that use it
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return function(*map(_guarded, arguments), **{key: _guarded(one) for key, one in named.items()})
+    except passed:
+        raise
+    except (Exception, SystemExit) as error:
+        raise MethodFailed(
+            f"{name} raised {type(error).__name__}: {error}", got=_place(function, error)
+        ) from error
+
+
+def _guarded(value: object) -> object:
+    """A read-only copy of an array; anything else unchanged."""
+    if not isinstance(value, np.ndarray):
+        return value
+    copy = value.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def _place(function: Callable[..., Any], error: BaseException) -> str:
+    """The last line within the method's own file, otherwise the very last one."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
+    last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])
+    return f"{last.filename}, line {last.lineno}"
+
+
+def real_numbers(answer: object) -> Array:
+    """Convert an answer to an array. Raises ValueError with its kind unless it holds real numbers."""
+    try:
+        given = np.asarray(answer)
+    except (TypeError, ValueError, OverflowError):  # such as rows of unequal length
+        raise ValueError(type(answer).__name__) from None
+    if given.size == 0:
+        return np.empty(given.shape)
+    if given.dtype.kind not in REAL:
+        raise ValueError(IN_WORDS.get(given.dtype.kind, type(answer).__name__))
+    return given.astype(float)

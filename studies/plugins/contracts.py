@@ -1,0 +1,86 @@
+"""The four kinds of user methods: how each is called, and what it must return.
+
+A function (for a strategy a class) is named as `module:function`, or by an entry point in the group of its
+kind, as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.strategies.strategy import Strategy
+
+Array = NDArray[np.float64]
+
+
+class MethodKind(StrEnum):
+    """Task of a user method; each kind has its own entry point group and studies."""
+
+    LOCALIZER = "localizer"
+    PAIRING = "pairing"
+    REGISTRATION = "registration"
+    STRATEGY = "strategy"
+
+    @property
+    def group(self) -> str:
+        """The entry point group."""
+        plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
+        return f"ronna_hw.{plural}"
+
+
+class Localizer(Protocol):
+    """Finds the centres of spheres in a CT."""
+
+    def __call__(self, volume: Volume) -> ArrayLike:
+        """Centres (n, 3) in patient coordinates (LPS, mm), in any order; n may be 0."""
+        ...
+
+
+class Pairing(Protocol):
+    """Pairs the points of two sets, in any order, with outliers in both."""
+
+    def __call__(
+        self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
+    ) -> ArrayLike | None:
+        """Indices (k, 2) of pairs image, physical; None without a unique answer.
+
+        `image_mm` is (n, 3), `physical_mm` (m, 3); a sigma is one standard deviation per axis.
+        """
+        ...
+
+
+class PairedRegistration(Protocol):
+    """Fits paired points rigidly."""
+
+    def __call__(
+        self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array
+    ) -> RigidTransform | ArrayLike:
+        """The transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
+
+        Points are (n, 3), with the same marker in the same row; `covariance_mm2` (n, 3, 3) is the error of
+        each pair in the physical frame.
+        """
+        ...
+
+
+class StrategyFactory(Protocol):
+    """Creates a localization strategy, without arguments: usually its class."""
+
+    def __call__(self) -> Strategy:
+        """An object with the members of `procedures.strategies.strategy.Strategy`."""
+        ...
+
+
+CONTRACTS: dict[MethodKind, type] = {
+    MethodKind.LOCALIZER: Localizer,
+    MethodKind.PAIRING: Pairing,
+    MethodKind.REGISTRATION: PairedRegistration,
+    MethodKind.STRATEGY: StrategyFactory,
+}

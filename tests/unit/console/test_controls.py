@@ -1,0 +1,199 @@
+"""Buttons of the operator and number fields of the planner."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from nicegui import Client, ui
+from plan_editors import draw, scan
+
+from console.case_view import CaseView
+from console.guard import Role, Session
+from console.panels.orders import ARMED_S, HeldButton, OrderPanel, QuestionPanel
+from console.planning.fields import NumberField
+from console.planning.page import PlannerPage
+from console.planning.plan_editor import PlanEditor
+from procedures.engine.events import Questioned, Waiting
+from ronna_hw.text import typed_number
+
+
+def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
+    async def give(_order: dict[str, Any]) -> None:
+        pass
+
+    async def clicks() -> tuple[bool, str]:
+        with Client(ui.page("/of-a-test"), request=None):
+            panel = OrderPanel(give, lambda _words: None)
+            panel.show(CaseView(waiting=Waiting(upcoming="image")), is_mine=True)
+            seen = panel._next
+            panel.show(CaseView(waiting=Waiting(upcoming="fit:T1")), is_mine=True)
+        return seen.is_deleted, panel._next.text
+
+    assert asyncio.run(clicks()) == (True, "Next: fit:T1")
+
+
+@pytest.mark.parametrize(("topic", "possible"), [("pause", True), ("park", False)])
+def test_faults_can_be_acknowledged_at_a_pause(topic: str, possible: bool) -> None:
+    async def give(_order: dict[str, Any]) -> None:
+        pass
+
+    open_question = Questioned(
+        question=1, topic=topic, subject="", value="", answers=("yes", "no"), timeout_s=None
+    )
+
+    async def enabled() -> bool:
+        with Client(ui.page("/of-a-test"), request=None):
+            panel = OrderPanel(give, lambda _words: None)
+            panel.show(CaseView(question=open_question), is_mine=True)
+        return panel._acknowledge.enabled
+
+    assert asyncio.run(enabled()) is possible
+
+
+@pytest.mark.parametrize(
+    ("up", "acted"),
+    [({"timeStamp": 1009.0}, 0), ({"timeStamp": 1011.0}, 1), ({}, 0), ({"timeStamp": "x"}, 0)],
+)
+def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
+    up: dict[str, Any], acted: int
+) -> None:
+    done, said = [], []
+
+    async def act() -> None:
+        done.append(True)
+
+    async def hold() -> None:
+        with Client(ui.page("/of-a-test"), request=None):
+            button = HeldButton("yes", act, said.append)
+        button._down(SimpleNamespace(args={"timeStamp": 10.0}))
+        await button._up(SimpleNamespace(args={"timeStamp": 5000.0}))  # it has only just appeared
+        button._appeared_s -= ARMED_S
+        button._down(SimpleNamespace(args={"timeStamp": 10.0}))
+        await button._up(SimpleNamespace(args=up))
+
+    asyncio.run(hold())
+    assert (len(done), len(said)) == (acted, 1 - acted)
+
+
+def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_means() -> None:
+    async def give(_order: dict[str, Any]) -> None:
+        pass
+
+    asked = Questioned(
+        question=1,
+        topic="head_unseen",
+        subject="",
+        value="",
+        answers=("wait", "continue", "leave"),
+        timeout_s=None,
+        deliberate=True,
+    )
+
+    async def labels() -> list[str]:
+        with Client(ui.page("/of-a-test"), request=None) as client:
+            QuestionPanel(give, lambda _words: None).show(
+                CaseView(question=asked), is_mine=True, has_seat=True
+            )
+            return [one.text for one in client.elements.values() if isinstance(one, ui.button)]
+
+    assert asyncio.run(labels()) == ["wait (hold)", "continue (hold)", "leave"]
+
+
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [("-12.5", -12.5), ("8,4", 8.4), (" +3 ", 3.0), ("−7", -7.0), (".5", 0.5), ("12.", 12.0)],
+)
+def test_typed_numbers_are_read_with_comma_sign_and_blanks(words: str, number: float) -> None:
+    assert typed_number(words) == typed_number(f"{words} MM", "mm") == number
+
+
+NONE = ["1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5", "1_000", "9" * 400]
+
+
+@pytest.mark.parametrize("words", ["", *NONE])
+def test_text_that_is_not_a_number_is_refused(words: str) -> None:
+    with pytest.raises(ValueError, match=f"^'{words}'$"):
+        typed_number(words)
+
+
+def typed(field: NumberField, words: str) -> str:
+    """Type into a field and leave it; returns what it complains of."""
+    field._field.set_value(words)
+    field._typed()
+    return str(field._field.props.get("error-message", ""))
+
+
+def on_a_page(do: Callable[[], None]) -> None:
+    async def page() -> None:
+        with Client(ui.page("/of-a-test"), request=None):
+            do()
+
+    asyncio.run(page())
+
+
+@pytest.mark.parametrize("words", NONE)
+def test_a_field_says_with_an_example_that_its_text_is_not_a_number(words: str) -> None:
+    taken: list[float] = []
+
+    def do() -> None:
+        assert "such as -12.5" in typed(NumberField("depth", "depth", taken.append), words)
+
+    on_a_page(do)
+    assert taken == []
+
+
+def test_an_emptied_field_shows_its_number_again() -> None:
+    taken: list[float] = []
+
+    def do() -> None:
+        field = NumberField("length", "length", taken.append)
+        field.show(190.0)
+        assert typed(field, "") == ""
+        assert field._field.value == "190.0"
+        assert "such as" in typed(field, "19o")
+        assert field.is_wrong
+        assert typed(field, " ") == ""
+        assert (field._field.value, field.is_wrong) == ("190.0", False)
+
+    on_a_page(do)
+    assert taken == []
+
+
+def test_a_fraction_of_a_sphere_is_refused() -> None:
+    taken: list[float] = []
+
+    def do() -> None:
+        field = NumberField("spheres", "spheres", taken.append, 0)
+        assert typed(field, "4.5") == "expected a whole number, got 4.5"
+        assert typed(field, "5") == ""
+
+    on_a_page(do)
+    assert taken == [5.0]
+
+
+def test_a_plan_is_not_saved_while_a_field_shows_something_else_than_its_value(tmp_path: Path) -> None:
+    file = tmp_path / "plan.toml"
+    editor = PlanEditor(scan(), file, None)
+    draw(editor)
+
+    async def saved() -> tuple[str, bool]:
+        with Client(ui.page("/of-a-test"), request=None):
+            page = PlannerPage(editor, Session(Role.OPERATOR, "session-1"), low=True)
+            page.build()
+            page._author.set_value("Dr Test")
+            typed(page._ways.fields["target L"], "12o.5")
+            await page._save_plan()
+            refused, existed = str(page._words.content), file.exists()
+            typed(page._ways.fields["target L"], "")
+            await page._save_plan()
+        return refused, existed
+
+    refused, existed = asyncio.run(saved())
+    assert "PLAN-002: target L is not as it was typed" in refused
+    assert not existed
+    assert file.exists()

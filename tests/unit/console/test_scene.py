@@ -1,0 +1,248 @@
+"""The scene: poses of the bodies, the closest pair, lines of sight, and the surface of the head."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from nicegui import Client, ui
+
+from console.case_view import CaseView, ReportedPose
+from console.scene.bodies import closest_pair, rotation_along
+from console.scene.head_surface import head_surface, series_of, stl
+from console.scene.sights import is_hidden, volume_edges
+from console.scene.theatre_scene import TheatreScene
+from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, Questioned
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.reporting.case_figures import CaseFigures, TrajectoryFigure
+from ronna_hw.frames import Frame, Transform
+
+
+@pytest.mark.parametrize("end", [(0, 0, 5), (0, 0, -5), (3, 0, 0), (1, -2, 3), (0, 4, 0)])
+def test_a_capsule_is_drawn_along_its_axis_and_not_mirrored(end: tuple[float, float, float]) -> None:
+    rotation = np.array(rotation_along((0.0, 0.0, 0.0), end))
+    assert rotation @ [0, 0, 1] == pytest.approx(np.array(end) / math.hypot(*end))
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert rotation @ rotation.T == pytest.approx(np.eye(3))
+
+
+BODIES = Bodies(
+    moving=(Body(name="hand", radius_mm=10.0), Body(name="needle", radius_mm=1.0)),
+    fixed=(
+        Body(name="column", radius_mm=50.0, ends_mm=(0, 0, 0, 0, 0, 100)),
+        Body(name="clamp", radius_mm=5.0, ends_mm=(200, -50, 0, 200, 50, 0)),
+    ),
+    pairs=((0, 0), (0, 1), (1, 1), (1, -1)),
+)
+
+
+def test_the_closest_checked_pair_is_named_with_its_clearance_and_location() -> None:
+    pose = Pose(
+        arm="arm",
+        joints_rad=(0.0,),
+        age_s=0.0,
+        bodies_mm=((100, 0, 200, 150, 0, 200), (150, 0, 200, 200, 10, 40)),
+    )
+    closest = closest_pair(BODIES, pose)
+    assert closest is not None
+    assert (closest.first, closest.second) == ("needle", "hand") or closest.second == "clamp"
+    without_own_arm = BODIES.model_copy(update={"pairs": BODIES.pairs[:3]})
+    closest = closest_pair(without_own_arm, pose)
+    assert closest is not None
+    assert (closest.first, closest.second, closest.distance_mm) == ("needle", "clamp", pytest.approx(34.0))
+    assert closest.from_mm == pytest.approx((200, 10, 40), abs=1e-3)
+    assert closest.to_mm == pytest.approx((200, 10, 0), abs=1e-3)
+
+
+def test_a_pose_without_matching_bodies_has_no_clearance() -> None:
+    assert closest_pair(BODIES, Pose(arm="arm", joints_rad=(0.0,), age_s=0.0)) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"pairs": ((7, 0),)},
+        {"pairs": ((0, -9),)},
+        {"fixed": ({"name": "column", "radius_mm": 50.0, "ends_mm": (0, 0)},), "pairs": ()},
+        {"cameras": ({"name": "left", "points_mm": (0, 0)},)},
+    ],
+)
+def test_bodies_that_cannot_be_drawn_are_refused_as_the_events_are_read(change: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=r"is not there|two ends|four corners"):
+        Bodies.model_validate({**BODIES.model_dump(), **change})
+
+
+@pytest.mark.parametrize("change", [{"tool_mm": (1.0,)}, {"bodies_mm": ((0.0,),)}])
+def test_a_pose_that_cannot_be_drawn_is_refused(change: dict[str, object]) -> None:
+    pose = {"arm": "arm", "joints_rad": (0.0,), "age_s": 0.0}
+    with pytest.raises(ValueError, match=r"origin|at least 6"):
+        Pose.model_validate({**pose, **change})
+
+
+EYE, SPHERE = (0.0, 0.0, 0.0), (1000.0, 0.0, 0.0)
+
+
+def test_a_measuring_volume_is_drawn_as_its_sections_and_the_edges_between_them() -> None:
+    volume = MeasuringVolume(device="tracker", sections_mm=((-950.0, 200.0, 300.0), (-2400.0, 600.0, 700.0)))
+    edges = volume_edges(volume)
+    assert len(edges) == 12
+    assert ((-200.0, -300.0, -950.0), (200.0, -300.0, -950.0)) in edges
+    assert ((200.0, 300.0, -950.0), (600.0, 700.0, -2400.0)) in edges
+    assert volume_edges(None) == []
+
+
+@pytest.mark.parametrize(("beside_mm", "hidden"), [(0.0, True), (39.0, True), (41.0, False)])
+def test_a_body_that_intersects_a_line_of_sight_hides_it(beside_mm: float, hidden: bool) -> None:
+    bodies = Bodies(moving=(Body(name="forearm", radius_mm=40.0),), fixed=(), pairs=())
+    axis = (500.0, beside_mm, -200.0, 500.0, beside_mm, 200.0)
+    pose = Pose(arm="arm", joints_rad=(0.0,), age_s=0.0, bodies_mm=(axis,))
+    assert is_hidden(EYE, SPHERE, bodies, pose) is hidden
+
+
+def test_a_pose_without_matching_bodies_hides_nothing() -> None:
+    bodies = Bodies(moving=(Body(name="forearm", radius_mm=40.0),), fixed=(), pairs=())
+    assert not is_hidden(EYE, SPHERE, bodies, Pose(arm="arm", joints_rad=(0.0,), age_s=0.0))
+
+
+PLACED = CaseFigures(
+    robot_from_ct=Transform.of(
+        Frame.ROBOT, Frame.CT, translation_mm=(700.0, 0.0, 300.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0)
+    )
+)
+THEATRE_BODIES = Bodies(
+    moving=(Body(name="hand", radius_mm=10.0),),
+    fixed=(Body(name="column", radius_mm=50.0, ends_mm=(0, 0, 0, 0, 0, 100)),),
+    pairs=((0, 0),),
+)
+NEAR = Pose(arm="arm", joints_rad=(0.0,), age_s=0.0, bodies_mm=((100, 0, 0, 100, 0, 100),))
+FAR = NEAR.model_copy(update={"bodies_mm": ((5000, 0, 0, 5000, 0, 100),)})
+OTHER_TOOL = NEAR.model_copy(update={"bodies_mm": (*NEAR.bodies_mm, *NEAR.bodies_mm)})
+
+
+def in_a_scene(do: Callable[[TheatreScene], None]) -> None:
+    async def page() -> None:
+        with Client(ui.page("/of-a-test"), request=None):
+            do(TheatreScene(low=True))
+
+    asyncio.run(page())
+
+
+def test_a_head_whose_place_is_no_longer_known_is_not_drawn_until_it_is_known_again() -> None:
+    def do(scene: TheatreScene) -> None:
+        scene.show(CaseView(), PLACED, 1)
+        assert scene._head.visible_
+        scene.show(CaseView(), replace(PLACED, robot_from_ct=None), 1)
+        assert not scene._head.visible_
+        scene.show(CaseView(), PLACED, 1)
+        assert scene._head.visible_
+        scene.show(CaseView(), None, 1)
+        assert not scene._head.visible_
+
+    in_a_scene(do)
+
+
+def test_the_clearance_disappears_when_nothing_is_near_and_when_it_is_not_known() -> None:
+    def do(scene: TheatreScene) -> None:
+        near = CaseView(bodies=THEATRE_BODIES, pose=ReportedPose(NEAR, 0.0))
+        for other in (
+            replace(near, pose=ReportedPose(FAR, 0.0)),
+            replace(near, pose=ReportedPose(OTHER_TOOL, 0.0)),
+            replace(near, pose=None),
+            replace(near, pose=None, bodies=THEATRE_BODIES.model_copy()),
+        ):
+            scene.show(near, None, 0)
+            assert scene.closest is not None
+            assert scene._near.group.visible_
+            scene.show(other, None, 0)
+            assert scene.closest is None
+            assert not scene._near.group.visible_
+
+    in_a_scene(do)
+
+
+def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target_while_it_is_there() -> None:
+    tool = ((0, 0, 400, 0, 0, 190), (-8, 2, 180, 8, 2, 180))  # of a guide that ends 30 mm before the entry
+    links = ((500, 0, 0, 500, 0, 900),) * 4
+    pose = NEAR.model_copy(update={"bodies_mm": (*links, *tool)})
+    path = TrajectoryFigure("T2", entry_mm=(0.0, 0.0, 150.0), target_mm=(0.0, 0.0, 100.0))
+    there = CaseFigures(trajectories=(path,))
+    asked = Questioned(
+        question=1, topic="at_target:T2", subject="s", value="v", answers=("done", "hold"), timeout_s=None
+    )
+
+    def do(scene: TheatreScene) -> None:
+        view = CaseView(pose=ReportedPose(pose, 0.0), question=asked)
+        scene.show(view, there, 0)
+        assert scene._inserted == ((0.0, 0.0, 180.0), path.target_mm)
+        rod, caption = scene._instrument
+        assert (rod.z, rod.sz) == (pytest.approx(0.18), pytest.approx(0.08))
+        assert caption.args[0] == "instrument, as planned"
+        for other in (None, asked.model_copy(update={"topic": "retreat:T2"})):
+            scene.show(view, there, 0)
+            scene.show(replace(view, question=other), there, 0)
+            assert scene._instrument == []
+        scene.show(view, None, 0)
+        assert scene._instrument == []
+
+    in_a_scene(do)
+
+
+SHAPE = (60, 80, 70)  # slices, rows, columns
+SPACING_MM = np.array([2.0, 1.0, 1.5])
+ORIGIN_MM = np.array([-50.0, -30.0, 700.0])
+AXES = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # slices go up, columns left
+
+
+def scan(mark: bool = True) -> Volume:
+    """A ball with an air-filled hollow, a mark on its left side, and a headrest that is no head."""
+    geometry = VoxelGeometry(SHAPE, ORIGIN_MM, AXES, SPACING_MM)
+    places = np.moveaxis(np.indices(SHAPE), 0, -1)
+    lps = geometry.to_patient_mm(places)
+    middle = geometry.to_patient_mm(np.array(SHAPE) / 2)
+    radius = np.linalg.norm(lps - middle, axis=-1)
+    solid = (radius < 25.0) & (radius > 8.0)
+    if mark:
+        solid |= (np.abs(lps - middle - [28.0, 0.0, 0.0]) < 7.0).all(axis=-1)
+    solid |= lps[..., 1] > middle[1] + 36.0
+    return Volume(np.where(solid, 40, -1000).astype(np.int16), geometry, "1.2", "1.3")
+
+
+def test_the_surface_is_the_filled_head_without_the_headrest_and_not_mirrored() -> None:
+    volume = scan()
+    corners, triangles = head_surface(volume)
+    middle = volume.geometry.to_patient_mm(np.array(SHAPE) / 2)
+    from_middle = corners - middle
+    distances = np.linalg.norm(from_middle, axis=1)
+    assert distances.min() > 20.0  # the hollow is filled
+    assert from_middle[:, 1].max() < 30.0  # without the headrest, which is posterior
+    assert from_middle[:, 0].max() > 31.0  # the mark is left
+    assert from_middle[:, 0].min() > -28.0
+    assert np.median(distances) == pytest.approx(25.0, abs=1.5)
+    assert triangles.max() < len(corners)
+
+
+def test_an_empty_scan_has_no_head() -> None:
+    geometry = VoxelGeometry(SHAPE, ORIGIN_MM, AXES, SPACING_MM)
+    with pytest.raises(ValueError, match="only air"):
+        head_surface(Volume(np.full(SHAPE, -1000, np.int16), geometry, "1.2", "1.3"))
+
+
+def test_the_mesh_is_written_as_binary_stl_in_metres() -> None:
+    corners = np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]])
+    content = stl(corners, np.array([[0, 1, 2]]))
+    assert len(content) == 84 + 50
+    assert struct.unpack("<I12f", content[80:132]) == (1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0)
+
+
+def test_the_series_in_the_run_folder_takes_precedence_over_the_one_in_the_request(tmp_path: Path) -> None:
+    assert series_of(tmp_path) is None
+    (tmp_path / "request.json").write_text('{"case": "/data/case-7"}')
+    assert series_of(tmp_path) == Path("/data/case-7/ct")
+    (tmp_path / "case" / "ct").mkdir(parents=True)
+    assert series_of(tmp_path) == tmp_path / "case" / "ct"

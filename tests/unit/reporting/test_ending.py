@@ -1,0 +1,176 @@
+"""The report states how a run ended, whatever became of it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import pytest
+from clinical_case import ClinicalCell
+from plain_steps import Work, plain_order
+from user_commands import in_this_process
+
+from procedures.cli.procedure import app
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.step import Outcome
+from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.operator.errors import OperatorAborted
+from procedures.reporting.ending import resumes, run_ending
+from procedures.reporting.outcome import RunError
+from procedures.reporting.report import write_report
+from procedures.reporting.run_reading import read_for_report
+from procedures.results.errors import GateFailed, StepRefused
+from procedures.results.result import StepResult
+
+
+def raising(problem: BaseException) -> Work:
+    def work(_context: StepContext) -> Outcome[StepResult]:
+        raise problem
+
+    return work
+
+
+def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None) -> tuple[str, str]:
+    """Word and code of the ending of a case whose step `fit` raises that, or which runs to its end."""
+    works = {} if problem is None else {"fit": raising(problem)}
+    engine = cell.engine(plain_order(**works))
+    with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
+        engine.run_to()
+    engine.close(outcome)
+    ending = run_ending(read_for_report(cell.folder).run.journal)
+    assert ending.sentence in write_report(cell.folder).read_text()
+    return ending.word, ending.code
+
+
+def test_a_completed_case_is_reported_as_done(cell: ClinicalCell) -> None:
+    assert ended(cell, "done") == ("done", "")
+
+
+def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    for code, what in (("EKI-010", "the arm was stopped: emergency stop is active"), ("TOOL-005", "bent")):
+        cell.journal.write(Entry.FAILED, 1.0, step="tool_check", code=code, what=what)
+    for _ in range(2):
+        cell.journal.write(Entry.ACCEPTED, 2.0)
+    engine.run_to()
+    engine.close("done")
+    sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
+    assert run_ending(read_for_report(cell.folder).run.journal).sentence == sentence
+
+
+def test_a_stop_that_no_step_failed_by_counts_once_and_only_resumes_that_went_on_count(
+    cell: ClinicalCell,
+) -> None:
+    engine = cell.engine(plain_order())
+    stopped = "EKI-010: the arm was stopped: emergency stop is active"
+    for entry in (Entry.FAILED, Entry.FAILED):
+        cell.journal.write(entry, 1.0, step="tool_check", code="EKI-010", what=stopped)
+    cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=stopped, by="Ann")
+    cell.journal.write(Entry.REFUSED, 3.0, step="tool_change", unmet=["emergency stop: pressed"])
+    cell.journal.write(Entry.ACKNOWLEDGED, 4.0, device="arm", fault="a message from before", by="Ann")
+    for leaving in ({}, {}, {"only_leaving": True}):  # the first was not accepted
+        cell.journal.write(Entry.RESTARTED, 5.0, begun=None, torn_bytes=0, orphans=[], **leaving)
+    cell.journal.write(Entry.ACCEPTED, 6.0)
+    cell.journal.write(Entry.RESTARTED, 7.0, begun=None, torn_bytes=0, orphans=[])
+    cell.journal.write(Entry.ACCEPTED, 8.0)
+    engine.run_to()
+    engine.close("done")
+    journal = read_for_report(cell.folder).run.journal
+    assert run_ending(journal).sentence == "Every step was done, after 2 emergency stops, 1 resume."
+    assert resumes(journal) == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "over"),
+    [("EKI-010: stopped", " The fault was acknowledged by Ann."), ("NDI-008: link lost", "")],
+    ids=["its fault", "another fault"],
+)
+def test_an_ending_by_a_fault_says_who_acknowledged_that_one(
+    cell: ClinicalCell, fault: str, over: str
+) -> None:
+    engine = cell.engine(plain_order())
+    cell.journal.write(Entry.FAILED, 1.0, step="fit:T1", code="EKI-010", what="The arm was stopped.")
+    cell.journal.write(Entry.ACKNOWLEDGED, 2.0, device="arm", fault=fault, by="Ann")
+    engine.close("failed")
+    sentence = run_ending(read_for_report(cell.folder).run.journal).sentence
+    assert sentence == f"fit:T1 failed. The arm was stopped.{over}"
+
+
+@pytest.mark.hazard(41)
+def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
+    assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
+
+
+def test_a_case_ended_by_the_operator_is_reported_as_aborted(cell: ClinicalCell) -> None:
+    assert ended(cell, "failed", OperatorAborted("enough")) == ("aborted", "")
+
+
+def test_a_case_ended_by_a_signal_is_reported_as_interrupted(cell: ClinicalCell) -> None:
+    assert ended(cell, "interrupted", KeyboardInterrupt()) == ("interrupted", "")
+
+
+def test_a_case_whose_last_step_may_not_begin_is_reported_as_refused(cell: ClinicalCell) -> None:
+    engine: Engine = cell.engine(plain_order())
+    with pytest.raises(StepRefused):
+        engine.run_step(engine.order.find("fit:T1"))
+    engine.close("failed")
+    text = write_report(cell.folder).read_text()
+    assert "Refused.</strong> fit:T1 was refused: image comes first" in text
+
+
+def test_the_report_of_a_case_that_was_left_names_the_last_step(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_step(engine.order.find("image"))
+    engine.close("left")
+    assert "The operator left the case after image." in write_report(cell.folder).read_text()
+
+
+@pytest.mark.hazard(41)
+def test_a_fault_found_after_the_last_step_is_reported_as_the_ending(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    engine.close("failed", GateFailed("the head has changed"))
+    (row,) = json.loads(in_this_process(app, "list", cell.folder.parent, "--json").stdout)["runs"]
+    assert row["ended"] == "failed"
+    assert "the head has changed (PRO-007)" in write_report(cell.folder).read_text()
+
+
+@pytest.mark.hazard(41)
+def test_the_report_of_a_killed_run_names_the_step_it_was_in(cell: ClinicalCell) -> None:
+    cell.journal.write(Entry.INTENT, 1.0, step="image", moves=False)
+    text = write_report(cell.folder).read_text()
+    assert "Killed.</strong> The program ended during image without closing the run" in text
+
+
+def test_the_report_of_a_run_that_ended_before_its_theatre_was_open_gives_the_reason(tmp_path: Path) -> None:
+    text = write_report(tmp_path, error=RunError(code="PRC-001", what="no theatre")).read_text()
+    assert "before its theatre was open. no theatre (PRC-001)" in text
+    assert "There is no journal" in text
+
+
+@pytest.mark.hazard(39)
+def test_records_before_a_broken_journal_line_are_shown_and_the_break_is_reported(registered: Path) -> None:
+    path = registered / JOURNAL_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(b"".join([*lines[:-3], *lines[-2:]]))
+    text = write_report(registered).read_text()
+    assert "This folder is not as the run left it" in text
+    assert "does not follow the line before it" in text
+    assert "01-ct_import" in text
+
+
+def test_a_torn_last_line_is_reported(registered: Path) -> None:
+    path = registered / JOURNAL_FILE
+    path.write_bytes(path.read_bytes()[:-5])
+    assert "The last line of the journal is truncated" in write_report(registered).read_text()
+
+
+@pytest.mark.hazard(39)
+def test_a_changed_record_is_named(registered: Path) -> None:
+    (changed,) = (registered / "records").glob("*-registration-T1.json")
+    changed.write_text(changed.read_text().replace('"confidence": 0.95', '"confidence": 0.99'))
+    text = write_report(registered).read_text()
+    assert "This folder is not as the run left it" in text
+    assert f"<li>records/{changed.name}: " in text

@@ -1,0 +1,196 @@
+"""Data files of the reference and their tables: disturbances, open questions, scanner faults, checklists."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from math import nan
+from pathlib import Path
+from typing import Any, TypeVar
+
+from conformance.case import Suite
+from conformance.protocol import composed, load_protocol
+from sim.kuka.controller_parameters import ControllerParameters
+from sim.named_parameters import rows
+
+ROOT = Path(__file__).resolve().parents[2]
+REFERENCE = ROOT / "docs" / "reference"
+TESTS = ROOT / "tests"
+
+RowT = TypeVar("RowT")
+
+
+def read_rows(path: Path, key: str, row: type[RowT]) -> list[RowT]:
+    """The tables `[[key]]` of a file as rows; raises TypeError for surplus or missing fields."""
+    entries = tomllib.loads(path.read_text(encoding="utf-8"))[key]
+    return [
+        row(**{name: tuple(value) if isinstance(value, list) else value for name, value in one.items()})
+        for one in entries
+    ]
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+    """A table of these rows."""
+    lines = [headings, ["---"] * len(headings), *rows]
+    return "".join(f"| {' | '.join(map(str, cells))} |\n" for cells in lines)
+
+
+_TEST = re.compile(r"^ *def (test_\w+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Disturbance:
+    """A line of the table; `faults` are names of fault kinds, `tests` names of test functions."""
+
+    disturbance: str
+    arm: str
+    message: str
+    within: str
+    tests: tuple[str, ...]
+    codes: tuple[str, ...] = ()
+    faults: tuple[str, ...] = ()
+
+
+def read_disturbances() -> list[Disturbance]:
+    """The disturbances of the data file."""
+    return read_rows(REFERENCE / "link-disturbances.toml", "disturbance", Disturbance)
+
+
+def files_of_tests() -> dict[str, tuple[Path, ...]]:
+    """The files that define a test function, by its name."""
+    found: dict[str, tuple[Path, ...]] = {}
+    for path in sorted(TESTS.rglob("test_*.py")):
+        for name in _TEST.findall(path.read_text(encoding="utf-8")):
+            found[name] = (*found.get(name, ()), path)
+    return found
+
+
+def disturbances() -> str:
+    """The table. Raises KeyError for a test that does not exist."""
+    files = files_of_tests()
+    return table(
+        ("disturbance", "the arm", "message", "within", "injected by `ronna-sim fault`", "tests"),
+        [
+            (
+                one.disturbance,
+                one.arm,
+                f"{', '.join(one.codes)}: {one.message}" if one.codes else one.message,
+                one.within,
+                ", ".join(fault.replace("_", " ") for fault in one.faults),
+                "<br>".join(_link(name, files[name][0]) for name in one.tests),
+            )
+            for one in read_disturbances()
+        ],
+    )
+
+
+def _link(name: str, path: Path) -> str:
+    words = name.removeprefix("test_").replace("_", " ")
+    return f"[{words}](../../{path.relative_to(ROOT).as_posix()})"
+
+
+@dataclass(frozen=True)
+class Question:
+    """An open question; at least one of the answers is given."""
+
+    subject: str
+    question: str
+    parameters: tuple[str, ...] = ()
+    context: tuple[str, ...] = ()
+    scene: tuple[str, ...] = ()
+    options: tuple[str, ...] = ()
+    otherwise: str = ""
+
+    @property
+    def answers(self) -> Iterator[str]:
+        """The names that set the answer, as the page shows them."""
+        yield from (f"`{name}`" for name in self.parameters)
+        yield from (f"`{name}` of the context" for name in self.context)
+        yield from (f"`arm.{name}` of the scene" for name in self.scene)
+        yield from (f"`{name}`" for name in self.options)
+        if self.otherwise:
+            yield self.otherwise
+
+
+def read_questions() -> list[Question]:
+    """The questions of the data file."""
+    return read_rows(REFERENCE / "robot-open-questions.toml", "question", Question)
+
+
+def robot_parameters() -> str:
+    """The questions, then all parameters."""
+    questions = [(one.subject, one.question, ", ".join(one.answers)) for one in read_questions()]
+    return (
+        table(("", "open question", "set by"), questions)
+        + "\n## Parameters\n\n"
+        + parameter_table(rows(ControllerParameters))
+    )
+
+
+def parameter_table(rows: Iterator[tuple[str, object, str]]) -> str:
+    """Parameters of a simulator that stand for behaviour nobody has confirmed."""
+    return table(
+        ("parameter", "best estimate", "meaning"),
+        [(f"`{name}`", value, meaning) for name, value, meaning in rows],
+    )
+
+
+def scanner_faults() -> str:
+    """Word the quiet limits and tabulate the faults; one that refuses every scan has no figures."""
+    data = tomllib.loads((REFERENCE / "scanner-faults.toml").read_text(encoding="utf-8"))
+    quiet, rows = data["quiet"], data["fault"]
+    without = (
+        f"In {quiet['volumes']} scans of every family, protocol and kernel, half of them with overlap, "
+        f"but without motion, tilt and error of the table, the largest values are "
+        f"{quiet['across_mm']:g} mm sideways, "
+        f"{quiet['share']:.0%} explained by a shift, and a change that correlates by "
+        f"-{quiet['backwards']:g} with those around it (a warning needs 0.4 mm and 10 %, or -0.7), "
+        f"{quiet['scale_percent']:g} % of scale, {quiet['shear_percent']:g} % of shear. "
+        f"Told: {quiet['told'] or 'nothing'}."
+    )
+    return f"{without}\n\n" + table(
+        (
+            "fault",
+            "option",
+            "error, µm (largest)",
+            "after a rigid fit, µm",
+            "chi² / 3n",
+            "missed / false",
+            "told",
+        ),
+        [
+            (
+                row["fault"],
+                f"`{row['options']}`" if row["options"] else "",
+                f"{row['error_um']:g} ({row['largest_um']:g})" if "error_um" in row else "",
+                f"{row['fitted_um']:g}" if row.get("fitted_um", nan) > 0.0 else "",
+                f"{row['chi2']:g}" if "chi2" in row else "",
+                _outcome(row),
+                row["told"],
+            )
+            for row in rows
+        ],
+    )
+
+
+def _outcome(row: dict[str, Any]) -> str:
+    if "missed" not in row:
+        return "refused"
+    some = f"; {row['refused']} of {row['volumes']} scans refused" if row["refused"] else ""
+    return f"{row['missed']} / {row['false']} of {row['markers']}{some}"
+
+
+def checklist(generic: Suite, wire_protocol: str) -> str:
+    """The checklist of a protocol, with the cases of its suite."""
+    protocol = load_protocol(wire_protocol)
+    cases, lines = composed(generic, protocol).cases, protocol.checklist
+    assert lines is not None, f"{wire_protocol} has a checklist"
+    return table(
+        ("line", "requirement", "cases", ""),
+        [
+            (line, lines.lines[line], ", ".join(numbers) or "-", lines.remark(line))
+            for line, numbers in lines.cases_by_line(case.number for case in cases).items()
+        ],
+    )
