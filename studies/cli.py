@@ -119,8 +119,7 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
-    from procedures.registration.pairing_validation import REFUSED_SHARE
-    from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
+    from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.methods import chosen_methods
     from studies.correspondence.study import (

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
+from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use, frame_poses, uses_of
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
-from procedures.calibration.tracker_frame.poses import frame_poses
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.arm.kr6_r900 import kr6_r900

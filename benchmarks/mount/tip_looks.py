@@ -14,9 +14,15 @@ from benchmarks.mount.frame_looks import FLANKS, FrameCell
 from benchmarks.stereo_head.head_looks import TrueHead
 from procedures.calibration.head_model import cameras_of, intersected, pose_record
 from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
-from procedures.calibration.tool_tip.tip import tips_of
-from procedures.strategies.orientation import tool_orientation
+from procedures.calibration.tip_calibration import (
+    BallLook,
+    DivotReading,
+    TipLooks,
+    kept_apart,
+    pairs_of,
+    tips_of,
+)
+from procedures.strategies.trajectory import tool_orientation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform

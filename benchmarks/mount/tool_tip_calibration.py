@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.figures import Figure
 from benchmarks.mount.tip_looks import TipCell
-from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.calibration.tip_calibration import calibrate_tip
 
 Array = NDArray[np.float64]
 

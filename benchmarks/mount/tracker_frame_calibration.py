@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import Figure
 from benchmarks.mount.frame_looks import FrameCell
-from procedures.calibration.tracker_frame.hand_eye import solve
-from procedures.calibration.tracker_frame.looks import Use, pairs_of
-from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
+from procedures.calibration.frame_calibration import FrameResult, Use, calibrate_frame, pairs_of
+from procedures.calibration.hand_eye import solve
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from benchmarks.stereo_head.stereo_alternatives import (
 )
 from benchmarks.stereo_head.stereo_pictures import EXPOSURE_US, GAIN_RAW, Case, Pair, Studio, View
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
-from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import NoSphere, RaysDoNotMeet, WrongSize
+from procedures.relocalization.triangulation import Camera
 from ronna_hw.frames import Frame
 from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 

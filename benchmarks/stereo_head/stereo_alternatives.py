@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.relocalization import SphereImage
-from procedures.relocalization.camera import Camera
+from procedures.relocalization.triangulation import Camera
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -24,7 +24,7 @@ def open_planner(
     from console.planning.page import add_planner
     from console.planning.request import PlannerRequest
     from procedures.imaging import read_series
-    from procedures.imaging.pick_files import LARGEST_FILE_BYTES
+    from procedures.imaging.picks import LARGEST_FILE_BYTES
     from procedures.planning.theatre.arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 

@@ -15,7 +15,7 @@ from console.planning.draft import Draft
 from console.planning.fields import NumberField
 from console.planning.look import Look
 from console.planning.verdict import marked
-from procedures.imaging.pick_files import LARGEST_FILE_BYTES
+from procedures.imaging.picks import LARGEST_FILE_BYTES
 from procedures.planning.errors import StructureUnreadable
 from procedures.planning.head.structures import Structure, StructureDistance
 from procedures.strategies.trajectory import Point

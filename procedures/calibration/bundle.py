@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from procedures.calibration.arm_geometry import UNCALIBRATED_MM, error_columns
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
 from procedures.calibration.observations import Observation
-from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from ronna_hw.arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma

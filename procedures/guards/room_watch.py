@@ -21,7 +21,7 @@ from procedures.guards.stability import (
     CAREFUL_FRAMES,
     HEAD_NOTICEABLE_MM,
 )
-from procedures.registration.shift import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
+from procedures.registration.movement import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 from ronna_hw.text.beyond import beyond
 from ronna_hw.text.counting import counted

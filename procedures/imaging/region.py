@@ -38,10 +38,9 @@ class Region:
         return z[:, None, None], y[None, :, None], x[None, None, :]
 
     def sample(self, points_mm: Array, *, smooth: bool = False) -> Array:
-        """HU at grid positions (..., 3) mm; NaN outside the region and next to unscanned voxels.
+        """Interpolate HU at grid positions (..., 3) mm; NaN outside the region and next to unscanned voxels.
 
-        Linear interpolation, or cubic splines with `smooth`: five times the work, but no bias
-        between thick slices.
+        Linear, or with `smooth` cubic splines: five times the work, but no bias between thick slices.
         """
         indices = np.moveaxis(points_mm / self.spacing_mm - self.start, -1, 0)
         if not smooth:
@@ -68,7 +67,7 @@ class Region:
 
 
 def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region:
-    """The voxels within a cube around a grid position, clipped to the volume."""
+    """Cut the voxels within a cube around a grid position, clipped to the volume."""
     spacing_mm = volume.geometry.spacing_mm
     shape = np.array(volume.geometry.shape)
     low = np.clip(np.floor((centre_mm - half_width_mm) / spacing_mm).astype(int), 0, shape - 1)

@@ -32,7 +32,7 @@ Way = tuple[Array, Array]  # entry and target, LPS mm
 
 
 def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes:
-    """PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
+    """Draw a PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
 
     `ways` are entry and target, LPS mm, by name; each fades with its distance from the plane.
     """
@@ -51,7 +51,7 @@ def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes
 
 
 def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
-    """Grey values (n, n, 3) around a point."""
+    """Sample grey values (n, n, 3) around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
     index = np.moveaxis(volume.geometry.to_index(places), -1, 0)

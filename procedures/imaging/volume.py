@@ -66,7 +66,7 @@ class VoxelGeometry:
 
     @property
     def orientation(self) -> str:
-        """The patient side towards which columns, rows and slices increase, e.g. `LPS`."""
+        """Patient sides towards which columns, rows and slices increase, e.g. `LPS`."""
         return "".join(_side(self.axes[:, axis]) for axis in (2, 1, 0))
 
 

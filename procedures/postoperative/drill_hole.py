@@ -22,8 +22,7 @@ from procedures.postoperative.bone_registration import (
     bone_at,
     finely_at,
 )
-from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
-from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
+from procedures.postoperative.way import STEP_MM, FitQuality, Usual, Way, at_bound, look_along, voxels_around
 from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtri
 
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.weighted_rigid_fit import pose_jacobian
+from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.text.beyond import side_by_side
 
 Array = NDArray[np.float64]

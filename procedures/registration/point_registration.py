@@ -26,8 +26,7 @@ from procedures.registration.error_theory import (
 )
 from procedures.registration.errors import BadParameter, CollinearPoints, UnsoundRegistration
 from procedures.registration.points import FEWEST_PAIRS, checked_covariances, checked_pairs, checked_targets
-from procedures.registration.rigid_fit import fit_rigid
-from procedures.registration.weighted_rigid_fit import fit_weighted
+from procedures.registration.rigid_fit import fit_rigid, fit_weighted
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]

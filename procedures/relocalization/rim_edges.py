@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from procedures.relocalization.circle_search import GreyImage
 from procedures.relocalization.ellipse import Ellipse
-from procedures.relocalization.opencv_edges import GreyImage
 
 Array = NDArray[np.float64]
 

@@ -6,14 +6,54 @@ only the free angle about it is chosen.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from procedures.strategies.arm_in_branch import ArmInBranch
-from procedures.strategies.trajectory import Trajectory
-from ronna_hw.frames import Transform
+from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Frame, Transform
+
+Joints = tuple[float, float, float, float, float, float]  # rad
+
+
+@dataclass(frozen=True)
+class ArmInBranch:
+    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; reference for whole turns.
+
+    `sizes` are those of the arm's remaining errors.
+    """
+
+    kinematics: Kinematics
+    flange_from_guide: Transform
+    flange_from_stereo: Transform
+    branch: Branch
+    near_rad: Joints
+    sizes: ErrorSizes = UNCALIBRATED
+
+    def __post_init__(self) -> None:
+        """Raises FRM-001 when a tool is not FLANGE <- TOOL."""
+        require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
+        require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
+
+    def guide_at(self, pose: Transform) -> Joints:
+        """Joints that bring the guide to a pose ROBOT <- TOOL; raises ARM-001 to ARM-003."""
+        flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
+        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+
+    def stereo_at(self, pose: Transform) -> Joints:
+        """The same for the stereo head."""
+        flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
+        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+
+    def stereo_pose(self, joints_rad: Joints) -> Transform:
+        """The pose ROBOT <- TOOL of the stereo head at these joints."""
+        return self.kinematics.flange_pose(joints_rad) @ self.flange_from_stereo
 
 
 class Strategy(Protocol):
@@ -61,3 +101,46 @@ class Strategy(Protocol):
     ) -> Sequence[float]:
         """Turns about the axis, best first, to add to the trajectory's free angle."""
         ...
+
+
+STEP_RAD = math.radians(10.0)
+FURTHEST_RAD = math.radians(90.0)
+
+OUTWARDS_RAD: tuple[float, ...] = (
+    0.0,
+    *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
+)
+
+
+def between_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
+    """Turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once."""
+    found: dict[int, float] = {}
+    for turn in turns_rad:
+        for quarters in (1, -1, 2, -2):
+            beside = turn + quarters * STEP_RAD / 4.0
+            if abs(beside) < FURTHEST_RAD:
+                found.setdefault(round(math.degrees(beside) * 1000.0), beside)
+    return tuple(found.values())
+
+
+ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
+# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
+APPROACH_RAD = math.radians(0.2)
+LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
+
+
+def arrival_signs(
+    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
+) -> tuple[int, ...]:
+    """Direction, +1 or -1, in which each joint arrives at a pose ROBOT <- TOOL with the joints `at_rad`."""
+    before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
+    branch = kinematics.branch_of(at_rad)
+    joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
+    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
+
+
+def before_arriving(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
+    """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
+    A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
+    return (A[0], A[1], A[2], A[3], A[4], A[5])

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
-from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_place import ArmPlace, Where

@@ -13,10 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm.identification import ArmFit, identify
-from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.arm_calibration import ArmFit, identify
+from procedures.calibration.arm_model import ArmModel, LookArrays, most_telling
 from procedures.calibration.pose_set import centred_looks
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from procedures.calibration.arm_sources import (
-    UNCALIBRATED,
-    ArmPoses,
-    ErrorSizes,
-    arm_sources,
-    ct_errors,
-)
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from studies.accuracy.phantom import Phantom
 from studies.accuracy.postures import ARM, Postures

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from sim.world.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
 from sim.world.scene.model import ArmResidual
 from sim.world.scene.stereo_head import TOOL_ERROR_MM

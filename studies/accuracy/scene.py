@@ -9,11 +9,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.registration.target_prediction import TargetPrediction
-from procedures.strategies.best import CANDIDATES
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from procedures.strategies.strategy import Strategy
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from studies.accuracy.phantom import Markers, Phantom, counts_of, place
 from studies.accuracy.postures import Postures, postures

@@ -15,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.matching import match
-from procedures.registration.pairing_validation import validate_many
-from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM, match_many_by_similarity
+from procedures.registration.similarity_matrix import (
+    THESIS_TOLERANCES_MM,
+    match_many_by_similarity,
+    validate_many,
+)
 from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.table import Cell, Table

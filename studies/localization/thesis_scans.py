@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from procedures.imaging import Localization, ThesisFit, localize, localize_as_thesis
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.layout import find_layout
+from procedures.registration.template import find_layout
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.localization.phantom_scans import PhantomScan
 from studies.localization.study import AUTOMATIC, Method

@@ -13,8 +13,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import ErrorSizes
-from procedures.calibration.identified_arm import IdentifiedArm
+from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm
 from studies.accuracy.identified import LOOKS, BelievedArm, identified, identified_errors
 from studies.accuracy.phantom import Markers, phantom, place
 from studies.accuracy.random_arms import RandomArms, drawn_arm

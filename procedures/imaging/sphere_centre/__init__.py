@@ -1,1 +1,3 @@
-"""Estimators of one sphere's centre: its edge along rays, a blurred ball in the voxels, and both combined."""
+"""Estimators of one sphere's centre: its edge along rays, a blurred ball in the voxels, a ball with its
+streaks.
+"""

@@ -141,7 +141,7 @@ def _fit_profiles(
 
 
 def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
-    """The level of what is open around a sphere, and whether something else covers most of it."""
+    """Level of the open surroundings, and whether something else covers most of the sphere."""
     least_hu = float(np.quantile(darker_hu, OPEN_AT_LEAST))
     is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
     is_covered = bool(is_open.mean() < OPEN_SHARE)
@@ -170,7 +170,7 @@ def ray_directions() -> Array:
 
 
 def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
-    """The midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
+    """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
     design = np.column_stack([np.ones(len(ways)), ways])
     solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solved)

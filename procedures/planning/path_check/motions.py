@@ -11,7 +11,7 @@ from typing import Any
 
 from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.planning.theatre.scene import PlanningScene
-from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, sweep_path

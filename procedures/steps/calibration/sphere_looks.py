@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.calibration.arm.check import require_record
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm.looks import ArmLooks, Flanks, Side, SphereLook, arrays_of
-from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.arm_check import require_record
+from procedures.calibration.arm_model import (
+    ArmLooks,
+    ArmModel,
+    Flanks,
+    Side,
+    SphereLook,
+    arrays_of,
+    most_telling,
+)
 from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
 from procedures.engine.context import StepContext

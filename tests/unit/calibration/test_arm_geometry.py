@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.calibration.arm_geometry import (
+from ronna_hw.arm.error_budget import (
     JOINT_OFFSET_RAD,
     LINK_ROTATION_RAD,
     LINK_TRANSLATION_MM,

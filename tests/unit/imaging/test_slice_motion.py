@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 from procedures.imaging import read_series
 from procedures.imaging.errors import PatientMoved
-from procedures.imaging.slice_motion import motion_warnings
+from procedures.imaging.scan_faults import motion_warnings
 from procedures.imaging.volume import VoxelGeometry
 
 SHAPE = (24, 120, 120)

@@ -16,7 +16,7 @@ from scipy.ndimage import shift
 
 from procedures.imaging import Marker, Volume, localize
 from procedures.imaging.errors import SlicesMisplaced
-from procedures.imaging.stack_distortion import distortion_of, distortion_warnings
+from procedures.imaging.scan_faults import distortion_of, distortion_warnings
 
 Array = NDArray[np.float64]
 

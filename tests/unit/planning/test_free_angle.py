@@ -11,8 +11,8 @@ from procedures.planning.path_check.paths import check_paths
 from procedures.planning.path_check.visits import ArmSetting, Axes, Visit, visits_of
 from procedures.planning.path_check.wrist import LEAST_BEND_RAD, WristState
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.free_turns import OUTWARDS_RAD, between_rad
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.strategies.strategy import OUTWARDS_RAD, between_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import kr6_r900

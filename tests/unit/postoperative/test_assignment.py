@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from procedures.postoperative.assignment import Candidate, FoundKind, assigned
-from procedures.postoperative.fit_quality import FitQuality, Usual
-from procedures.postoperative.way import Way
+from procedures.postoperative.comparison import Candidate, FoundKind, assigned
+from procedures.postoperative.way import FitQuality, Usual, Way
 
 DOWN = np.array([0.0, 0.0, -1.0])
 WAYS = {

@@ -12,9 +12,8 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.scans.postoperative import after, before, errors_of, misplaced, plan_of
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.postoperative.assignment import FoundKind
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
-from procedures.postoperative.comparison import compare, proof_by, require_series
+from procedures.postoperative.comparison import FoundKind, compare, proof_by, require_series
 from procedures.postoperative.errors import (
     FitFailed,
     HeadsDiffer,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.postoperative.streaks import Line, Slices, streaks_along
+from procedures.postoperative.instrument import Line, Slices, streaks_along
 
 TIP = Line(np.array([0.3, -0.2, 0.0]), np.array([0.4, 0.1, 1.0]), 0.0)
 RAYS_HU, RAYS, SLICE_MM = 250.0, 5, 1.5

@@ -6,8 +6,12 @@ import numpy as np
 import pytest
 
 from procedures.registration.correspondence import MatchStatus
-from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
-from procedures.registration.similarity_matrix import SimilarityPairs, match_many_by_similarity
+from procedures.registration.similarity_matrix import (
+    REFUSED_SHARE,
+    SimilarityPairs,
+    match_many_by_similarity,
+    validate_many,
+)
 
 SIGMA_MM = 0.3
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.rigid_move import RigidMove, rigid_move
+from procedures.registration.movement import RigidMove, rigid_move
 
 SPHERES_MM = np.array([[0, 0, 80], [60, 0, 50], [-60, 10, 50], [10, 70, 30], [0, -70, 40]], dtype=float)
 SIGMA_MM = np.array([0.03, 0.03, 0.1])  # a tracker is worse in depth

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.handedness import MIRRORS, telling_landmark
-from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
+from procedures.registration.room_prior import MIRROR, MIRRORS, HeadSight, RoomPrior, telling_landmark
 
 ANTERIOR = np.array([0.0, -1.0, 0.0])
 MIDDLE_MM = np.array([800.0, 0.0, 200.0])

@@ -9,7 +9,7 @@ from scipy.stats import chi2
 
 from procedures.registration import register
 from procedures.registration.error_theory import FreGate, chi_square_limit
-from procedures.registration.shared_residual import UnnoticedPoint, chi_square_of_shared, unnoticed_point
+from procedures.registration.target_prediction import UnnoticedPoint, chi_square_of_shared, unnoticed_point
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from procedures.relocalization import AreaImage, locate_sphere, measure_sphere, measure_spheres
 from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, Saturated
-from procedures.relocalization.sphere_in_pair import radius_range_px
+from procedures.relocalization.sphere_measurement import radius_range_px
 
 PLACE_MM = np.array([1.0, -0.5, 0.3])
 

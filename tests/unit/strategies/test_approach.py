@@ -3,8 +3,8 @@
 import numpy as np
 from strategy_arms import ARM
 
-from procedures.strategies.approach import arrival_signs
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.trajectory import back_along_axis
 
 
 def test_the_arrival_direction_is_that_of_the_last_stretch_along_the_axis():

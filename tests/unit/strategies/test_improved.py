@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from strategy_arms import ARM, FIDUCIALS, KR6, LEANING, ROOM
 
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, displacements
+from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.target_prediction import predict_target_error
-from procedures.strategies.best import BestOfEach
-from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.catalogue import BestOfEach, strategy_named
+from procedures.strategies.trajectory import Trajectory, target_pose
+from ronna_hw.arm.error_budget import ErrorSizes, displacements
 
 CALIBRATED = ErrorSizes(tool_mm=0.1, links=0.16)
 

@@ -12,13 +12,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from strategy_arms import ARM, FIDUCIALS, LEANING, ROOM
 from ur5 import Ur5
 
-from procedures.strategies.arm_in_branch import ArmInBranch, Joints
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.free_turns import OUTWARDS_RAD
-from procedures.strategies.jdms import JointDisplacementMinimization
-from procedures.strategies.least_displacement import least_displacement
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.joint_displacement import JointDisplacementMinimization, least_displacement
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
+from procedures.strategies.trajectory import Trajectory, target_pose
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, Transform

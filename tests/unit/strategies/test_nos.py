@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 from strategy_arms import ARM
 
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 

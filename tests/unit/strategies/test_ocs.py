@@ -10,10 +10,15 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from strategy_arms import ARM
 
 from procedures.strategies.errors import BadTrajectory
-from procedures.strategies.ocs import OrientationCorrection
-from procedures.strategies.orientation import back_along_axis, reference_direction, turned_onto
-from procedures.strategies.target import refined_target_pose, target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.strategies.trajectory import (
+    Trajectory,
+    back_along_axis,
+    reference_direction,
+    refined_target_pose,
+    target_pose,
+    turned_onto,
+)
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 OCS = OrientationCorrection()

@@ -11,7 +11,7 @@ from functools import cache
 
 import pytest
 
-from procedures.registration.pairing_validation import REFUSED_SHARE
+from procedures.registration.similarity_matrix import REFUSED_SHARE
 from studies.campaign.unit import Unit
 from studies.correspondence.shares import Series, Shares, shares
 from studies.correspondence.study import CorrespondenceStudy, Method, condition_key

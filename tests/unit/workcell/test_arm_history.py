@@ -11,7 +11,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.topic import Topic
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
 from procedures.workcell.arm_place import Where

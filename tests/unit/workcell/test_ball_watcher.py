@@ -11,7 +11,7 @@ from recording_cell import RecordingCell
 from procedures.calibration.pose_set import calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look

@@ -9,7 +9,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import pytest
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
 
-from procedures.calibration.arm.check import check_arm
-from procedures.calibration.arm.looks import ArmLooks
-from procedures.calibration.arm.record import calibrate_arm
+from procedures.calibration.arm_calibration import calibrate_arm
+from procedures.calibration.arm_check import check_arm
+from procedures.calibration.arm_model import ArmLooks
 from procedures.calibration.errors import ArmChanged
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 from arm_looks import ENDPOINTS, KINEMATICS, SPHERES_MM, LookingArm
 
-from procedures.calibration.arm.check import check_arm
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm.looks import ArmLooks, arrays_of
-from procedures.calibration.arm.pose_choice import most_telling
-from procedures.calibration.arm.record import ArmResult, calibrate_arm
-from procedures.calibration.arm_sources import ErrorSizes
+from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
+from procedures.calibration.arm_check import check_arm
+from procedures.calibration.arm_model import ArmLooks, ArmModel, arrays_of, most_telling
 from procedures.calibration.errors import (
     ArmChanged,
     ArmOlderThanHead,
@@ -28,6 +25,7 @@ from procedures.calibration.validity import require_together
 from procedures.cli.arm.files import KIND, records_of
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre
 from ronna_hw.frames import Frame

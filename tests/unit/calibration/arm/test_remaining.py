@@ -10,13 +10,13 @@ import tomli_w
 from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.record import ArmResult, calibrate_arm
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
-from procedures.calibration.identified_arm import IdentifiedArm, by_deviation
+from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
+from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.cli.arm.files import records_of
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
+from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm, by_deviation
 from ronna_hw.bounded_input import parse_toml
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings

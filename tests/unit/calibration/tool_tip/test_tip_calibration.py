@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from user_commands import in_this_process
 
 from benchmarks.mount.tip_looks import TipCell
+from procedures.calibration import tip_calibration
 from procedures.calibration.errors import (
     BadObservations,
     BallAndDivotApart,
@@ -19,10 +20,16 @@ from procedures.calibration.errors import (
     ReadingImplausible,
     TooFewPoses,
 )
-from procedures.calibration.tool_tip import tip as tip_module
-from procedures.calibration.tool_tip.looks import DivotReading, TipLooks, TipPairs, pairs_of
-from procedures.calibration.tool_tip.record import LEAST_VALIDATION, calibrate_tip
-from procedures.calibration.tool_tip.tip import LEAST_READINGS, fit_tip
+from procedures.calibration.tip_calibration import (
+    LEAST_READINGS,
+    LEAST_VALIDATION,
+    DivotReading,
+    TipLooks,
+    TipPairs,
+    calibrate_tip,
+    fit_tip,
+    pairs_of,
+)
 from procedures.cli.procedure import app
 from ronna_hw.frames import Frame
 from sim.world.rigid import matrix_of
@@ -165,7 +172,7 @@ def test_a_value_slightly_beyond_its_limit_is_shown_as_different_from_the_limit(
 ) -> None:
     _, observed = read
     scatter_mm = calibrate_tip(observed).fit.scatter_mm
-    monkeypatch.setattr(tip_module, "LARGEST_SCATTER_MM", round(0.9999 * scatter_mm, 6))
+    monkeypatch.setattr(tip_calibration, "LARGEST_SCATTER_MM", round(0.9999 * scatter_mm, 6))
     with pytest.raises(DoesNotFit, match="one tip position") as refused:
         calibrate_tip(observed)
     got, limit = (float((words or "").split()[0]) for words in (refused.value.got, refused.value.limit))

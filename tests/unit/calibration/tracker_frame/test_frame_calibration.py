@@ -19,10 +19,9 @@ from procedures.calibration.errors import (
     TooFewPoses,
     TrackerMoved,
 )
+from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use, calibrate_frame, pairs_of
+from procedures.calibration.hand_eye import PosePairs, solve
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tracker_frame.hand_eye import solve
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
-from procedures.calibration.tracker_frame.record import calibrate_frame
 from ronna_hw.frames import Frame, Transform
 
 COUNT, VALIDATION = 20, 8

@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import BALL, SXY, SZ, intensities, polynomial
+from procedures.imaging.sphere_centre.ball_model import BALL, SXY, SZ, intensities, polynomial, products
 from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
-from procedures.imaging.sphere_centre.robust_fit import products
 
 Array = NDArray[np.float64]
 

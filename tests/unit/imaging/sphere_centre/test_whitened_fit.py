@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from procedures.imaging.measurement import combine
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SLOPE, SXY, SZ, intensities
+from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SLOPE, SXY, SZ, Stretch, intensities
 from procedures.imaging.sphere_centre.ball_voxels import BallVoxels
-from procedures.imaging.sphere_centre.blurred_ball import BlurredBall
-from procedures.imaging.sphere_centre.combination import combine
-from procedures.imaging.sphere_centre.noise_covariance import WINDOW_MM, CorrelatedNoise
+from procedures.imaging.sphere_centre.blurred_ball import BENT, EDGE, BlurredBall, StreakPrior, fit_whitened
+from procedures.imaging.sphere_centre.correlated_noise import (
+    WINDOW_MM,
+    CorrelatedNoise,
+    VoxelGrid,
+    WhitenedStep,
+)
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge
-from procedures.imaging.sphere_centre.streak_background import BENT, StreakPrior
-from procedures.imaging.sphere_centre.stretch import Stretch
-from procedures.imaging.sphere_centre.voxel_spectra import VoxelGrid
-from procedures.imaging.sphere_centre.whitened_ball import EDGE, fit_whitened
-from procedures.imaging.sphere_centre.whitened_step import WhitenedStep
 
 Array = NDArray[np.float64]
 
@@ -190,7 +190,7 @@ def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> N
 
 def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
     round_ = Stretch(np.zeros((3, 3)), 0.0)
-    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0, round_)
+    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, 0.0, 0.0, 1100.0, round_)
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 
 from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis, read_series
-from procedures.imaging.thesis.circles import Circles
-from procedures.imaging.thesis.clusters import Cluster, cluster_circles
-from procedures.imaging.thesis.fits import fit_lines, fit_sphere
+from procedures.imaging.thesis_localizer import Circles, Cluster, cluster_circles, fit_lines, fit_sphere
 from sim.phantom.case import write_case
 from sim.world.scene.named_scenes import named_scene
 

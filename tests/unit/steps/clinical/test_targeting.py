@@ -43,8 +43,8 @@ from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.errors import ToolSeenElsewhere
-from procedures.strategies.approach import ONE_SIDE, before_arriving
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
+from procedures.strategies.strategy import ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear

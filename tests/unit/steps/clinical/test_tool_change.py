@@ -10,7 +10,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
-from procedures.strategies.approach import ONE_SIDE, before_arriving
+from procedures.strategies.strategy import ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -29,9 +29,9 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.nos import NeutralOrientation
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import Strategy
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.cell_motion import MotionName
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Lifecycle

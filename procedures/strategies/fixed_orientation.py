@@ -1,0 +1,87 @@
+"""OCS, orientation correction strategy: localize every fiducial in the orientation of the target pose.
+
+A constant tool frame error then shifts all localizations and the target alike and cancels. The cost: the
+localizations are repeated for every trajectory, and all must be reachable in its orientation.
+
+The thesis leaves open from which side each joint arrives, and mentions the backlash that remains. `ocs`
+controls it; without that control it is the thesis' own (`thesis-ocs`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
+from procedures.strategies.trajectory import UP, Trajectory, poses_along, require_frames
+from ronna_hw.frames import Frame, Transform
+
+
+@dataclass(frozen=True)
+class OrientationCorrection:
+    """The strategy `ocs`, and `thesis-ocs`, which does not control the approach."""
+
+    name: str = "ocs"
+    controls_approach: bool = True
+    localizes_per_trajectory: bool = True
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """The trajectories."""
+        return tuple(trajectories)
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the target's orientation."""
+        return poses_along(along, fiducials_mm, robot_from_ct)
+
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[float, ...]:
+        """From the planned angle outwards: all serve equally well."""
+        return OUTWARDS_RAD
+
+
+NEUTRAL = "neutral orientation"  # contains a space, so no planned trajectory can have this name
+LENGTH_MM = 100.0  # of the axis that represents the orientation; any length will do
+
+
+@dataclass(frozen=True)
+class NeutralOrientation:
+    """The strategy `nos`."""
+
+    name: str = "nos"
+    controls_approach: bool = False
+    localizes_per_trajectory: bool = False
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """The vertical through the centroid of the fiducials (n, 3) in CT mm; empty if there are none.
+
+        Raises FRM-001 on other frames.
+        """
+        require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+        if not len(points):
+            return ()
+        middle = robot_from_ct.apply(points.mean(axis=0))
+        entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
+        return (Trajectory(NEUTRAL, tuple(entry), tuple(target)),)
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the neutral orientation."""
+        return poses_along(along, fiducials_mm, robot_from_ct)
+
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[float, ...]:
+        """From free angle 0 outwards."""
+        return OUTWARDS_RAD
