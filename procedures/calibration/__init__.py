@@ -1,4 +1,6 @@
-"""Calibration of the stereo head with a single ball seen from many poses: cameras, tool frame, self-check."""
+"""Fits of the stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
+numerics.
+"""
 
 from procedures.calibration.bundle import BundleFit, fit_bundle
 from procedures.calibration.head_calibration import HeadResult, calibrate_head

@@ -1,4 +1,10 @@
-"""From the identified arm to the records of the theatre file: deviations, head and tip, dated."""
+"""Calibrate the arm with stationary spheres: links, joints, gravity, backlash, and the head on the flange.
+
+Weighted least squares with prior set S. The positions of the spheres are not known beforehand, so the arm's
+pose in the room remains undetermined, and need not be known: a case measures its spheres with the same arm.
+The arm's random error is estimated from the measurements themselves, accounting for the leverage of each in
+the fit. Held-out measurements validate the result; the records of arm, head and tip follow from it.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +42,7 @@ MOST_OUTLIERS = 0.1
 
 @dataclass(frozen=True)
 class ArmFit:
-    """The identified arm. `covariance` (n, n) of `values`, both ordered and scaled as in `ArmModel`.
+    """An identified arm. `covariance` (n, n) of `values`, both ordered and scaled as in `ArmModel`.
 
     `scatter_mm` is the random error of the arm per axis; `residuals_mm` (m, 3) in the robot frame; `used`
     (m,) marks the inliers.
@@ -56,7 +62,7 @@ class ArmFit:
 
     @property
     def flange_from_tool(self) -> Transform:
-        """FLANGE <- TOOL of the head, as identified."""
+        """Identified pose FLANGE <- TOOL of the head."""
         return self.model.tool(self.values)
 
     @property
@@ -66,7 +72,7 @@ class ArmFit:
 
     @property
     def remaining(self) -> Array:
-        """Lower triangle (k, k) of the covariance of what a record of the arm states, spheres wherever."""
+        """Lower triangle (k, k) of the covariance of what an arm record states, wherever the spheres are."""
         size = self.model.size
         root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
         _, upper = np.linalg.qr(root.T)
@@ -76,7 +82,7 @@ class ArmFit:
 
 
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
-    """The arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""
+    """Find the arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""
     count = len(looks.joints_rad)
     require_count(count, LEAST_LOOKS, "too few measurements to calibrate an arm")
     rotations = model.rotations(looks)
@@ -108,7 +114,7 @@ def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
 
 
 def _start(model: ArmModel, looks: LookArrays) -> Array:
-    """The nominal arm, with every sphere at the centroid of its measurements."""
+    """Start from the nominal arm, with every sphere at the centroid of its measurements."""
     values = np.zeros(model.size + 3 * looks.spheres)
     seen = model.misses(values, looks)
     places = [np.median(seen[looks.sphere == number], axis=0) for number in range(looks.spheres)]
@@ -124,7 +130,7 @@ def _step(
     whitening: Array,
     used: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Covariance and parameters after one Gauss-Newton step."""
+    """Take one Gauss-Newton step; return covariance and parameters."""
     rows = (whitening @ slopes)[used].reshape(-1, len(values))
     misses = np.einsum("mij,mj->mi", whitening, model.misses(values, looks))[used].ravel()
     prior = np.zeros(len(values))
@@ -136,8 +142,8 @@ def _step(
 def _scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
     """Random error of the arm per axis: the residuals in excess of image noise.
 
-    `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has
-    shrunk the residuals.
+    `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the
+    residuals.
     """
     square = np.sum(residuals**2, axis=1) - np.einsum("mii->m", stereo) + np.einsum("mii->m", explained)
     return float(max(np.sqrt(max(np.mean(square[used]) / 3.0, 0.0)), LEAST_SCATTER_MM))
@@ -153,7 +159,7 @@ MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, fl
 
 @dataclass(frozen=True)
 class ArmValidation:
-    """`misses_mm` (m, 3) of held-out measurements; the rest in mm, 3-D rms.
+    """Validation by held-out measurements. `misses_mm` is (m, 3), the rest in mm, 3-D rms.
 
     `before_mm` is the nominal arm's error there, `predicted_mm` the error expected from the model's
     covariance and the random error, `model_mm` the model's part of it.
@@ -203,7 +209,10 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
 
 
 def _require_both_sides(fit: ArmFit) -> None:
-    """The backlash of a joint that always arrived from one side shows in no measurement, held out or not."""
+    """Raise CAL-011 for a joint that always arrived from one side.
+
+    Its backlash shows in no measurement, held out or not.
+    """
     unknown = [
         name
         for name, share in zip(fit.model.names, fit.learnt.tolist(), strict=True)
@@ -219,7 +228,7 @@ def _require_both_sides(fit: ArmFit) -> None:
 
 
 def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
-    """What the fit leaves unknown in every usual orientation, whether or not one like it was measured.
+    """Error that the fit leaves in every usual orientation, whether or not one like it was measured.
 
     Held-out measurements are where the others are: of an arm measured in one orientation they say nothing.
     """
@@ -277,9 +286,9 @@ DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
 
 @dataclass(frozen=True)
 class ArmResult:
-    """The new records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
+    """New records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
 
-    Head and tip keep their dates: where the head is on the flange was measured, cameras and tip were not.
+    Head and tip keep their dates: only the head's place on the flange was measured, not cameras and tip.
     """
 
     fit: ArmFit
@@ -291,7 +300,7 @@ class ArmResult:
 
 
 def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
-    """Dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
+    """Compute dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
     head = observed.stereo_head
     before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     identified = {one.sphere for one in observed.looks if not one.validation}

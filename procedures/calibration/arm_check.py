@@ -1,4 +1,4 @@
-"""Checks an arm against its calibration with a few measurements of spheres, wherever they are."""
+"""Check an arm against its calibration with a few measurements of spheres, wherever they are."""
 
 from __future__ import annotations
 
@@ -31,7 +31,9 @@ FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
 @dataclass(frozen=True)
 class ArmCheck:
-    """`error_mm` is the 3-D rms error, `expected_mm` the value expected from the record."""
+    """Result of a check. `error_mm` is the 3-D rms error, `expected_mm` the value expected from the
+    record.
+    """
 
     calibration: str
     looks: int
@@ -46,7 +48,7 @@ class ArmCheck:
         return self.statistic <= self.limit
 
     def require(self) -> None:
-        """Raise CAL-012 unless they do."""
+        """Raise CAL-012 unless the measurements agree with the calibration."""
         if not self.passed:
             error, limit = side_by_side(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
@@ -57,16 +59,15 @@ class ArmCheck:
 
 
 def require_record(record: ArmCalibration | None) -> ArmCalibration:
-    """The record, or CAL-014 if there is none."""
+    """Return the record; raise CAL-014 if there is none."""
     if record is None:
         raise NoArmRecord("the theatre file has no calibration record of the arm")
     return record
 
 
 def check_arm(observed: ArmLooks) -> ArmCheck:
-    """Compare measurements with the record in use; the spheres' positions are not known.
-
-    Raises CAL-002, CAL-014.
+    """Compare measurements with the record in use; the spheres' positions are not known. Raises CAL-002,
+    CAL-014.
     """
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
@@ -97,7 +98,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
 def _left_by_calibration(record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array) -> Array:
     """Displacement (m, 3, k) of each measured place by the k independent errors that the record leaves.
 
-    They are the same in all measurements, not new in each: the same link is too long throughout.
+    They are equal in all measurements, not new in each: one link is too long throughout.
     """
     sizes = ErrorSizes.stated(ProcedureSettings(), record)
     spheres, last = (

@@ -1,8 +1,8 @@
-"""The arm parameters to estimate, in units of what is expected of an uncalibrated arm.
+"""Model of arm and head behind the measurements of an arm calibration, its input, and the choice of poses.
 
-The vector consists of the arm's deviations, six parameters of the head on the flange, and three coordinates
-per sphere. Deviations and head are in units of their prior standard deviation, so that a covariance of 1
-means that nothing was learnt. Spheres are in millimetres, without a prior.
+The model's vector consists of the arm's deviations, six parameters of the head on the flange, and three
+coordinates per sphere. Deviations and head are in units of their prior standard deviation for an uncalibrated
+arm, so that a covariance of 1 means that nothing was learnt. Spheres are in millimetres, without a prior.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class ArmLooks(Measurements):
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
-        """As `Measurements.records`."""
+        """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.tool_tip}
 
 
@@ -93,12 +93,12 @@ class LookArrays:
         return int(self.sphere.max()) + 1
 
     def only(self, rows: NDArray[np.bool_]) -> LookArrays:
-        """Selected measurements, with the same sphere numbers."""
+        """Select measurements; sphere numbers stay."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
-    """The measurements as arrays; spheres that were never seen leave no gap in the numbering."""
+    """Convert measurements to arrays; spheres that were never seen leave no gap in the numbering."""
     _, sphere = np.unique([one.sphere for one in looks], return_inverse=True)
     return LookArrays(
         joints_rad=np.array([one.joints_rad for one in looks]),
@@ -117,7 +117,7 @@ STEP = 1e-3  # of a numerical derivative: in units of a prior, or mm
 
 @dataclass(frozen=True)
 class ArmModel:
-    """The model of arm and head behind the measurements: nominal values, and what may deviate."""
+    """Model of arm and head: nominal values, and what may deviate."""
 
     kinematics: Kinematics
     flange_from_tool: Transform
@@ -163,21 +163,21 @@ class ArmModel:
         return (*kept, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
 
     def deviations(self, values: Array) -> ArmDeviations:
-        """The arm's part of a vector."""
+        """Deviations of the arm in a vector."""
         prior = self.prior
         row = np.zeros(len(prior))
         row[prior > 0.0] = values[: self.size - TOOL]
         return ArmDeviations.of_flat(row * prior, self.joints)
 
     def tool(self, values: Array) -> Transform:
-        """FLANGE <- TOOL according to a vector."""
+        """Pose FLANGE <- TOOL in a vector."""
         head = values[self.size - TOOL : self.size]
         change = RigidTransform.from_components(TOOL_MM * head[:3], Rotation.from_rotvec(TOOL_RAD * head[3:]))
         return Transform(Frame.FLANGE, Frame.TOOL, self.flange_from_tool.rigid * change)
 
     @property
     def to_record(self) -> Array:
-        """Derivative (k, size) of what a record of the arm states by a vector without spheres.
+        """Derivative (k, size) of the contents of an arm record by a vector without spheres.
 
         All deviations, then the head on the flange in mm. A turn of the head moves no sphere that it is
         centred on.
@@ -241,7 +241,12 @@ SPHERE_SIGMA_MM = 10.0  # prior uncertainty of a sphere's position
 
 
 def most_telling(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Indices of `count` poses in order of selection; fewer if there are not enough."""
+    """Select the `count` poses that reveal most about an arm, by greedy D-optimal design; return their
+    indices.
+
+    Each pose adds the information that it provides beyond what is already known; the one that adds most is
+    next. Initially only the prior of an uncalibrated arm is known. Fewer if there are not enough candidates.
+    """
     values = np.zeros(model.size + 3 * candidates.spheres)
     slopes = model.slopes(values, candidates) / LOOK_SIGMA_MM
     known = np.ones(len(values))

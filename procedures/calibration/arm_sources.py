@@ -1,8 +1,4 @@
-"""An arm's errors as sources of a predicted target error: how each displaces the tool at every pose.
-
-Sizes are those of an uncalibrated arm (parameter set S of the error study) unless given, or what the
-calibration of the arm has left, correlations included.
-"""
+"""An arm's errors as sources of a predicted target error: how each displaces the tool at every pose."""
 
 from __future__ import annotations
 
@@ -48,9 +44,10 @@ def arm_sources(
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Geometry, joints, backlash, repeatability and tool frame, for one target and its `n` spheres.
+    """List the sources for one target and its `n` spheres: geometry, joints, backlash, repeatability, tool
+    frame.
 
-    Repeatability is the same in all arms that are not identified. `servo_mm` is 0 if the servo's residual is
+    All arms that are not identified have one repeatability. `servo_mm` is 0 if the servo's residual is
     measured.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
@@ -81,7 +78,7 @@ def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
 
 
 def _sag_added(joints_mm: Array) -> Array:
-    """Weight bends all joints the same way: what they sag adds up, which independent errors would not."""
+    """Add the sag of all joints up: weight bends them the same way, unlike independent errors."""
     harmonics, sag = np.split(joints_mm, [-len(SAGGING)], axis=2)
     return np.concatenate([harmonics, sag.sum(axis=2, keepdims=True)], axis=2)
 

@@ -7,8 +7,9 @@ leaves four pixel residuals per view with the covariance
 
     C = S + s^2 J J^T        S: of both outlines, J: pixels by ball position, s: error of the arm per axis
 
-An error of the arm beyond its repeatability is due to its geometry, the same in all views. The errors of its
-links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms.
+An error of the arm beyond its repeatability is due to its geometry, equal in all views. The errors of its
+links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms. Ignored,
+they would be mistaken for an offset of the tool centre.
 
 The ball's diameter is not needed: the arm provides the scale.
 """
@@ -57,7 +58,7 @@ MOST_OUTLIERS = 0.2
 
 @dataclass(frozen=True)
 class BundleFit:
-    """The adjusted head. Covariance (23, 23) of the ball (3, mm) and two times ten camera parameters.
+    """An adjusted head. Covariance (23, 23) of the ball (3, mm) and two times ten camera parameters.
 
     `arm_error_mm` is the estimated error of the arm per axis including its geometry; `arm_scatter_mm` its
     random part from view to view; `image_sigma_px` the error of an outline's centre; `residuals_px` (n, 4)
@@ -78,7 +79,7 @@ class BundleFit:
 
 @dataclass(frozen=True)
 class _Looks:
-    """The observations as arrays."""
+    """Observations as arrays."""
 
     rotations: Array  # (n, 3, 3) robot <- flange
     translations_mm: Array  # (n, 3)
@@ -261,7 +262,7 @@ def _prior(values: Array) -> Array:
 def _split(
     looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
-    """The arm's part of the residuals as shifts (n, 3) mm, and the part no shift explains (n,), in sigmas.
+    """Split residuals into the arm's shifts (n, 3) mm and the part that no shift explains (n,), in sigmas.
 
     Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """

@@ -1,4 +1,10 @@
-"""From measurements to the reference frame's record: solved, validated on held-out ones, dated."""
+"""Calibrate the reference frame on the arm's mount: poses, stored measurements, and the dated record of its
+pose.
+
+The poses turn the frame about itself, in all directions, so it stays nearly in place. The tracker's smooth
+error over its volume is then equal in all of them, and affects the tracker's pose rather than the frame's on
+the flange.
+"""
 
 from __future__ import annotations
 
@@ -70,19 +76,21 @@ class FrameLooks(Measurements):
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
-        """As `Measurements.records`."""
+        """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tracker_frame": self.start, "arm": self.arm_record}
 
 
 def uses_of(count: int, validation: int) -> tuple[Use, ...]:
-    """Purpose of each measurement: those for validation are spread evenly among those for the fit."""
+    """Assign a purpose to each measurement: those for validation are spread evenly among those for the
+    fit.
+    """
     total = count + validation
     judging = {round((number + 0.5) * total / validation) for number in range(validation)}
     return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
 
 
 def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
-    """The measurements as arrays."""
+    """Convert measurements to arrays."""
 
     def matrices(poses: Sequence[Transform]) -> Array:
         return np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
@@ -103,12 +111,12 @@ FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount deviates this much f
 
 @dataclass(frozen=True)
 class FrameResult:
-    """The new record and its quality.
+    """New record and its quality.
 
-    `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`:
-    their expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate
-    from the frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from
-    the previous record.
+    `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`: their
+    expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate from the
+    frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from the previous
+    record.
     """
 
     fit: HandEye
@@ -123,7 +131,7 @@ class FrameResult:
 
 
 def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameResult:
-    """A dated record from measurements. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
+    """Compute a dated record from measurements. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
     _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
     fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
     kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
@@ -158,7 +166,8 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
 def arm_share_mm(record: ArmCalibration | None) -> float:
     """3-D error of the frame on the flange that comes from the arm itself and that no measurement reveals.
 
-    That of its last two links: A6 turns them against each other too little to separate them from the frame.
+    It stems from the last two links: A6 turns them against each other too little to separate them from the
+    frame.
     """
     link_mm = np.sqrt(3.0) * LINK_TRANSLATION_MM if record is None else record.stated_error_mm
     return float(np.sqrt(2.0) * link_mm)
@@ -207,7 +216,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
 
 
 def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
-    """Distance between two poses, mm and rad; raises CAL-017 if it is limited and exceeded."""
+    """Distance between two poses, mm and rad; raise CAL-017 if it is limited and exceeded."""
     apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
@@ -225,7 +234,7 @@ TURN_RAD = float(np.radians(70.0))
 
 
 def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:
-    """Poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
+    """List poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
     in_tool = tool_from_marker.translation_mm
     place = reference.apply(in_tool)
     looks = turned_about(

@@ -1,4 +1,4 @@
-"""Robot-world and hand-eye together: A X = Z B, with the covariance of X.
+"""Solve robot-world and hand-eye together: A X = Z B, with the covariance of X.
 
 A is the flange according to the arm, B the reference frame according to the tracker, X the frame on the
 flange and Z the tracker in the room. The initial solution is linear: the rotations as the null vector of R_A
@@ -37,10 +37,11 @@ UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and 
 
 @dataclass(frozen=True)
 class HandEye:
-    """`flange_from_marker` (4, 4) and `robot_from_tracker` (4, 4), with the covariance (12, 12) of both.
+    """Solution `flange_from_marker` (4, 4) and `robot_from_tracker` (4, 4), with the covariance (12, 12) of
+    both.
 
-    The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) are in the robot frame; `used`
-    (m,) marks the inliers.
+    The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) are in the robot frame; `used` (m,) marks
+    the inliers.
     """
 
     flange_from_marker: Array
@@ -59,12 +60,12 @@ class HandEye:
 
     @property
     def error_rad(self) -> float:
-        """Standard error of its orientation: length of the rotation vector."""
+        """Standard error of the frame's orientation: length of the rotation vector."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
 def solve(pairs: PosePairs) -> HandEye:
-    """The frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
+    """Find the frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
     x, z = _start(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
@@ -158,12 +159,14 @@ def _start(pairs: PosePairs) -> tuple[Array, Array]:
 
 
 def _rotation_along(matrix: Array) -> Array:
-    """The rotation nearest to a multiple of the matrix; the null vector's sign and length are arbitrary."""
+    """Find the rotation nearest to a multiple of the matrix; the null vector's sign and length are
+    arbitrary.
+    """
     return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 
 def _changed(pose: Array, change: Array) -> Array:
-    """The pose rotated about its source's axes and translated along its target's."""
+    """Rotate a pose about its source's axes and translate it along its target's."""
     here = RigidTransform.from_matrix(pose)
     turned = here.rotation * Rotation.from_rotvec(change[:3])
     return np.asarray(RigidTransform.from_components(here.translation + change[3:], turned).as_matrix())
@@ -182,5 +185,5 @@ class PosePairs:
         return len(self.robot_from_flange)
 
     def only(self, rows: NDArray[np.bool_]) -> PosePairs:
-        """Selected poses."""
+        """Select poses."""
         return PosePairs(self.robot_from_flange[rows], self.tracker_from_marker[rows])

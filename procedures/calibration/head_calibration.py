@@ -1,4 +1,4 @@
-"""From the adjusted head to the calibration records: tool frame, stated errors, dates.
+"""Calibrate the stereo head: from the adjusted head to the records, with tool frame, stated errors and dates.
 
 Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
 and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
@@ -42,13 +42,13 @@ KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixe
 
 @dataclass(frozen=True)
 class HeadResult:
-    """The new records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
+    """New records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
 
-    `tool_error_mm` is its standard error; that of a point measured in the tool frame, where errors of the
-    arm hardly count, is what the record states. `tool_shift_mm` is how far the tool centre moved on the
-    flange, `smallest_slip_mm` from where on that means that the head has moved on its mount (None where the
-    previous record is of another kind and not compared); `frame_misfit_mm` (rms) how far the cameras have
-    moved relative to each other since the previous record.
+    `tool_error_mm` is its standard error; the record states that of a point measured in the tool frame, where
+    errors of the arm hardly count. `tool_shift_mm` is how far the tool centre moved on the flange. A shift
+    beyond `smallest_slip_mm` means that the head has moved on its mount (None where the previous record is of
+    another kind and not compared). `frame_misfit_mm` (rms) is how far the cameras have moved relative to each
+    other since the previous record.
     """
 
     fit: BundleFit
@@ -61,7 +61,7 @@ class HeadResult:
 
     @property
     def head_moved(self) -> bool:
-        """On its mount, since the previous calibration."""
+        """Whether the head has moved on its mount since the previous calibration."""
         return self.smallest_slip_mm is not None and self.tool_shift_mm > self.smallest_slip_mm
 
     @property
@@ -73,7 +73,7 @@ class HeadResult:
 def calibrate_head(
     observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "", arm_geometry: bool = True
 ) -> HeadResult:
-    """Dated records from observations. Raises CAL-002 to CAL-004.
+    """Compute dated records from observations. Raises CAL-002 to CAL-004.
 
     Without `arm_geometry` all errors of the arm are treated as random.
     """
@@ -118,12 +118,12 @@ def _standard_error_mm(covariance_mm2: Array) -> float:
 
 
 def new_identifier(name: str, created: datetime) -> str:
-    """Name and time."""
+    """Combine name and time."""
     return name + stamp(created)
 
 
 def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
-    """The tip is known relative to the tool frame of the head on the same mount, so it moves with it.
+    """Move the tip with the tool frame of the head on the same mount, relative to which it is known.
 
     Its dates and stated error remain: the tip itself was not measured.
     """
@@ -141,7 +141,7 @@ def _kept_points() -> Array:
 
 
 def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Where, in the flange frame, these cameras see what the previous record saw at the kept points."""
+    """Points of the flange frame where these cameras see what the previous record saw at the kept points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_kept_points())
     left, right = cameras_of(before)
@@ -149,7 +149,9 @@ def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
 
 
 def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """FLANGE <- TOOL that preserves the pixels of points around the tool centre, and the rms misfit, mm."""
+    """Find FLANGE <- TOOL that preserves the pixels of points around the tool centre; also the rms misfit,
+    mm.
+    """
     tool, flange = _kept_points(), _seen_again(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)

@@ -1,4 +1,4 @@
-"""Input of a calibration: outlines of one ball at many arm poses, as stored in a file."""
+"""Stored measurements of a calibration, and whether they belong to the theatre whose records they replace."""
 
 from __future__ import annotations
 
@@ -24,24 +24,25 @@ NOT_MEASURED = {"created", "expires", "made_by"}
 
 
 class Measurements(Strict, ABC):
-    """What a calibration stores of what it measured."""
+    """Base of all stored measurements of a calibration."""
 
     created: datetime = Field(description="When it was measured.")
 
     @property
     @abstractmethod
     def records(self) -> Mapping[str, Dated | None]:
-        """The calibration records in use, by their names in the theatre file; None if there was none."""
+        """Calibration records in use, by their names in the theatre file; None if there was none."""
 
 
 def require_same_theatre(
     measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
 ) -> None:
-    """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
+    """Raise CAL-020 unless each record is the theatre's, or the theatre's is the result that these
+    measurements `found`.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
     another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record
-    passes that by its name may be what is found.
+    passes if by its name it may be such a result.
     """
     for name, then in measured.records.items():
         now = getattr(theatre, name)
@@ -64,7 +65,7 @@ def require_same_theatre(
 
 
 def stamp(created: datetime) -> str:
-    """How the identifier of every record ends that is computed from measurements of then."""
+    """End the identifier of every record that is computed from measurements of this time."""
     return f"-{created:%Y%m%dT%H%M%S}"
 
 
@@ -110,7 +111,7 @@ class Outline(Strict):
 
     @classmethod
     def of(cls, sphere: SphereImage) -> Self:
-        """From a measurement; only reliable ones are stored."""
+        """Convert a measurement; only reliable ones are stored."""
         return cls(**{name: getattr(sphere, name) for name in cls.model_fields})
 
 
@@ -130,7 +131,7 @@ class Observation(Strict):
 
     @property
     def flange_pose(self) -> Transform:
-        """ROBOT <- FLANGE."""
+        """Pose ROBOT <- FLANGE."""
         return self.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
 
 
@@ -146,12 +147,12 @@ class ObservationSet(Measurements):
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
-        """As `Measurements.records`."""
+        """Calibration records in use."""
         return {"stereo_head": self.start, "tool_tip": self.tool_tip}
 
 
 def read_strict(kind: type[S], path: Path) -> S:
-    """Read one strict record from JSON; raises CAL-005 listing every error in it."""
+    """Read one strict record from JSON. Raises CAL-005 listing every error in it."""
     try:
         return kind.model_validate_json(read_json_bytes(path))
     except OSError as error:

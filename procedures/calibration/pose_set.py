@@ -1,4 +1,5 @@
-"""Where to view the ball from: tool poses in many evenly spread orientations, deterministic.
+"""Views of a ball for a calibration: tool poses in evenly spread orientations, deterministic; and whether
+they suffice.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
@@ -49,7 +50,7 @@ class PlannedLook:
 
 
 def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
-    """Views of a ball (3,) in the robot frame, spread around the orientation robot <- tool."""
+    """Spread views of a ball (3,) in the robot frame around the orientation robot <- tool."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
@@ -64,7 +65,9 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
 def centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """Views with the sphere at the tool centre, where lens and field do not matter; from `first` on."""
+    """List views with the sphere at the tool centre, where lens and field do not matter, from number
+    `first` on.
+    """
     return turned_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
     )
@@ -80,10 +83,10 @@ def turned_about(
     turn_rad: float,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[PlannedLook, ...]:
-    """Poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
+    """List poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
 
-    Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way;
-    from number `first` on.
+    Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way; from number `first`
+    on.
     """
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
     point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
@@ -103,7 +106,7 @@ def turned_about(
 
 
 def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """One orientation of the self-check, and alternatives if it is not reachable."""
+    """List one orientation of the self-check, and alternatives if it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -119,7 +122,7 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
 
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """The views in an order in which each is nearest in orientation to the previous one."""
+    """Order views so that each is nearest in orientation to the previous one."""
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
@@ -133,7 +136,7 @@ def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
 
 
 def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
-    """The same view for a ball at another position."""
+    """Move a view to a ball at another position."""
     return _look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),
@@ -161,13 +164,15 @@ LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies leas
 
 
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
-    """Raises CAL-002, with `what` there is too little of, below the minimum count."""
+    """Raise CAL-002 below the minimum count; `what` names what there is too little of."""
     if count < least:
         raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
 
 
 def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
-    """Raises CAL-003, with `what` varies too little, if one direction of rotations (n, 3, 3) hardly does."""
+    """Raise CAL-003 if rotations (n, 3, 3) hardly vary in one direction; `what` names what varies too
+    little.
+    """
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
             what,
@@ -178,7 +183,7 @@ def require_spread(rotations: NDArray[np.float64], what: str, action: str | None
 
 
 def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str) -> None:
-    """Raises CAL-004 if more than this fraction of `what` are outliers; `used` marks the inliers."""
+    """Raise CAL-004 if more than this fraction of `what` are outliers; `used` marks the inliers."""
     if (outliers := float(np.mean(~used))) > most_outliers:
         raise DoesNotFit(
             f"too many {what} disagree with the others",

@@ -1,4 +1,4 @@
-"""The self-check: does the head see the ball where it did at calibration, from the same eight poses?
+"""Self-check: does the head see the ball where it did at calibration, from the same eight poses?
 
 Since calibration the ball may have been put down elsewhere (b, robot frame); the arm repeats to some
 micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
@@ -58,7 +58,7 @@ class Baseline(Strict):
 
     @property
     def orientations(self) -> tuple[int, ...]:
-        """Their numbers, sorted."""
+        """Numbers of the orientations, sorted."""
         return tuple(sorted({look.orientation for look in self.looks if look.orientation is not None}))
 
     @property
@@ -80,7 +80,7 @@ class Baseline(Strict):
 
 @dataclass(frozen=True)
 class Sign:
-    """One sign: its value, its standard deviation, its chi-square statistic and the limit."""
+    """A sign that the head has changed: value, standard deviation, chi-square statistic and limit."""
 
     name: str
     unit: str
@@ -111,7 +111,7 @@ class CheckResult:
 
     @property
     def signs(self) -> tuple[Sign, ...]:
-        """All three."""
+        """All three signs."""
         return self.shift, self.gap, self.size
 
     @property
@@ -137,7 +137,9 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Per orientation: ball in the tool frame (m, 3), gap (m,), relative size (m,), rotation, visits (m,)."""
+    """Means per orientation: ball in the tool frame (m, 3), gap (m,), relative size (m,), rotation, visits
+    (m,).
+    """
 
     points_mm: Array
     gaps_mm: Array
@@ -271,5 +273,5 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
 
 
 def _centre(look: Observation, side: int) -> tuple[float, float]:
-    """Centre of the outline. Its perspective bias is the same in both runs and cancels."""
+    """Centre of the outline; its perspective bias is equal in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

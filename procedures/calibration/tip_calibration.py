@@ -1,4 +1,15 @@
-"""From readings to the tip's record: solved, validated on held-out readings, dated."""
+"""Calibrate the guide's tip in the tool frame of the stereo head on the same mount.
+
+In one orientation, and within millimetres of one position, an arm's errors are equal with the head over the
+ball and with the tip in the divot that replaces the ball. The difference of the two is the tip relative to
+the head's measurement, and hardly depends on the arm:
+
+    tip = T'^-1 (T ball + dials)    T, T': ROBOT <- TOOL over the ball and in the divot
+
+Pivoting about the divot provides a second answer, which does not assume ball and divot at the same position:
+the tip turns with the tool, the gap between divot and ball stays. The gap must be small. Held-out readings
+validate the result.
+"""
 
 from __future__ import annotations
 
@@ -77,12 +88,12 @@ class TipLooks(Measurements):
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
-        """As `Measurements.records`."""
+        """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
 
 
 def kept_apart(count: int, validation: int) -> tuple[int, ...]:
-    """Indices of those held out for validation: evenly distributed, in order of orientation."""
+    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
@@ -101,12 +112,12 @@ class TipPairs:
         return len(self.at_ball)
 
     def only(self, rows: NDArray[np.bool_]) -> TipPairs:
-        """Selected orientations."""
+        """Select orientations."""
         return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
-    """The readings with their views, as arrays."""
+    """Convert readings and their views to arrays."""
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
 
     def tools(poses: Sequence[PoseRecord]) -> Array:
@@ -134,7 +145,8 @@ LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; a large
 
 @dataclass(frozen=True)
 class TipFit:
-    """`tip_mm` (3,) in the head's tool frame, with covariance (3, 3) mm2; `scatter_mm` per axis.
+    """A fitted tip: `tip_mm` (3,) in the head's tool frame, with covariance (3, 3) mm2; `scatter_mm` per
+    axis.
 
     `gap_mm` (3,) is the divot's offset from the ball according to pivoting, robot axes, with a standard error
     of `gap_error_mm` in space.
@@ -154,7 +166,7 @@ class TipFit:
 
 
 def fit_tip(pairs: TipPairs) -> TipFit:
-    """The tip from readings in the divot. Raises CAL-002 to CAL-004, CAL-019."""
+    """Fit the tip to readings in the divot. Raises CAL-002 to CAL-004, CAL-019."""
     _require_usable(pairs)
     seen = tips_of(pairs)
     tip = seen.mean(axis=0)
@@ -199,7 +211,7 @@ def fit_tip(pairs: TipPairs) -> TipFit:
 
 
 def tips_of(pairs: TipPairs) -> Array:
-    """The tip (m, 3) in the tool frame from each reading alone."""
+    """Tip (m, 3) in the tool frame from each reading alone."""
     offsets = _offsets_mm(pairs)
     return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], offsets))
 
@@ -234,7 +246,7 @@ def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
 
 
 def _offsets_mm(pairs: TipPairs) -> Array:
-    """From the tool centre at the divot to the ball's position plus the dial readings, (m, 3), robot axes."""
+    """Offsets (m, 3) from the tool centre at the divot to the ball plus the dial readings, robot axes."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])
 
@@ -250,7 +262,7 @@ FAR_MM = 10.0  # no guide deviates this much from its drawing
 
 @dataclass(frozen=True)
 class TipResult:
-    """The new record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
+    """New record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
 
     fit: TipFit
     misses_mm: Array
@@ -260,7 +272,7 @@ class TipResult:
 
 
 def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
-    """A dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
+    """Compute a dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
     _require_plausible(observed)
     kept = set(observed.validation)
     fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))

@@ -103,7 +103,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
 
 
 def _hough(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
-    """Find circles (column, row, radius) of a plane in fine pixels; also return the exact pixel size in mm."""
+    """Find circles (column, row, radius) of a plane in fine pixels; also return the pixel size in mm."""
     low, high = POLYMER_HU
     grey = np.clip((plane.astype(np.float32) - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
     size = np.maximum(np.rint(np.array(plane.shape) * spacing_mm / PIXEL_MM).astype(int), 1)

@@ -1,4 +1,4 @@
-"""Registers two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
+"""Register two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
 
 Only bone is compared: HU are clipped at soft tissue and at compact bone, so that swollen skin, air and metal
 have little weight; remaining outliers are down-weighted (Cauchy).
@@ -36,11 +36,11 @@ LEAST_OVERLAP = 0.6  # share of the bone that both scans show
 
 @dataclass(frozen=True, eq=False)
 class BoneRegistration:
-    """The pose post <- pre of the head, patient coordinates in mm.
+    """Pose post <- pre of the head, patient coordinates in mm.
 
-    `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of
-    the first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the
-    remaining difference.
+    `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of the
+    first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the remaining
+    difference.
     """
 
     post_from_pre: RigidTransform
@@ -65,7 +65,9 @@ class _Level:
 
 
 def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
-    """The pose of one scan's head in the other. Raises POST-001 (no bone), POST-002 (a different head)."""
+    """Find the pose of one scan's head in the other. Raises POST-001 without bone, POST-002 for another
+    head.
+    """
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
@@ -106,7 +108,7 @@ def bone_at(volume: Volume, places_mm: Array) -> Array:
 
 
 def finely_at(volume: Volume, places_mm: Array) -> Array:
-    """The same by cubic splines, for a few positions (n, 3) close together, within the scan."""
+    """HU at a few positions (n, 3) close together and within the scan, by cubic splines, clipped to bone."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)
     high = np.ceil(index.max(axis=0)).astype(int) + SPLINE_REACH + 1
@@ -116,7 +118,7 @@ def finely_at(volume: Volume, places_mm: Array) -> Array:
 
 
 def _level(volume: Volume, spacing_mm: float) -> _Level:
-    """Clipped to bone, blurred by half the spacing, and subsampled to about that spacing."""
+    """Clip to bone, blur by half the spacing, and subsample to about that spacing."""
     geometry = volume.geometry
     strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
     values = np.clip(volume.voxels, SOFT_HU, COMPACT_HU).astype(np.float32)

@@ -1,4 +1,7 @@
-"""Compares the plan with what the postoperative CT shows, trajectory by trajectory."""
+"""Compare the plan with what the postoperative CT shows, trajectory by trajectory.
+
+Instruments and holes found near the trajectories are assigned to them, at most one each.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +36,7 @@ NOTHING_MM = 1e6  # and none only if nothing is left
 
 
 class FoundKind(StrEnum):
-    """What was found along a trajectory."""
+    """Kind of object found along a trajectory."""
 
     INSTRUMENT = "instrument"  # an electrode or a needle: a rod of metal
     DRILL_HOLE = "drill hole"
@@ -43,7 +46,7 @@ class FoundKind(StrEnum):
 class Candidate:
     """A rod or hole in coordinates of the planned CT: its tip, or a point in the bone, (3,) mm, and its axis.
 
-    `failures` says why it cannot be used at all, `doubts` why it may be wrong.
+    `failures` are reasons why it cannot be used at all, `doubts` why it may be wrong.
     """
 
     kind: FoundKind
@@ -57,7 +60,7 @@ class Candidate:
         return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
 
     def is_also(self, other: Candidate) -> bool:
-        """Whether both are the same instrument, the same hole, or an instrument in its hole."""
+        """Whether both are one instrument, one hole, or an instrument in its hole."""
         if self.kind is other.kind is FoundKind.DRILL_HOLE:
             return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
         near = (  # a hole's direction is too uncertain to extrapolate to a tip
@@ -71,9 +74,10 @@ class Candidate:
 def assigned(
     ways: Mapping[str, Way], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """The candidate of each trajectory, by least total distance, and who took what others might have had.
+    """Assign candidates to trajectories by least total distance; also name who took what others might have
+    had.
 
-    `ways` are the planned ones, `candidates` what was found along each; both by name.
+    `ways` are the planned ones, `candidates` those found along each; both by name.
     """
     names = list(ways)
     things: list[Candidate] = []
@@ -97,7 +101,9 @@ def assigned(
 
 
 def _beside_mm(way: Way, one: Candidate) -> float:
-    """Mean distance by which a candidate's axis misses entry and target."""
+    """Mean distance by which a candidate's axis misses entry and target, plus a penalty for holes and failed
+    fits.
+    """
     beside_mm = 0.5 * (one.passes_mm(way.entry_mm) + one.passes_mm(way.target_mm))
     last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return beside_mm + last_of_all * INSTEAD_MM
@@ -133,7 +139,7 @@ class ProvenTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """The registration of both scans and every requested trajectory."""
+    """Registration of both scans, and every requested trajectory."""
 
     registration: BoneRegistration
     trajectories: tuple[ProvenTrajectory, ...]
@@ -151,7 +157,7 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
 def proof_by(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> Proof:
-    """The same with a known registration. Raises POST-006, POST-007, POST-009."""
+    """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
     asked = [one for one in plan.trajectories if not only or one.id in only]
     ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
     candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
@@ -189,7 +195,7 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
 
 
 def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
-    """Rods and holes near a planned trajectory, in coordinates of the planned CT."""
+    """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
     pose = registration.post_from_pre
     back = pose.inv()
 

@@ -1,4 +1,4 @@
-"""Finds a drilled hole near a planned trajectory: bone that the first scan shows and the second does not.
+"""Find a drilled hole near a planned trajectory: bone that the first scan shows and the second does not.
 
 A blurred cylinder is fitted where bone was lost. A hole has an entry and a direction, but no tip.
 """
@@ -54,7 +54,10 @@ class FoundHole:
 
 
 def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundHole, ...]:
-    """Holes near a planned trajectory of the first scan, in the second scan's coordinates; largest first."""
+    """Find holes near a planned trajectory of the first scan, largest first.
+
+    Positions are in the second scan's coordinates.
+    """
     back = post_from_pre.inv()
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -BEFORE_MM, BEHIND_MM)
@@ -69,7 +72,7 @@ def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransfor
 
 
 def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole:
-    """A blurred cylinder through the middle of the lost bone, fitted to the second scan's voxels."""
+    """Fit a blurred cylinder through the middle of the lost bone to the second scan's voxels."""
     coarse = Way(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
     before = finely_at(pre, back.apply(coarse.to_patient_mm(local)))

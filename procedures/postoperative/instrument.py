@@ -1,8 +1,12 @@
-"""Finds the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
+"""Find the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
 
 A coarse pass takes the longest bright piece along the trajectory; then a blurred rod is fitted to the voxels
-around it, and then again with its streaks. Scanners clip stored values, so the rod's own intensity is fitted
-and clipped the same way.
+around it, and then again with its streaks, which would otherwise shift the depth of the tip by tenths of a
+millimetre. Scanners clip stored values, so the rod's own intensity is fitted and clipped alike.
+
+Metal throws rays into the plane of each slice. A straight rod crosses the slices alike, so they show the same
+rays about it: the pattern is read along the shaft. Where the tip fills a slice only in part, the pattern's
+strength and its origin along the rod are unknown, two numbers for each such slice.
 """
 
 from __future__ import annotations
@@ -39,7 +43,7 @@ CAUCHY = 2.385
 
 @dataclass(frozen=True, eq=False)
 class Slices:
-    """Voxels (n, 3) mm and the slices that they belong to: `normal` (3,), `plane` (3, 2) unit vectors."""
+    """Voxels (n, 3) mm and their slices: `normal` (3,) and `plane` (3, 2) unit vectors."""
 
     voxels: Array
     normal: Array
@@ -48,20 +52,20 @@ class Slices:
 
     @cached_property
     def numbers(self) -> Numbers:
-        """Of the slice of each voxel, from 0."""
+        """Slice number of each voxel, from 0."""
         heights = self.voxels @ self.normal
         return np.asarray(np.rint((heights - heights.min()) / self.slice_mm), dtype=np.int64)
 
     @cached_property
     def heights_mm(self) -> Array:
-        """Of each slice, along the normal."""
+        """Height of each slice along the normal."""
         lowest = float((self.voxels @ self.normal).min())
         return lowest + self.slice_mm * np.arange(self.numbers.max() + 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Line:
-    """The rod's axis: a point (3,) mm, its way outwards (3,) per mm, and how far along it the tip is."""
+    """Axis of a rod: a point (3,) mm, its direction outwards (3,) per mm, and how far along it the tip is."""
 
     point_mm: Array
     outwards: Array
@@ -85,7 +89,7 @@ class Streaks:
     high: Array
 
     def hu(self, unknown: Array) -> Array:
-        """At each voxel, given strength and place along the rod, mm, of each slice of the tip."""
+        """Streak HU at each voxel, given strength and origin along the rod, mm, for each slice of the tip."""
         found = self.shaft_hu.copy()
         for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
             found[part] = strength * (_harmonics(self.slices, self.line, along_mm, part) @ self.pattern)
@@ -93,13 +97,13 @@ class Streaks:
 
 
 def no_streaks(slices: Slices, line: Line) -> Streaks:
-    """None anywhere."""
+    """Return streaks of zero everywhere."""
     nothing = np.zeros(0)
     return Streaks(np.zeros(len(slices.voxels)), nothing, line, slices, (), nothing, nothing, nothing)
 
 
 def streaks_along(slices: Slices, line: Line, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
-    """The pattern in what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
+    """Read the pattern from what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
     steep = float(line.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(line.outwards)):
         return no_streaks(slices, line)
@@ -139,7 +143,7 @@ def _harmonics(slices: Slices, line: Line, along_mm: Array | float, voxels: Numb
 
 
 def _robustly_solved(columns: Array, values: Array) -> Array:
-    """Least squares with Cauchy's weights."""
+    """Solve least squares with Cauchy weights."""
     weights = np.ones(len(values))
     for _ in range(REWEIGHTED):
         root = np.sqrt(weights)
@@ -179,7 +183,10 @@ class FoundRod:
 
 
 def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
-    """Rods near a planned trajectory of the first scan, in the second scan's coordinates; longest first."""
+    """Find rods near a planned trajectory of the first scan, longest first.
+
+    Positions are in the second scan's coordinates.
+    """
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
@@ -195,7 +202,7 @@ def _length_mm(places: Array) -> float:
 
 
 def _coarse(way: Way, places: Array) -> Way:
-    """The line through a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
+    """Fit a line to a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
     line = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
@@ -204,7 +211,7 @@ def _coarse(way: Way, places: Array) -> Way:
 
 
 def _fitted(volume: Volume, coarse: Way) -> FoundRod:
-    """A blurred rod fitted to the voxels themselves, from a coarse line whose target is the tip."""
+    """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
@@ -255,7 +262,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """What the voxels around a rod show: tissue, the rod and its streaks, clipped as the scanner does."""
+    """Model of the voxels around a rod: tissue, the rod and its streaks, clipped as the scanner does."""
 
     samples: Array
     length_mm: float
@@ -269,20 +276,20 @@ class _Shown:
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
-        """All of it; the streaks' unknowns follow those of the rod."""
+        """HU of tissue, rod and streaks, clipped; the streaks' unknowns follow those of the rod."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
     def fitted(
         self, values: Array, start: Array, bounds: tuple[Array, Array], scale_hu: float
     ) -> OptimizeResult:
-        """The unknowns that come closest to the voxels' HU."""
+        """Fit the unknowns to the voxels' HU."""
         return least_squares(
             lambda unknown: self.hu(unknown) - values, start, bounds=bounds, loss="soft_l1", f_scale=scale_hu
         )
 
 
 def _axis(unknown: Array, length_mm: float) -> Line:
-    """The rod's axis, measured outwards from the coarse tip."""
+    """Axis of the rod, measured outwards from the coarse tip."""
     tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
     outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
     return Line(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))

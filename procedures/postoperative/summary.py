@@ -1,4 +1,6 @@
-"""The result of a postoperative check, as stored, printed for scripts, and shown in a report."""
+"""Result of a postoperative check, as stored, printed for scripts, and shown in a report; a picture per
+trajectory.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,7 @@ def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
 def summary_of(
     proof: Proof, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
-    """The comparison as plain values."""
+    """Convert the comparison to plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
     found = []
@@ -120,7 +122,7 @@ PLANNED_COLOUR, FOUND_COLOUR = "#58c4dd", "#ff9d5c"
 
 
 def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
-    """One PNG: the planned trajectory runs down the middle, with the object found drawn over it."""
+    """Draw one PNG: the planned trajectory runs down the middle, with the object found drawn over it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -158,7 +160,7 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
 
 
 def _largest_offset(local: Array) -> Array:
-    """The direction (3,) across the trajectory in which the object found deviates from it."""
+    """Direction (3,) across the trajectory in which the object found deviates from it."""
     off = local[int(np.argmax(np.hypot(local[:, 1], local[:, 2])))] * np.array([0.0, 1.0, 1.0])
     length = float(np.linalg.norm(off))
     return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.asarray(off / length)

@@ -1,4 +1,6 @@
-"""The surroundings of a straight trajectory into the head: coordinates along and across it, its voxels."""
+"""Surroundings of a straight trajectory into the head, and how far a fit to an object in them can be relied
+on.
+"""
 
 from __future__ import annotations
 
@@ -32,12 +34,12 @@ class Way:
 
     @property
     def inwards(self) -> Array:
-        """Unit vector (3,)."""
+        """Unit vector (3,) from entry to target."""
         return np.asarray((self.target_mm - self.entry_mm) / self.length_mm)
 
     @cached_property
     def axes(self) -> Array:
-        """Columns: the direction along the trajectory, and two across it."""
+        """Direction along the trajectory, and two across it, as columns."""
         along = self.inwards
         helper = np.eye(3)[int(np.argmin(np.abs(along)))]
         across = np.cross(along, helper)
@@ -49,7 +51,7 @@ class Way:
         return np.asarray(self.entry_mm + local_mm @ self.axes.T)
 
     def to_local_mm(self, points_mm: Array) -> Array:
-        """The inverse of `to_patient_mm`."""
+        """Positions along and across, mm from the entry, of patient positions (..., 3)."""
         return np.asarray((points_mm - self.entry_mm) @ self.axes)
 
 
@@ -65,7 +67,7 @@ class Seen:
 
 
 def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> Seen:
-    """HU around a trajectory between two distances from its entry, by linear interpolation."""
+    """Sample HU around a trajectory between two distances from its entry, by linear interpolation."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
@@ -109,8 +111,10 @@ AT_BOUND = 1e-3  # of the range between the two bounds
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Whether the scan shows all that is needed, and the fit converged with its position parameters within
-    bounds; residual, HU; radius, mm.
+    """Quality of a fit: whether the scan shows all it needs, and the fit converged with its position within
+    bounds.
+
+    Residual in HU, radius in mm.
     """
 
     whole: bool
@@ -122,13 +126,13 @@ class FitQuality:
 
 @dataclass(frozen=True)
 class Usual:
-    """What fits of real objects leave: the largest residual in HU, and the range of radii in mm."""
+    """Usual fits of real objects: the largest residual in HU, and the range of radii in mm."""
 
     residual_hu: float
     radius_mm: tuple[float, float]
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """Why position and direction are unknown."""
+        """List why position and direction are unknown."""
         why = []
         if not quality.whole:
             why.append("the CT ends there")
@@ -139,7 +143,7 @@ class Usual:
         return tuple(why)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
-        """Why they may be wrong."""
+        """List why they may be wrong."""
         why = []
         if quality.residual_hu > self.residual_hu:
             why.append(
@@ -153,6 +157,6 @@ class Usual:
 
 
 def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which parameters (n,) ended at a bound."""
+    """Mark the parameters (n,) that ended at a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))

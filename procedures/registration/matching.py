@@ -1,7 +1,7 @@
-"""Correspondence of two unordered point sets with outliers in both, or the reason why none was found.
+"""Pair two unordered point sets with outliers in both, or explain why none of the pairings is certain.
 
-The largest sets of pairs with matching distances are fitted and scored; the best must be 10,000 times more
-likely than any contradicting one, or the answer is AMBIGUOUS.
+The largest sets of pairs with matching distances are fitted and scored, each also with single pairs removed.
+The best must be 10,000 times more likely than any that contradicts it, or the answer is AMBIGUOUS.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DROPS_TRIED = 2  # a pairing that fails the gate is also judged with up to this 
 
 @dataclass
 class CorrespondenceSearch:
-    """One search over two checked point sets in mm."""
+    """One search over two checked point sets in mm: cliques, fits, leave-one-out subsets, decision."""
 
     image: Array
     physical: Array
@@ -52,7 +52,7 @@ class CorrespondenceSearch:
     prior: PosePrior | None
 
     def answer(self) -> Match:
-        """Search near the largest cliques first; consider all of them only if none of those passes."""
+        """Search near the largest cliques first; consider all of them only if none passes."""
         tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
         nearest: list[Candidate] = []
@@ -88,13 +88,15 @@ class CorrespondenceSearch:
         return self._explain(nearest, outside_prior)
 
     def too_few(self, counts: str) -> Match:
-        """An answer without pairs for fewer points than expected, with what agrees among them."""
+        """Answer without pairs for fewer points than expected, but tell what agrees among them."""
         found = self.answer()
         nothing = self.no_match(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
         return replace(nothing, runner_up=found.runner_up)
 
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
-        """Candidates that pass the gate, and those that fail; those with too little evidence are left out."""
+        """Sort candidates into those that pass the gate and those that fail; drop those with too little
+        evidence.
+        """
         waiting: dict[int, list[int]] = {}
         for clique in cliques:
             waiting.setdefault(clique.bit_count(), []).append(clique)
@@ -126,7 +128,7 @@ class CorrespondenceSearch:
         return held, failed
 
     def _objection(self, one: Candidate) -> str:
-        """Why the prior excludes it; empty if it does not."""
+        """Explain why the prior excludes a candidate; empty if it does not."""
         if self.prior is None:
             return ""
         paired = [node % len(self.physical) for node in bits(one.nodes)]
@@ -141,7 +143,7 @@ class CorrespondenceSearch:
         return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
-        """UNIQUE if the best beats everything that contradicts it, else the reason why not."""
+        """Answer UNIQUE if the best beats everything that contradicts it, else give the reason why not."""
         larger = [
             one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
         ]
@@ -193,7 +195,7 @@ class CorrespondenceSearch:
         return self._result(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
 
     def _explain(self, nearest: list[Candidate], outside_prior: bool) -> Match:
-        """Why no pairing passes, with the nearest miss."""
+        """Explain why no pairing passes, with the nearest miss."""
         excluded = [one for one in nearest if outside_prior and self._objection(one)]
         miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
         if outside_prior:
@@ -212,7 +214,7 @@ class CorrespondenceSearch:
         return self.no_match(MatchStatus.INCONSISTENT, reason, miss)
 
     def no_match(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
-        """An answer without pairs."""
+        """Answer without pairs."""
         return Match(
             status,
             np.zeros((0, 2), dtype=np.intp),
@@ -285,12 +287,12 @@ def match(
 
 
 def checked_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
-    """The prior as given to `match`, a bare rotation with the default tolerance. Raises REG-007."""
+    """Return the prior, a bare rotation with the default tolerance. Raises REG-007."""
     return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
 def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
-    """The weight of evidence for these standard deviations, given as to `match`. Raises REG-007."""
+    """Weigh the evidence for standard deviations as given to `match`. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter(

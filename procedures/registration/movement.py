@@ -1,4 +1,4 @@
-"""How a rigid body has moved, from points on it measured before and after in one frame. Pure numerics."""
+"""Detect how known points have moved, from a second measurement in the same frame."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand
 
 @dataclass(frozen=True)
 class RigidMove:
-    """The fit after <- before; its errors are those of the two measurements."""
+    """A fit after <- before; its errors are those of the two measurements."""
 
     fit: Registration
 
@@ -51,7 +51,7 @@ class RigidMove:
 
 
 def rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
-    """The move of paired points (n, 3), n >= 3.
+    """Fit the move of paired points (n, 3), n >= 3.
 
     `covariance_mm2` (n, 3, 3) is the sum over both measurements of each point. Raises REG-001 to REG-006, and
     REG-009 for a mirrored set.
@@ -70,7 +70,7 @@ SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be reco
 
 @dataclass(frozen=True)
 class PointShift:
-    """Mean displacement of the points (3,) mm, its rms under the rigid motion, and the number of points."""
+    """Mean displacement (3,) mm of points, its rms under the rigid motion, and the number of points."""
 
     mean_mm: Array
     rms_mm: float
@@ -78,7 +78,10 @@ class PointShift:
 
 
 def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Like `shift_of` for fewer points: at least two, each near its recorded position; rms displacement."""
+    """Shift of at least two points, each near its recorded position; None for fewer.
+
+    Unlike in `shift_of`, `rms_mm` is of the displacements themselves.
+    """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
     if not (len(recorded) and len(seen)):
@@ -92,7 +95,7 @@ def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | Non
 
 
 def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """How points (n, 3) have moved, given new readings (m, 3) in any order among others.
+    """Shift of points (n, 3), given new readings (m, 3) in any order among others.
 
     None when fewer than three of them are seen, or when their identity is not clear.
     """
@@ -108,9 +111,9 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
 
 
 def moved_alone_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
-    """How far one point has moved while the others, three or more, stayed within the limit; None otherwise.
+    """Displacement of one point while the others, three or more, stayed within the limit; None otherwise.
 
-    Shapes as in `shift_of`.
+    Shapes like in `shift_of`.
     """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
@@ -123,8 +126,8 @@ def moved_alone_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) 
 def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
     """Row indices of points (n, 3) and of the same points in a new reading (m, 3), in any order among others.
 
-    Matched to the nearest, or by their layout if too few match or the match is not clear.
-    None as for `shift_of`.
+    Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer
+    than three are seen, or when their identity is not clear.
     """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)

@@ -1,4 +1,8 @@
-"""Scoring of candidate pairings: rigid fit, chi-square gate, Bayesian score.
+"""Candidate pairings of two point sets: which pairs are compatible, and how likely a set of pairs is.
+
+A node of the consistency graph is one possible pair (image i, physical j). Two nodes are joined when the
+distance between the two image points equals that between the two physical points, within what the noise
+allows. Pairs that are all joined to each other, a clique, are candidates for one rigid transform.
 
 All candidates of one size are fitted as one stack. Scores are log odds (nats) against "all of these are
 unrelated points": residuals cost q/2; every pair beyond the second earns the negative logarithm of the
@@ -27,7 +31,7 @@ MOST_BRANCHES = 20_000  # tens of milliseconds; if it takes more, the noise is t
 
 
 def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> NDArray[np.bool_]:
-    """Adjacency (n*m, n*m); node i*m + j pairs image point i of n with physical point j of m."""
+    """Build the adjacency (n*m, n*m); node i*m + j pairs image point i of n with physical point j of m."""
     within_image = np.linalg.norm(image_mm[:, None] - image_mm[None], axis=-1)
     within_physical = np.linalg.norm(physical_mm[:, None] - physical_mm[None], axis=-1)
     # A point has one partner: infinite distances of opposite sign exclude pairs that share i or j.
@@ -95,7 +99,9 @@ class CliqueSearch:
     _branches: int = 0
 
     def run(self) -> list[int]:
-        """The maximal cliques as bit masks over the nodes, at least `fewest` and near the largest size."""
+        """Find the maximal cliques, as bit masks over the nodes, of at least `fewest` nodes and near the
+        largest size.
+        """
         self._neighbours = bit_rows(self.adjacency)
         self.largest = self._greedy()
         self._neighbours = prune(self._neighbours, self._bound())
@@ -109,7 +115,7 @@ class CliqueSearch:
         return max(self.fewest, self.largest - self.slack)
 
     def _greedy(self) -> int:
-        """Size of one large clique, grown from the best connected node; a first bound for the search."""
+        """Grow one large clique from the best connected node; its size is a first bound for the search."""
         best = max(self._neighbours, key=int.bit_count, default=0)
         if not best:
             return 0
@@ -146,7 +152,7 @@ class CliqueSearch:
 
 
 def bits(mask: int) -> list[int]:
-    """The positions of the set bits, ascending."""
+    """List the positions of the set bits, ascending."""
     positions = []
     while mask:
         lowest = mask & -mask
@@ -156,7 +162,7 @@ def bits(mask: int) -> list[int]:
 
 
 def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
-    """Each row of an adjacency matrix as one integer, bit k for column k."""
+    """Pack each row of an adjacency matrix into one integer, bit k for column k."""
     packed = np.packbits(adjacency, axis=1, bitorder="little")
     return [int.from_bytes(row.tobytes(), "little") for row in packed]
 
@@ -173,13 +179,13 @@ LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line 
 
 @dataclass(frozen=True)
 class Evidence:
-    """The weight of evidence, from the variance per axis of both sets together, mm2."""
+    """Weight of evidence, from the variance per axis of both sets together, mm2."""
 
     variance_mm2: float
 
     @property
     def nats_per_pair(self) -> float:
-        """What each additional agreeing pair is worth."""
+        """Worth of each additional agreeing pair."""
         by_chance = LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
         return math.log(PAIR_ODDS) + by_chance
 
@@ -193,8 +199,8 @@ def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
     """Limit on the residual chi-square of a rigid fit of this many pairs, valid for both noise models.
 
     If an error is normal on each axis, the residual is chi-square with 3k - 6 degrees of freedom. If its
-    length is normal, in any direction, the variance is the same but the tail is longer: three times a
-    chi-square with one degree per point, of which the fit takes 6 parts in 3k.
+    length is normal, in any direction, the variance is equal but the tail is longer: three times a chi-square
+    with one degree per point, of which the fit takes 6 parts in 3k.
     """
     per_axis = float(chdtri(3 * pairs - 6, false_alarm))
     by_length = (3.0 - 6.0 / pairs) * float(chdtri(pairs, false_alarm))
@@ -203,7 +209,7 @@ def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One pairing after its fit. `nodes` is a bit mask; `chi_square` the residual sum over the variance."""
+    """A pairing after its fit. `nodes` is a bit mask, `chi_square` the residual sum over the variance."""
 
     nodes: int
     size: int
@@ -221,7 +227,7 @@ class Candidate:
 
     @property
     def mirror_excess(self) -> float:
-        """How much chi-square a mirror image would save; negative if the rotation fits better."""
+        """Chi-square that a mirror image would save; negative if the rotation fits better."""
         return self.chi_square - self.mirrored_chi_square
 
     @property
@@ -263,7 +269,7 @@ def evaluate(
 
 
 def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """All pairings with one pair dropped, without repeats.
+    """List all pairings with one pair dropped, without repeats.
 
     Dropping only the worst pair would leave swapped pairs behind.
     """
@@ -271,7 +277,7 @@ def leave_one_out(masks: Sequence[int]) -> list[int]:
 
 
 def as_hypothesis(one: Candidate, physical_count: int) -> Hypothesis:
-    """A candidate as reported: pairs of indices, transform and score."""
+    """Convert a candidate to pairs of indices, transform and score."""
     pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)
     transform = as_transform(one.rotation, one.translation_mm)
     return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)

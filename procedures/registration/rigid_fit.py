@@ -1,7 +1,13 @@
-"""Least-squares rigid transform between two point sets, by singular value decomposition.
+"""Rigid transform between two point sets: least squares in closed form, or weighted by each pair's error
+ellipsoid.
 
-Works on stacks of point sets, because a correspondence search fits hundreds of candidates. Arun, Huang,
-Blostein 1987 with the determinant guard of Umeyama 1991: never a reflection.
+The closed form (singular value decomposition) works on stacks of point sets, because a correspondence search
+fits hundreds of candidates. Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a
+reflection.
+
+Unequal, anisotropic errors have no closed-form solution, so that solution starts a Gauss-Newton iteration on
+the rotation vector and the translation (in the spirit of Balachandran and Fitzpatrick 2009): six normal
+equations with the inverse covariances, five to eight steps.
 """
 
 from __future__ import annotations
@@ -33,7 +39,7 @@ class RigidFit:
 
 
 def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
-    """Least squares fit physical <- image of points (..., n, 3) in mm."""
+    """Fit physical <- image to points (..., n, 3) in mm by least squares."""
     image_centre = image_mm.mean(axis=-2, keepdims=True)
     physical_centre = physical_mm.mean(axis=-2, keepdims=True)
     cross = np.swapaxes(physical_mm - physical_centre, -1, -2) @ (image_mm - image_centre)
@@ -48,7 +54,7 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """The transform of one fit, (3, 3) and (3,), not normalized: a product of singular vectors is orthogonal.
+    """Convert one fit, (3, 3) and (3,), without normalizing: a product of singular vectors is orthogonal.
 
     Normalizing would cost as much as the fit.
     """
@@ -100,7 +106,7 @@ def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
 def fit_weighted(
     image_mm: Array, physical_mm: Array, covariance_mm2: Array, rotation: Array, translation_mm: Array
 ) -> tuple[Array, Array]:
-    """Maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a nearby start.
+    """Find the maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a nearby start.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame. Raises REG-006.
     """

@@ -1,7 +1,8 @@
 """Evidence of the room about a pose physical <- image: gravity, the patient's body, the line of sight.
 
 Distances do not change when an image is mirrored. The fit of a mirrored flat set is the true head reflected
-in the plane of the spheres: on the wrong side of them. Image coordinates are LPS.
+in the plane of the spheres: on the wrong side of them. Where the room does not exclude a mirrored image, a
+landmark of the head that a person touches tells both apart. Image coordinates are LPS.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ class HeadSight:
     eyes_mm: Array
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """How many of the points (k, 3) the head would hide in this pose; empty if none."""
+        """Count the points (k, 3) that the head would hide in this pose; empty if none."""
         eyes, points = (
             ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
             for places in (self.eyes_mm[:, None], physical_mm)
@@ -51,7 +52,7 @@ class HeadSight:
         return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
 
     def mirrored(self) -> HeadSight:
-        """The head of the mirrored image."""
+        """Mirror the head."""
         return replace(self, centre_mm=self.centre_mm * MIRROR)
 
 
@@ -70,13 +71,13 @@ class RoomPrior:
     sight: HeadSight
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """The first evidence against this pose; empty if there is none."""
+        """State the first evidence against this pose; empty if there is none."""
         middle_mm = rotation @ self.sight.centre_mm + translation_mm
         seen = self.sight.objection(rotation, translation_mm, physical_mm)
         return self.against_position(rotation, middle_mm) or seen
 
     def against_position(self, rotation: Array, middle_mm: Array) -> str:
-        """Evidence against how the patient would lie, from the orientation and the middle of the head."""
+        """State evidence against how the patient would lie, from orientation and middle of the head."""
         return self._against_gravity(rotation) or self._in_the_body(rotation, middle_mm)
 
     def _against_gravity(self, rotation: Array) -> str:
@@ -129,7 +130,7 @@ READING_LIMIT_MM = 40.0
 
 @dataclass(frozen=True, eq=False)
 class Landmark:
-    """A point of the head, in the room: where the match has it, and where mirror images would (n, 3)."""
+    """A point of the head in the room: its matched position, and those of mirror images (n, 3)."""
 
     name: str
     direction: tuple[float, float, float]
@@ -143,17 +144,18 @@ class Landmark:
 
     @property
     def limit_mm(self) -> float:
-        """How far from the match a reading may be: beyond half the distance a mirror image is nearer."""
+        """Largest distance of a reading from the match: beyond half the distance a mirror image is nearer."""
         return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
 
 
 def telling_landmark(
     matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior
 ) -> Landmark | None:
-    """The landmark, not on the patient's underside, that best tells a match from its mirror images, if any.
+    """Choose the landmark that best tells a match from its mirror images; None if no landmark does.
 
-    `mirrored` are the poses physical <- image * MIRROR that fit the same spheres in view of the tracker. Of
-    each, the orientations count that the prior does not exclude.
+    Landmarks on the patient's underside are left out. `mirrored` are the poses physical <- image * MIRROR
+    that fit the same spheres in view of the tracker; of each, the orientations count that the prior does not
+    exclude.
     """
     centre_mm, semi_mm = prior.sight.centre_mm, prior.sight.semi_axes_mm
     poses: list[tuple[Array, Array, Array, bool]] = []

@@ -1,14 +1,16 @@
-"""The thesis' correspondence by similarity matrix: a baseline for comparison, not for clinical use.
+"""The thesis' correspondence by similarity matrix and its validation: a baseline, not for clinical use.
 
 Cell (i, j) counts the distances from image point i that equal one from physical point j within e. Points
 whose best cell is lowest are dropped one by one until all remaining points agree with each other, or too few
 remain. The thesis leaves open how a cell is matched and what is dropped when: here distances are matched one
 to one in order of length, and the single worst point of the larger set goes first (of both sets, if equally
-large). Dropping all failing points at once fails far more often. For the thesis' validation of the result
-see `pairing_validation`.
+large). Dropping all failing points at once fails far more often.
 
-Many readings with the same number of points are solved at once, because a study repeats
-this millions of times.
+The thesis says that the known errors of both sets validate a successful pairing (5.3), but not how. Here the
+pairs are fitted, and the sum of squared residuals must not exceed what the stated standard deviations
+explain.
+
+Many readings with equally many points are solved at once, because a study repeats this millions of times.
 """
 
 from __future__ import annotations
@@ -32,7 +34,7 @@ THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  
 
 @dataclass(frozen=True)
 class SimilarityPairs:
-    """The outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
+    """Outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
 
     status: MatchStatus
     pairs: Indices
@@ -57,10 +59,11 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Matrices (b, n, m) for sorted distances (b, n, k) of image and (b, m, l) of physical points, e (b,).
+    """Fill matrices (b, n, m) from sorted distances (b, n, k) of image and (b, m, l) of physical points, e
+    (b,).
 
-    All cells walk along their two sorted rows in parallel; of two distances that differ by more than e,
-    the shorter is skipped.
+    All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
+    shorter is skipped.
     """
     # A trailing infinity stops a walk at the end of its row; infinities of opposite sign never match.
     image = np.pad(within_image_mm, ((0, 0), (0, 0), (0, 1)), constant_values=np.inf)
@@ -88,7 +91,7 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings with the same number of points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with equally many points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
 
     of: Indices
     rows: Indices
@@ -101,7 +104,9 @@ class _Readings:
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Outcomes of the readings that are settled or have too few points; the others lose a point."""
+        """Return outcomes of the readings that are settled or have too few points; drop a point of the
+        others.
+        """
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
@@ -139,7 +144,7 @@ class _Readings:
 
 
 def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
-    """Readings in groups of equal size, largest first, until none waits."""
+    """Yield readings in groups of equal size, largest first, until none waits."""
     batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
     waiting: list[_Readings] = []
     everything = np.arange(batch)
@@ -158,7 +163,9 @@ def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """The row whose best cell is lowest, in a tie the one with the smallest sum; and that best cell."""
+    """Find the row whose best cell is lowest, in a tie the one with the smallest sum; return that best cell,
+    too.
+    """
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
@@ -166,7 +173,7 @@ def _worst(matrix: Indices) -> tuple[Indices, Indices]:
 
 
 def _without(kept: Indices, position: Indices) -> Indices:
-    """Each row of (k, r) without the element at the given position."""
+    """Drop the element at the given position from each row of (k, r)."""
     stays = np.arange(kept.shape[1]) != position[:, None]
     return np.asarray(kept[stays].reshape(len(kept), -1))
 

@@ -1,4 +1,4 @@
-"""Predicts the error at a target from errors shared by localizations and target, and from independent ones.
+"""Predict the error at a target from errors shared by localizations and target, and from independent ones.
 
 An error of the arm (a link too long, a wrong tool frame) displaces the tool at every sphere and again at the
 target. The first corrupts what the registration recorded, the second what the arm then reaches; through the
@@ -8,9 +8,13 @@ registration the two subtract:
 
 s: sizes of the shared errors; J: displacement of the tool per shared error at target (t) and sphere (i); e:
 independent errors; W: effect of a recorded sphere on the target through the fit. To first order in all
-errors, like the covariances of Danilchenko and Fitzpatrick 2011.
+errors, like the covariances of Danilchenko and Fitzpatrick 2011. Independent of any arm:
+`procedures.calibration.arm_sources` computes one's displacements.
 
-This module is independent of any arm; `procedures.calibration.arm_sources` computes one's displacements.
+Shared errors do not average out: if the tool's orientation differs between points, an error of the tool frame
+displaces all of them together. Residuals are therefore judged with the full covariance of all coordinates.
+What the pose explains leaves no residual. How far one displaced point puts a target off before the gate
+notices is its external reliability (Baarda 1968, A testing procedure for use in geodetic networks).
 """
 
 from __future__ import annotations
@@ -38,7 +42,7 @@ AXES = 3
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """`k` independent errors of one source that act at all poses, one standard deviation each.
+    """Errors of one source that act at all poses, `k` independent ones of one standard deviation each.
 
     Displacement of the true tool from its assumed position, mm in the frame of the targets.
     """
@@ -83,7 +87,7 @@ class TargetPrediction:
         return float(error_limit_mm(self.covariance_mm2, confidence))
 
     def holds(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> NDArray[np.bool_]:
-        """Which errors (..., 3) are inside the ellipsoid that contains them with this probability."""
+        """Mark the errors (..., 3) inside the ellipsoid that contains them with this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
         return np.asarray((errors * weighted).sum(axis=-1) <= chi_square_limit(AXES, confidence))
@@ -97,8 +101,8 @@ def predict_target_error(
 ) -> TargetPrediction:
     """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, in one frame.
 
-    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None
-    for an unweighted fit.
+    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None for an unweighted
+    fit.
     """
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
@@ -180,7 +184,7 @@ def unnoticed_point(
 
 
 def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
-    """Inverse covariance (3n, 3n) of residuals, without what a rigid motion explains."""
+    """Inverse covariance (3n, 3n) of residuals, without the part that a rigid motion explains."""
     columns = shared_mm.reshape(-1, shared_mm.shape[-1])
     weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)
     pose = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0)).reshape(-1, 6)

@@ -1,4 +1,4 @@
-"""Correspondence through a template: a rigid frame of spheres with known distances.
+"""Known layouts of spheres: pairing through a rigid template, and a layout's spheres found in a scan.
 
 Each side is matched to the template separately, so that the template's distances decide rather than those
 between noisy points; points without a counterpart in the template are ignored on both sides.
@@ -34,7 +34,7 @@ class _OfTemplate:
     image_from_template: RigidTransform
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """The prior's objection to the pose physical <- image that follows from physical <- template."""
+        """Object on the pose physical <- image that follows from physical <- template."""
         turned = rotation @ self.image_from_template.rotation.as_matrix().T
         moved_mm = translation_mm - turned @ self.image_from_template.translation
         return self.prior.objection(turned, moved_mm, physical_mm)
@@ -127,7 +127,7 @@ TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for
 
 @dataclass(frozen=True, eq=False)
 class FoundLayout:
-    """The layout as found: `order` (k,) is, for each of its spheres, the index of the scan's sphere."""
+    """A layout as found: `order` (k,) is, for each of its spheres, the index of the scan's sphere."""
 
     order: NDArray[np.intp]
     scan_from_layout: RigidTransform
@@ -173,5 +173,5 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
 
 
 def _width_mm(points_mm: NDArray[np.float64]) -> float:
-    """The largest distance between two points; a wrong unit shows at a glance."""
+    """Largest distance between two points; a wrong unit shows at a glance."""
     return float(pdist(points_mm).max(initial=0.0))

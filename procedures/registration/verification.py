@@ -1,4 +1,4 @@
-"""Two-way verification of a registration: CT -> room and room -> CT, one row per fiducial and per reading.
+"""Verify a registration both ways, CT -> room and room -> CT: one row per fiducial and per reading.
 
 Every fiducial of the CT is looked up in the room and every reading of the room in the CT, each with its own
 evidence: agreement of the two CT estimators, tracker residual, stereo residual, leave-one-out residual, and
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 
 class Instrument(StrEnum):
-    """What measured a point in the room."""
+    """Instrument that measured a point in the room."""
 
     TRACKER = "tracker"
     STEREO = "stereo"

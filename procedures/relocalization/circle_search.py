@@ -2,7 +2,7 @@
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
-so the same image always yields the same circles.
+so the same image always yields the same circles. No other module of this room calls OpenCV.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class EdgePoints:
 
 
 def halved(image: GreyImage, times: int) -> GreyImage:
-    """Mean over 2 x 2 pixels, repeated `times` times; rows and columns that do not fill a block are dropped.
+    """Average 2 x 2 pixels, `times` times; drop rows and columns that do not fill a block.
 
     With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
     repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
@@ -53,7 +53,7 @@ def halved(image: GreyImage, times: int) -> GreyImage:
 
 
 def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
-    """Thin edges of an image after stretching its grey values from dark..bright to 0..255."""
+    """Find thin edges after stretching the grey values from dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
     with _in_this_thread():
@@ -72,7 +72,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _in_this_thread() -> Iterator[None]:
-    """OpenCV's worker threads busy-wait: on images this small they cost more than they save."""
+    """Keep OpenCV to one thread: on images this small its busy-waiting workers cost more than they save."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -119,7 +119,7 @@ class Circle:
 
 
 def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> list[Circle]:
-    """Up to three distinct circles within the radius limits, most visible rim first."""
+    """Find up to three distinct circles within the radius limits, most visible rim first."""
     count = len(edges.position_px)
     if count < LEAST_POINTS:
         return []
@@ -144,7 +144,7 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
 
 
 def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
-    """Circles within the limits through point triples: centres (k, 2), radii (k,)."""
+    """Fit circles within the limits through point triples: centres (k, 2), radii (k,)."""
     triples = np.random.default_rng(SEED).integers(0, len(edges.position_px), (TRIPLES, 3))
     centres, radii = np.empty((0, 2)), np.empty(0)
     for portion in np.split(triples, PORTIONS):
@@ -158,7 +158,7 @@ def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tup
 def _circles_through(
     edges: EdgePoints, triples: NDArray[np.int64], smallest_px: float, largest_px: float
 ) -> tuple[Array, Array]:
-    """Circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
+    """Fit circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
     a, b, c = (edges.position_px[triples[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a
     doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
@@ -180,7 +180,7 @@ def _circles_through(
 
 
 def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
-    """Number of edge points on each circle that face its centre."""
+    """Count the edge points on each circle that face its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
     direction = edges.direction[::step].astype(np.float32)
@@ -193,7 +193,7 @@ def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Least-squares circle through the points on it; None when too little rim remains."""
+    """Fit a least-squares circle to the points on it; None when too little rim remains."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
@@ -214,7 +214,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Which of the circles (k,) are the same as this one."""
+    """Mark the circles (k,) that are the same as `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

@@ -1,8 +1,10 @@
-"""The outline of one disc on the full image, near a guess: edges along rays, a robust ellipse through them.
+"""The outline of one disc on the full image, near a guess: edges along rays, a robust ellipse, its
+reliability.
 
 The steepest falls along rays, a blurred step fitted to each ray, an ellipse. Rays whose edge is too weak, too
 blurred, misfitted or off the ellipse are not rim: posts, occluders, stains and the image border cost rim, but
-do not pull the centre.
+do not pull the centre. Where a stain dims the film up to the rim, the outline is still visible: such rays do
+not support the ellipse, but those with an edge on it count as visible rim.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ class SphereImage:
     doubt: str = ""
 
     def shifted(self, offset_x_px: float, offset_y_px: float) -> SphereImage:
-        """The same sphere in full-sensor pixels, given the offsets of the region of interest."""
+        """Shift to full-sensor pixels, given the offsets of the region of interest."""
         x, y = self.centre_px
         return replace(self, centre_px=(x + offset_x_px, y + offset_y_px))
 
@@ -86,7 +88,7 @@ SHARED_ERRORS = 2.3
 def judged(
     image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
-    """The outline with its quality; `rim` are the rays that support it, `bright` also their neighbours."""
+    """Judge the outline; `rim` are the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
         float(np.median(values[rim])) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
     )
@@ -132,7 +134,7 @@ def judged(
 def _dimmed(
     image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
 ) -> NDArray[np.bool_]:
-    """Rays (n,) with an edge on the ellipse itself, however dim the film is there."""
+    """Mark the rays (n,) with an edge on the ellipse itself, however dim the film is there."""
     span_px = DIM_SPAN_BLURS * blur_px + DIM_SPAN_PX
     falls = steepest_falls(sample_profiles(image, ellipse, rays, span_px))
     on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX
@@ -171,7 +173,7 @@ OFF_RIM_LIMIT_PX = 1.5
 
 
 def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
-    """The ellipse at full resolution near a guess, or None when there is no disc."""
+    """Fit the ellipse at full resolution near a guess; None when there is no disc."""
     span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
     start = circle(guess.centre_px, guess.radius_px)
     coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)

@@ -1,7 +1,9 @@
-"""The control law that brings the tool centre point onto a sphere: from a measured residual to the next pose.
+"""Control law that brings the tool centre point onto a sphere, and the pattern to search when none is in
+view.
 
-The residual is the sphere's centre in the tool frame. The loop that moves the arm and takes the images is
-elsewhere; it keeps a `ServoState` and queries it after each measurement.
+The residual is the sphere's centre in the tool frame; the law leads from a measured residual to the next
+pose. The loop that moves the arm and takes the images is in the workcell; it keeps a `ServoState` and queries
+it after each measurement.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """`tolerance_mm` is the end condition (thesis: 0.03 mm).
+    """Settings of the servo. `tolerance_mm` is the end condition (thesis: 0.03 mm).
 
     A measurement of the sphere is wrong by the arm's repeatability and by a share of the remaining distance:
     head and arm are slightly rotated and scaled against their calibration records.
@@ -38,7 +40,7 @@ class ServoSettings:
 
 @dataclass(frozen=True)
 class ServoState:
-    """The measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
+    """Measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
 
     settings: ServoSettings = ServoSettings()
     residuals_mm: tuple[float, ...] = field(default=())
@@ -55,7 +57,7 @@ class ServoState:
         return max(0, len(self.residuals_mm) - 1)
 
     def measured(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
-        """The state after one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
+        """Add one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
@@ -77,8 +79,8 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """The pose ROBOT <- TOOL to move to: the tool centre on the mean of all
-        measurements, orientation kept.
+        """Return the next pose ROBOT <- TOOL: the tool centre on the mean of all measurements, orientation
+        kept.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.
@@ -113,7 +115,7 @@ class ServoState:
 
 
 def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
-    """The sphere's centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
+    """Sphere centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
 
     Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
@@ -140,9 +142,11 @@ LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so tha
 
 
 def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) -> Array:
-    """Offsets (n, 3) in the tool frame, mm, perpendicular to the tool axis, without the first pose itself.
+    """Offsets (n, 3) of the search pattern in the tool frame, mm: rings across the tool axis, from near to
+    far.
 
-    Each ring starts where the previous one ended, so the head moves in a spiral.
+    The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
+    spiral.
     """
     offsets = []
     first = 0.0
@@ -158,7 +162,9 @@ def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) ->
 def search_pose(
     start: Transform, look: int, rings: int = RINGS, ring_step_mm: float = RING_STEP_MM
 ) -> Transform:
-    """Pose of look number `look` (from 0), oriented like `start`; raises STE-009 when none is left."""
+    """Return the pose of look number `look` (from 0), oriented like `start`. Raises STE-009 when none is
+    left.
+    """
     offsets = search_offsets_mm(rings, ring_step_mm)
     if look >= len(offsets):
         raise SphereNotInView(

@@ -1,6 +1,8 @@
-"""Measures a retro-reflective sphere in one image: centre, semi-axes, quality.
+"""Measure a retro-reflective sphere in one image or in both images of a pair: centre, semi-axes, quality.
 
-Reduces the image, guesses circles from edges, then refines and judges them on the full image, best first.
+The image is reduced, circles are guessed from edges, then refined and judged on the full image, best first.
+Glare or a second sphere can look like the sphere in one image. The lines of sight to two different objects do
+not meet, or meet at a distance that makes the size wrong; then the other round shapes are tried.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ def measure_sphere(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> SphereImage:
-    """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left unmodified.
+    """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left
+    unmodified.
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
     Raises STE-001 for any other input, STE-002 without contrast, STE-011 when fully saturated, STE-003 when
@@ -73,9 +76,8 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Every distinct disc in the image that may be a sphere, most visible rim first.
-
-    Like `measure_sphere`, except that finding none is not an error.
+    """Measure every distinct disc in the image that may be a sphere, most visible rim first; empty if there
+    is none.
     """
     return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
 
@@ -83,7 +85,7 @@ def measure_spheres(
 def _spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Each round shape, measured lazily; None if it is not a disc."""
+    """Yield each round shape, measured lazily; None if it is not a disc."""
     grey = _checked(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halved(grey, halvings)
@@ -148,7 +150,7 @@ class AreaImage:
 
 @dataclass(frozen=True)
 class Sighting:
-    """The outlines in both images, in full-sensor pixels; the point if both are reliable."""
+    """Outlines in both images, in full-sensor pixels; the point if both are reliable."""
 
     left: SphereImage
     right: SphereImage
@@ -156,7 +158,7 @@ class Sighting:
 
     @property
     def doubt(self) -> str:
-        """Why there is no point, per camera; empty if there is one."""
+        """Reason, per camera, why there is no point; empty if there is one."""
         sides = zip(SIDES, (self.left, self.right), strict=True)
         return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
 
@@ -168,10 +170,10 @@ def locate_sphere(
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> Sighting:
-    """The sphere as seen by both cameras; without a point if one of them sees too little of it.
+    """Locate the sphere seen by both cameras; without a point if one of them sees too little of it.
 
-    Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no
-    two round shapes match.
+    Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no two round
+    shapes match.
     """
     images = (left, right)
     ranges = tuple(
@@ -191,7 +193,7 @@ def locate_sphere(
 
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
-    """Smallest and largest radius, px, that a sphere near the tool centre point can have in the image."""
+    """Smallest and largest radius, px, of a sphere near the tool centre point in the image."""
     distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
     radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
@@ -200,7 +202,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
 def _outlines(
     images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
 ) -> list[SphereImage]:
-    """The best outline in each image, full-sensor pixels."""
+    """Measure the best outline in each image, full-sensor pixels."""
     found: list[SphereImage] = []
     problems: dict[str, DataError] = {}
     for side, image, limits in zip(SIDES, images, ranges, strict=True):
@@ -216,7 +218,7 @@ def _outlines(
 
 
 def _named(problems: dict[str, DataError]) -> DataError:
-    """One error for one or both cameras; saturation takes precedence."""
+    """Combine the errors of one or both cameras; saturation takes precedence."""
     worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
     words = {one.what for one in problems.values()}
     if len(problems) == len(SIDES) and len(words) == 1:
@@ -231,7 +233,7 @@ def _agreeing(
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
 ) -> Sighting | None:
-    """The pair of reliable outlines with the smallest gap between lines of sight; None if there is none."""
+    """Find the reliable outlines with the smallest gap between lines of sight; None if there are none."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)

@@ -1,4 +1,4 @@
-"""The strategies by name."""
+"""All strategies by name, and those that combine others: one per trajectory, or the best of each."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class StrategyByTrajectory:
 
     @property
     def controls_approach(self) -> bool:
-        """As the usual strategy does; see `of` for one trajectory."""
+        """Whether the usual strategy controls the approach; see `of` for one trajectory."""
         return self.usual.controls_approach
 
     def of(self, trajectory: str) -> Strategy:
@@ -47,7 +47,7 @@ class StrategyByTrajectory:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The axis of each trajectory's own strategy, under the name of the trajectory."""
+        """Take the axis of each trajectory's own strategy, under the name of the trajectory."""
         return tuple(
             replace(axis, identifier=one.identifier)
             for one in trajectories
@@ -57,13 +57,13 @@ class StrategyByTrajectory:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Those of the trajectory's own strategy."""
+        """Take the poses of the trajectory's own strategy."""
         return self.of(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Those of the trajectory's own strategy."""
+        """Take the turns of the trajectory's own strategy."""
         return self.of(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
 
 
@@ -76,14 +76,18 @@ CANDIDATES: tuple[Strategy, ...] = (
 
 @dataclass(frozen=True)
 class BestOfEach(StrategyByTrajectory):
-    """`others` is the choice made, by trajectory."""
+    """The strategy `best`: for each target the one with the smallest predicted error.
+
+    That is known only once the poses the arm can reach are, so path planning chooses. Until then, and if no
+    strategy reaches a target, it is the improved JDMS. `others` is the choice, by trajectory.
+    """
 
     usual: Strategy = CANDIDATES[0]
     others: Mapping[str, Strategy] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """Its own name."""
+        """Name on the command line."""
         return "best"
 
 
@@ -98,7 +102,7 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def strategy_named(name: str) -> Strategy:
-    """The strategy with this name. Raises STR-002 for an unknown one."""
+    """Return the strategy with this name. Raises STR-002 for an unknown one."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy

@@ -1,10 +1,15 @@
-"""OCS, orientation correction strategy: localize every fiducial in the orientation of the target pose.
+"""Strategies that localize all fiducials in one orientation: that of the target (OCS), or straight down
+(NOS).
 
-A constant tool frame error then shifts all localizations and the target alike and cancels. The cost: the
-localizations are repeated for every trajectory, and all must be reachable in its orientation.
+OCS: a constant tool frame error shifts all localizations and the target alike and cancels. The cost: the
+localizations are repeated for every trajectory, and all must be reachable in its orientation. The thesis
+leaves open from which side each joint arrives, and mentions the backlash that remains. `ocs` controls it;
+without that control it is the thesis' own (`thesis-ocs`).
 
-The thesis leaves open from which side each joint arrives, and mentions the backlash that remains. `ocs`
-controls it; without that control it is the thesis' own (`thesis-ocs`).
+NOS: one set of localizations and one registration serve all targets. The cost: a tool frame error rotates
+with the tool between the neutral orientation and a target's, and does not cancel. The thesis does not state
+its neutral angles. We use tool z down and tool x radially away from the robot's base, as at free angle 0 of
+every trajectory.
 """
 
 from __future__ import annotations
@@ -22,7 +27,7 @@ from ronna_hw.frames import Frame, Transform
 
 @dataclass(frozen=True)
 class OrientationCorrection:
-    """The strategy `ocs`, and `thesis-ocs`, which does not control the approach."""
+    """Orientation correction strategy: `ocs`, and `thesis-ocs`, which does not control the approach."""
 
     name: str = "ocs"
     controls_approach: bool = True
@@ -31,7 +36,7 @@ class OrientationCorrection:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The trajectories."""
+        """Return the trajectories."""
         return tuple(trajectories)
 
     def localization_poses(
@@ -43,7 +48,7 @@ class OrientationCorrection:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """From the planned angle outwards: all serve equally well."""
+        """List all turns from the planned angle outwards: all serve equally well."""
         return OUTWARDS_RAD
 
 
@@ -53,7 +58,7 @@ LENGTH_MM = 100.0  # of the axis that represents the orientation; any length wil
 
 @dataclass(frozen=True)
 class NeutralOrientation:
-    """The strategy `nos`."""
+    """Neutral orientation strategy, `nos`."""
 
     name: str = "nos"
     controls_approach: bool = False
@@ -62,7 +67,8 @@ class NeutralOrientation:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The vertical through the centroid of the fiducials (n, 3) in CT mm; empty if there are none.
+        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; nothing if there are
+        none.
 
         Raises FRM-001 on other frames.
         """
@@ -83,5 +89,5 @@ class NeutralOrientation:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """From free angle 0 outwards."""
+        """List all turns from free angle 0 outwards."""
         return OUTWARDS_RAD

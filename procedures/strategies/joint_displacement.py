@@ -1,11 +1,21 @@
-"""JDMS, joint displacement minimization strategy: the least joint motion from each fiducial to the target.
+"""Strategies that keep the joints at a fiducial near those at the target: JDMS, and our improvement of it.
 
-Every fiducial has its own orientation: the one whose joints differ least from those at the target while the
-tool origin is at the fiducial. Joint and link errors are then nearly equal at both and cancel. The cost: the
-orientations differ slightly, so a tool frame error does not cancel entirely.
+JDMS (joint displacement minimization): at each fiducial, the orientation whose joints differ least from those
+at the target. Joint and link errors are then nearly equal at both and cancel. The cost: the orientations
+differ slightly, so a tool frame error does not cancel entirely. The thesis states neither norm nor weights.
+We use the Euclidean norm of the six angles, and the free angle that minimises its root mean square over the
+fiducials.
 
-The thesis states neither norm nor weights. We use the Euclidean norm of the six angles, and the free angle
-that minimises its root mean square over the fiducials.
+The improved JDMS also weighs how each joint turns the tool. The orientation at each fiducial makes the
+displacement of the tool by all known errors of the arm together (links, offsets, harmonics, gravity, tool
+frame; each with its size) as similar as possible to that at the target. The registration removes the common
+part. With a poorly known tool frame the result is close to OCS, on a calibrated arm close to JDMS. It
+minimises over the rotation w of the tool about the fiducial the sum over the errors k of
+
+    |d_k(q(w)) - d_k(q_target)|^2,   d_k: displacement of the tool by one standard deviation of error k
+
+by Gauss-Newton, starting from the JDMS orientation. At the target the displacement is that of the
+instrument's tip, beyond the end of the guide.
 """
 
 from __future__ import annotations
@@ -35,9 +45,12 @@ MOST_STEPS = 60  # 6 to 15 are usual; more means no convergence
 def least_displacement(
     kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
 ) -> Joints:
-    """Joint angles nearest to `start_rad` with the tool origin (3,) mm in the flange at a point (3,) mm.
+    """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm.
 
-    Joint ranges are not checked. Raises STR-004 when no such joints are found near the start.
+    `tool_origin_mm` (3,) is in the flange. Minimises |q - q0| subject to p(q) = point, by sequential
+    linearization: with the Jacobian J of the tool origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a
+    fixed point q - q0 is in the row space of J, which is the Lagrange condition. Joint ranges are not
+    checked. Raises STR-004 when no such joints are found near the start.
     """
     tool, point = np.asarray(tool_origin_mm, dtype=float), np.asarray(point_mm, dtype=float)
     start = np.asarray(start_rad)
@@ -74,7 +87,7 @@ def _six(joints: Array) -> Joints:
 
 @dataclass(frozen=True)
 class JointDisplacementMinimization:
-    """The strategy `jdms`."""
+    """Joint displacement minimization strategy, `jdms`."""
 
     name: str = "jdms"
     controls_approach: bool = True
@@ -83,13 +96,13 @@ class JointDisplacementMinimization:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The trajectories."""
+        """Return the trajectories."""
         return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with joints nearest to those at the target.
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, joints nearest to those at the target.
 
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.
@@ -100,7 +113,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Least displacement first; turns with a pose out of reach in this branch are left out."""
+        """Rank turns by displacement, least first; leave out those with a pose out of reach in this branch."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -146,7 +159,7 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
 
 
 def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
-    """Joints that keep the tool origin of `start_rad`, in the orientation with errors nearest `wanted`."""
+    """Find joints with the tool origin of `start_rad` and errors nearest `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:
@@ -177,7 +190,7 @@ def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
 
 
 def _errors(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
-    """Displacement of a point (3,) mm in the tool by one standard deviation of each error, (p, 3 k) mm."""
+    """Displacement (p, 3 k) mm of a point (3,) mm in the tool by one standard deviation of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)

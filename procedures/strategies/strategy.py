@@ -1,7 +1,12 @@
-"""What a localization strategy decides: how often fiducials are localized, and in which tool orientations.
+"""Interface of a localization strategy, the arm it plans for, the turns it tries, and how a pose is
+approached.
 
-All strategies hold the tool the same way at a target, see `target_pose`: its axis is the trajectory's, and
-only the free angle about it is chosen.
+A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
+tool the same way at a target, see `target_pose`: its axis is the trajectory's, and only the free angle about
+it is chosen.
+
+Backlash shows on the side that a joint comes from. The same arrival direction at fiducials and target makes
+it equal at all of them, so the registration removes it.
 """
 
 from __future__ import annotations
@@ -24,7 +29,8 @@ Joints = tuple[float, float, float, float, float, float]  # rad
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; reference for whole turns.
+    """Arm for a strategy: nominal kinematics, guide and stereo head as FLANGE <- TOOL, branch, reference for
+    whole turns.
 
     `sizes` are those of the arm's remaining errors.
     """
@@ -37,22 +43,22 @@ class ArmInBranch:
     sizes: ErrorSizes = UNCALIBRATED
 
     def __post_init__(self) -> None:
-        """Raises FRM-001 when a tool is not FLANGE <- TOOL."""
+        """Raise FRM-001 when a tool is not FLANGE <- TOOL."""
         require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
         require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def guide_at(self, pose: Transform) -> Joints:
-        """Joints that bring the guide to a pose ROBOT <- TOOL; raises ARM-001 to ARM-003."""
+        """Joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
     def stereo_at(self, pose: Transform) -> Joints:
-        """The same for the stereo head."""
+        """Joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
     def stereo_pose(self, joints_rad: Joints) -> Transform:
-        """The pose ROBOT <- TOOL of the stereo head at these joints."""
+        """Pose ROBOT <- TOOL of the stereo head at these joints."""
         return self.kinematics.flange_pose(joints_rad) @ self.flange_from_stereo
 
 
@@ -61,7 +67,7 @@ class Strategy(Protocol):
 
     @property
     def name(self) -> str:
-        """The name used on the command line."""
+        """Name on the command line."""
         ...
 
     @property
@@ -80,7 +86,7 @@ class Strategy(Protocol):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
+        """Axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
 
         The trajectories themselves, or one axis that is independent of them.
         """
@@ -113,7 +119,12 @@ OUTWARDS_RAD: tuple[float, ...] = (
 
 
 def between_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
-    """Turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once."""
+    """List turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once.
+
+    A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
+    clearance that a motion needs, so an angle that passes may be between two that do not. Quarter steps are
+    about 12 mm at the hand.
+    """
     found: dict[int, float] = {}
     for turn in turns_rad:
         for quarters in (1, -1, 2, -2):

@@ -1,4 +1,10 @@
-"""A planned straight path into the head: five numbers set by the surgeon, one angle free."""
+"""A planned straight path into the head, and the tool's poses along it.
+
+Five numbers of a trajectory are set by the surgeon, one angle is free. The tool's z axis is along the
+trajectory. At free angle 0, tool x points horizontally and as nearly as possible radially away from the z
+axis of the robot's base, so the arm reaches over the patient with the mount turned outwards from either side.
+The free angle turns about tool z, right-handed.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +41,7 @@ class Trajectory:
     standoff_mm: float | None = None
 
     def __post_init__(self) -> None:
-        """Check that the trajectory has a direction."""
+        """Raise STR-003 unless the trajectory has a direction."""
         numbers = (*self.entry_mm, *self.target_mm, self.free_angle_rad, self.beyond_mm)
         if not all(map(math.isfinite, numbers)):
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
@@ -43,7 +49,7 @@ class Trajectory:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def held(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
-        """The same trajectory, with the tool at rest this far beyond the target."""
+        """Hold the tool at rest this far beyond the target."""
         return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
     @property
@@ -93,7 +99,7 @@ def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotati
 
 
 def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
-    """The orientation robot <- tool turned by the smallest rotation that aligns tool z with a unit axis (3,).
+    """Turn the orientation robot <- tool by the smallest rotation that aligns tool z with a unit axis (3,).
 
     For a refined registration: follows the small change of the axis without any turn about it.
     """
@@ -106,12 +112,12 @@ def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
 
 
 def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
-    """The pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
+    """Pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
     return Transform(Frame.ROBOT, Frame.TOOL, rigid_of(origin_mm, orientation))
 
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
-    """The pose moved against its own tool z, away from the patient."""
+    """Move the pose against its own tool z, away from the patient."""
     require_frames(pose, Frame.ROBOT, Frame.TOOL)
     return Transform(
         Frame.ROBOT,
@@ -121,7 +127,7 @@ def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
 
 
 def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
-    """Raises FRM-001 unless the transform is target <- source."""
+    """Raise FRM-001 unless the transform is target <- source."""
     if (transform.target, transform.source) != (target, source):
         raise FrameMismatch(
             f"a transform {target} <- {source} is needed", got=f"{transform.target} <- {transform.source}"
@@ -129,12 +135,12 @@ def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
 
 
 def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """The pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
+    """Pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
     return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.rest_mm))
 
 
 def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """The pose at the target for a finer transform, given the `planned` pose of the coarse one.
+    """Pose at the target for a finer transform, given the `planned` pose of the coarse one.
 
     The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in
     between localization and target. Raises FRM-001 on other frames.

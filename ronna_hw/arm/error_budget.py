@@ -1,8 +1,8 @@
-"""How an arm's geometric errors displace a ball in each view, and how large they may be.
+"""Error budget of an arm: how each geometric error displaces the tool, and how large it may be.
 
 An uncalibrated arm is off by tenths of a millimetre, and not at random: each link is slightly too long, too
-short or twisted, the same in all views. If ignored, such errors are mistaken for an offset of the tool
-centre. Each kind of error is one column here; the adjustment estimates its size together with the head.
+short or twisted, equally in all views. Each kind of error is one column here. Sizes are those of an
+uncalibrated arm (parameter set S of the error study) unless given.
 
 Errors of the last link are equivalent to an offset of the tool centre: no view can separate the two. Their
 size per axis limits any calibration with a ball and an uncalibrated arm.
@@ -71,10 +71,13 @@ OFFSET, SINE, COSINE, TRANSLATION, ROTATION = [0], [1, 3], [2, 4], [5, 7, 9], [6
 
 @dataclass(frozen=True, eq=False)
 class IdentifiedArm:
-    """`remaining` (k, k), times its transpose, is the covariance of the errors as ordered in `by_deviation`.
+    """Errors that the calibration of an arm leaves, with their correlations.
 
-    `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose to pose, including what
-    the model of the arm does not describe.
+    Views of spheres separate a link from its neighbour, or the last one from the head on the flange, far
+    worse than they determine what both do to the tool together. Independent errors of these sizes would
+    displace it several times as far. `remaining` (k, k), times its transpose, is the covariance of the errors
+    as ordered in `by_deviation`. `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose
+    to pose, including what the arm's model does not describe.
     """
 
     remaining: Array
@@ -83,7 +86,7 @@ class IdentifiedArm:
 
     @classmethod
     def of(cls, record: ArmCalibration) -> Self | None:
-        """From a record; None from one that does not state the covariance."""
+        """Read a record; None if it does not state the covariance."""
         if record.remaining is None:
             return None
         remaining = np.zeros((len(record.remaining), len(record.remaining)))
@@ -94,8 +97,8 @@ class IdentifiedArm:
 def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array) -> Array:
     """Displacement (p, 3, k) of points (p, 3) mm fixed to the flange, robot frame, per mm or rad.
 
-    In the order of `ArmDeviations.flat`; then x, y, z of the head on the flange. `joints_rad` and `sides`, of
-    the backlash on which each joint rests, are (p, axes).
+    In the order of `ArmDeviations.flat`; then x, y, z of the head on the flange. `joints_rad` and `sides`,
+    the side of its backlash on which each joint rests, are (p, axes).
     """
     columns = error_columns(chain, joints_rad, points_mm)
     by_joint = columns.reshape(*columns.shape[:2], -1, len(SIZES)) / SIZES
@@ -137,8 +140,8 @@ class ErrorSizes:
     """Remaining errors of an arm as fractions of set S; the tool frame's in mm per axis.
 
     `links` includes the joint offsets, `joints` harmonics and sag. `backlash` is the fraction remaining if it
-    is known on which side a joint rests; otherwise all of it remains. Of an `identified` arm, predictions use
-    what is known of it instead of independent errors of these sizes.
+    is known on which side a joint rests; otherwise all of it remains. Predictions for an `identified` arm use
+    its covariance instead of independent errors of these sizes.
     """
 
     tool_mm: float = TOOL_MM
@@ -149,7 +152,7 @@ class ErrorSizes:
 
     @classmethod
     def stated(cls, settings: ProcedureSettings, arm: ArmCalibration | None) -> Self:
-        """As the record of the arm states, up to all of set S; without a record all of it.
+        """Take the sizes from the record of the arm, up to all of set S; without a record all of it.
 
         Only without one the settings say how well the tool frame is known: no better than the last link,
         whose error no measurement separates from one of the tool frame.
@@ -165,8 +168,8 @@ class ErrorSizes:
 def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> float:
     """Local error of the arm per axis: from its record, else as set, but not below the best arms.
 
-    A record that states only the error of a point counts it between two points: what identification leaves is
-    not alike at the spheres and at the target.
+    A record that states only the error of a point counts it between two points: identification leaves
+    different errors at the spheres and at the target.
     """
     if arm is None:
         return max(settings.arm_error_mm, UNCALIBRATED_MM)
@@ -194,7 +197,9 @@ class Displacements:
 
 
 def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Displacements:
-    """At joints (p, axes) with the tool origin at points (p, 3) mm in the robot frame."""
+    """Displace the tool at joints (p, axes), with its origin at points (p, 3) mm in the robot frame, by
+    every error.
+    """
     columns = error_columns(chain, joints_rad, points_mm)
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD

@@ -126,7 +126,7 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
 def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
-    """Read the given attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    """Read these attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(images_of(directory, tags, progress))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
