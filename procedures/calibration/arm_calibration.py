@@ -39,6 +39,76 @@ LARGEST_SCATTER_MM = 0.15  # no arm of this class is worse: something moved
 OUTLIER_CHI2 = 16.3  # exceeded by 0.1 % of good measurements, with three coordinates
 MOST_OUTLIERS = 0.1
 
+LEAST_VALIDATION = 12
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+LARGEST_ERROR_MM = 0.10  # of the model around a sphere: twice that of a good calibration
+LOOKS_AROUND = 24  # poses around each sphere, as they are usually planned
+LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 is usual
+MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, flexible links
+
+MADE_BY = "ronna-arm calibrate"
+DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
+
+
+@dataclass(frozen=True)
+class ArmResult:
+    """New records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
+
+    Head and tip keep their dates: only the head's place on the flange was measured, not cameras and tip.
+    """
+
+    fit: ArmFit
+    validation: ArmValidation
+    arm: ArmCalibration
+    stereo_head: StereoHeadCalibration
+    tool_tip: ToolTipCalibration | None
+    tool_shift_mm: float
+
+
+def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
+    """Compute dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
+    head = observed.stereo_head
+    before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    identified = {one.sphere for one in observed.looks if not one.validation}
+    # A sphere that was only validated has no fitted position to compare with.
+    usable = [one for one in observed.looks if one.sphere in identified]
+    looks = arrays_of(usable)
+    kept = np.array([one.validation for one in usable], dtype=bool)
+    fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
+    validation = validate(fit, looks.only(kept))
+    after = fit.flange_from_tool
+    tip = None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after)
+    return ArmResult(
+        fit=fit,
+        validation=validation,
+        arm=ArmCalibration(
+            identifier=new_identifier("arm", observed.created),
+            stated_error_mm=validation.model_mm,
+            arm=observed.arm,
+            serial=observed.arm_serial or None,
+            stereo_head_mm=pose_record(after).translation_mm,
+            tool_tip_mm=None if tip is None else tip.flange_from_tool.translation_mm,
+            scatter_mm=fit.scatter_mm,
+            **fit.deviations.as_plain(),
+            remaining=tuple(
+                tuple(float(f"{value:.{DIGITS}g}") for value in row[: number + 1].tolist())
+                for number, row in enumerate(fit.remaining)
+            ),
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
+        ),
+        stereo_head=head.model_copy(
+            update={
+                "identifier": new_identifier("stereo-head", observed.created),
+                "flange_from_tool": pose_record(after),
+                "made_by": MADE_BY,  # by another method: not compared with one of the head alone
+            }
+        ),
+        tool_tip=tip,
+        tool_shift_mm=float(np.linalg.norm(after.translation_mm - before.translation_mm)),
+    )
+
 
 @dataclass(frozen=True)
 class ArmFit:
@@ -147,14 +217,6 @@ def _scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np
     """
     square = np.sum(residuals**2, axis=1) - np.einsum("mii->m", stereo) + np.einsum("mii->m", explained)
     return float(max(np.sqrt(max(np.mean(square[used]) / 3.0, 0.0)), LEAST_SCATTER_MM))
-
-
-LEAST_VALIDATION = 12
-ACCEPTED = 1e-4  # probability of rejecting a good calibration
-LARGEST_ERROR_MM = 0.10  # of the model around a sphere: twice that of a good calibration
-LOOKS_AROUND = 24  # poses around each sphere, as they are usually planned
-LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 is usual
-MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, flexible links
 
 
 @dataclass(frozen=True)
@@ -278,67 +340,3 @@ def _size_mm(covariances_mm2: Array) -> float:
 
 def _rms(misses: Array) -> float:
     return float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
-
-
-MADE_BY = "ronna-arm calibrate"
-DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
-
-
-@dataclass(frozen=True)
-class ArmResult:
-    """New records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
-
-    Head and tip keep their dates: only the head's place on the flange was measured, not cameras and tip.
-    """
-
-    fit: ArmFit
-    validation: ArmValidation
-    arm: ArmCalibration
-    stereo_head: StereoHeadCalibration
-    tool_tip: ToolTipCalibration | None
-    tool_shift_mm: float
-
-
-def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
-    """Compute dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
-    head = observed.stereo_head
-    before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    identified = {one.sphere for one in observed.looks if not one.validation}
-    # A sphere that was only validated has no fitted position to compare with.
-    usable = [one for one in observed.looks if one.sphere in identified]
-    looks = arrays_of(usable)
-    kept = np.array([one.validation for one in usable], dtype=bool)
-    fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
-    validation = validate(fit, looks.only(kept))
-    after = fit.flange_from_tool
-    tip = None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after)
-    return ArmResult(
-        fit=fit,
-        validation=validation,
-        arm=ArmCalibration(
-            identifier=new_identifier("arm", observed.created),
-            stated_error_mm=validation.model_mm,
-            arm=observed.arm,
-            serial=observed.arm_serial or None,
-            stereo_head_mm=pose_record(after).translation_mm,
-            tool_tip_mm=None if tip is None else tip.flange_from_tool.translation_mm,
-            scatter_mm=fit.scatter_mm,
-            **fit.deviations.as_plain(),
-            remaining=tuple(
-                tuple(float(f"{value:.{DIGITS}g}") for value in row[: number + 1].tolist())
-                for number, row in enumerate(fit.remaining)
-            ),
-            created=observed.created,
-            expires=observed.created + life,
-            made_by=MADE_BY,
-        ),
-        stereo_head=head.model_copy(
-            update={
-                "identifier": new_identifier("stereo-head", observed.created),
-                "flange_from_tool": pose_record(after),
-                "made_by": MADE_BY,  # by another method: not compared with one of the head alone
-            }
-        ),
-        tool_tip=tip,
-        tool_shift_mm=float(np.linalg.norm(after.translation_mm - before.translation_mm)),
-    )

@@ -47,6 +47,14 @@ LOOKS_FILE = "looks.json"
 Side = Literal[-1, 1]
 Flanks = tuple[Side, Side, Side, Side, Side, Side]
 
+TOOL_RAD = math.radians(0.5)  # a machined mount
+TOOL = 6
+BACKLASH = "backlash"  # part of a parameter's name
+STEP = 1e-3  # of a numerical derivative: in units of a prior, or mm
+
+LOOK_SIGMA_MM = 0.02  # of a measurement, per axis: repeatability of a good arm, and the stereo head
+SPHERE_SIGMA_MM = 10.0  # prior uncertainty of a sphere's position
+
 
 class SphereLook(Strict):
     """One measurement of one sphere."""
@@ -107,12 +115,6 @@ def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
         covariances_mm2=np.array([one.covariance_mm2 for one in looks]),
         sphere=np.asarray(sphere, dtype=np.intp),
     )
-
-
-TOOL_RAD = math.radians(0.5)  # a machined mount
-TOOL = 6
-BACKLASH = "backlash"  # part of a parameter's name
-STEP = 1e-3  # of a numerical derivative: in units of a prior, or mm
 
 
 @dataclass(frozen=True)
@@ -234,10 +236,6 @@ class ArmModel:
         """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
         flange = flange_rotations(self.kinematics.chain, looks.joints_rad)
         return np.asarray(flange @ self.flange_from_tool.rotation_matrix)
-
-
-LOOK_SIGMA_MM = 0.02  # of a measurement, per axis: repeatability of a good arm, and the stereo head
-SPHERE_SIGMA_MM = 10.0  # prior uncertainty of a sphere's position
 
 
 def most_telling(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:

@@ -43,6 +43,16 @@ Array = NDArray[np.float64]
 
 LOOKS_FILE = "frame-looks.json"
 
+MADE_BY = "ronna-procedure calibrate tracker-frame"
+LEAST_VALIDATION = 5
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are not noise
+MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times the repeatability of arm and tracker
+FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount deviates this much from its drawing
+
+TILT_RAD = float(np.radians(35.0))  # with more, the arm or the frame's own edge hides markers
+TURN_RAD = float(np.radians(70.0))
+
 
 class Use(StrEnum):
     """Purpose of a measurement."""
@@ -99,14 +109,6 @@ def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
         matrices([one.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE) for one in looks]),
         matrices([one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in looks]),
     )
-
-
-MADE_BY = "ronna-procedure calibrate tracker-frame"
-LEAST_VALIDATION = 5
-ACCEPTED = 1e-4  # probability of rejecting a good calibration
-MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are not noise
-MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times the repeatability of arm and tracker
-FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount deviates this much from its drawing
 
 
 @dataclass(frozen=True)
@@ -227,10 +229,6 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
             f"{beyond(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",
         )
     return apart_mm, apart_rad
-
-
-TILT_RAD = float(np.radians(35.0))  # with more, the arm or the frame's own edge hides markers
-TURN_RAD = float(np.radians(70.0))
 
 
 def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:

@@ -22,6 +22,12 @@ from ronna_hw.text.counting import counted
 SAME = 1e-6  # in any unit: more than writing a number changes, far below the error of any calibration
 NOT_MEASURED = {"created", "expires", "made_by"}
 
+OBSERVATIONS_FILE = "observations.json"
+Positive = Annotated[float, Field(gt=0)]
+Pixels = tuple[float, float]
+Joints = tuple[float, float, float, float, float, float]  # from the base outwards
+S = TypeVar("S", bound=Strict)
+
 
 class Measurements(Strict, ABC):
     """Base of all stored measurements of a calibration."""
@@ -89,13 +95,6 @@ def _alike(one: Any, other: Any) -> bool:
     if isinstance(one, float) and isinstance(other, float):
         return math.isclose(one, other, rel_tol=0.0, abs_tol=SAME)
     return bool(one == other)
-
-
-OBSERVATIONS_FILE = "observations.json"
-Positive = Annotated[float, Field(gt=0)]
-Pixels = tuple[float, float]
-Joints = tuple[float, float, float, float, float, float]  # from the base outwards
-S = TypeVar("S", bound=Strict)
 
 
 class Outline(Strict):

@@ -36,6 +36,8 @@ CHECK_VARIANTS = ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (-0.5, 1.0), (-1.0, 1.0), 
 _RATIO = 1.1127756842787055
 _STEPS = np.array([_RATIO ** -(k + 1) for k in range(6)])
 
+LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies least
+
 
 @dataclass(frozen=True)
 class PlannedLook:
@@ -158,9 +160,6 @@ def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int |
     )
     x, y, z = offset_mm.tolist()
     return PlannedLook(pose, (x, y, z), number)
-
-
-LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies least
 
 
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:

@@ -52,6 +52,23 @@ Array = NDArray[np.float64]
 
 LOOKS_FILE = "tip-looks.json"
 
+LEAST_READINGS = 8  # with fewer, pivoting leaves more than MOST_OPEN_MM undetermined with some good stands
+SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond this, the arm's errors do not cancel
+LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
+LEAST_SCATTER_MM = 0.003  # nothing repeats better
+LARGEST_GAP_MM = 0.08  # between ball and divot; a smaller gap adds to the tip's error: the stand must be good
+MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings at the step's poses leave 0.07 to 0.17
+SURE = 3.0  # standard errors, if pivoting leaves more than that undetermined
+LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; a larger one would excuse any gap
+
+MADE_BY = "ronna-procedure calibrate tool-tip"
+LEAST_VALIDATION = 2
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: resolution of the dials, arm errors that do not cancel
+STAND_MM = 0.01  # between divot and ball centre, per axis: manufacturing tolerance of such stands
+DIALS_TRAVEL_MM = 6.0
+FAR_MM = 10.0  # no guide deviates this much from its drawing
+
 
 class BallLook(Strict):
     """The stereo head over the ball, in one orientation."""
@@ -90,6 +107,60 @@ class TipLooks(Measurements):
     def records(self) -> Mapping[str, Dated | None]:
         """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
+
+
+@dataclass(frozen=True)
+class TipResult:
+    """New record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
+
+    fit: TipFit
+    misses_mm: Array
+    predicted_mm: float
+    change_mm: float
+    tool_tip: ToolTipCalibration
+
+
+def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
+    """Compute a dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
+    _require_plausible(observed)
+    kept = set(observed.validation)
+    fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))
+    misses, predicted_mm = _validated(
+        fit, pairs_of(observed, [one for one in observed.readings if one.look in kept])
+    )
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
+    if change_mm > FAR_MM:
+        raise FarFromRecord(
+            "the tip is not at its recorded position",
+            limit=f"{FAR_MM:g} mm",
+            got=f"{beyond(change_mm, FAR_MM, 1)} mm",
+        )
+    # A divot shows where the tip is, not where the guide points: direction and its error are kept.
+    found = Transform(
+        Frame.FLANGE,
+        Frame.TOOL,
+        RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation),
+    )
+    gap_mm = max(fit.hidden_gap_mm, np.sqrt(3.0) * STAND_MM)
+    stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + gap_mm**2))
+    return TipResult(
+        fit=fit,
+        misses_mm=misses,
+        predicted_mm=predicted_mm,
+        change_mm=change_mm,
+        tool_tip=ToolTipCalibration(
+            identifier=new_identifier("tool-tip", observed.created),
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
+            stated_error_mm=stated_mm,
+            tool_number=observed.start.tool_number,
+            flange_from_tool=pose_record(found),
+            stated_direction_error_rad=observed.start.stated_direction_error_rad,
+        ),
+    )
 
 
 def kept_apart(count: int, validation: int) -> tuple[int, ...]:
@@ -131,16 +202,6 @@ def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
         ball_mm=np.array([one.ball_mm for one in looks]).reshape(-1, 3),
         dials_mm=np.array([one.dials_mm for one in readings]).reshape(-1, 3),
     )
-
-
-LEAST_READINGS = 8  # with fewer, pivoting leaves more than MOST_OPEN_MM undetermined with some good stands
-SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond this, the arm's errors do not cancel
-LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
-LEAST_SCATTER_MM = 0.003  # nothing repeats better
-LARGEST_GAP_MM = 0.08  # between ball and divot; a smaller gap adds to the tip's error: the stand must be good
-MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings at the step's poses leave 0.07 to 0.17
-SURE = 3.0  # standard errors, if pivoting leaves more than that undetermined
-LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; a larger one would excuse any gap
 
 
 @dataclass(frozen=True)
@@ -249,69 +310,6 @@ def _offsets_mm(pairs: TipPairs) -> Array:
     """Offsets (m, 3) from the tool centre at the divot to the ball plus the dial readings, robot axes."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])
-
-
-MADE_BY = "ronna-procedure calibrate tool-tip"
-LEAST_VALIDATION = 2
-ACCEPTED = 1e-4  # probability of rejecting a good calibration
-MODEL_SHARE = 0.25  # of the predicted variance: resolution of the dials, arm errors that do not cancel
-STAND_MM = 0.01  # between divot and ball centre, per axis: manufacturing tolerance of such stands
-DIALS_TRAVEL_MM = 6.0
-FAR_MM = 10.0  # no guide deviates this much from its drawing
-
-
-@dataclass(frozen=True)
-class TipResult:
-    """New record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
-
-    fit: TipFit
-    misses_mm: Array
-    predicted_mm: float
-    change_mm: float
-    tool_tip: ToolTipCalibration
-
-
-def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
-    """Compute a dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
-    _require_plausible(observed)
-    kept = set(observed.validation)
-    fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))
-    misses, predicted_mm = _validated(
-        fit, pairs_of(observed, [one for one in observed.readings if one.look in kept])
-    )
-    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
-    if change_mm > FAR_MM:
-        raise FarFromRecord(
-            "the tip is not at its recorded position",
-            limit=f"{FAR_MM:g} mm",
-            got=f"{beyond(change_mm, FAR_MM, 1)} mm",
-        )
-    # A divot shows where the tip is, not where the guide points: direction and its error are kept.
-    found = Transform(
-        Frame.FLANGE,
-        Frame.TOOL,
-        RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation),
-    )
-    gap_mm = max(fit.hidden_gap_mm, np.sqrt(3.0) * STAND_MM)
-    stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + gap_mm**2))
-    return TipResult(
-        fit=fit,
-        misses_mm=misses,
-        predicted_mm=predicted_mm,
-        change_mm=change_mm,
-        tool_tip=ToolTipCalibration(
-            identifier=new_identifier("tool-tip", observed.created),
-            created=observed.created,
-            expires=observed.created + life,
-            made_by=MADE_BY,
-            stated_error_mm=stated_mm,
-            tool_number=observed.start.tool_number,
-            flange_from_tool=pose_record(found),
-            stated_direction_error_rad=observed.start.stated_direction_error_rad,
-        ),
-    )
 
 
 def require_plausible(dials_mm: tuple[float, float, float]) -> None:

@@ -63,6 +63,14 @@ HOLLOW_SHARE = 0.08  # of the core; 0.02 in markers under strong streaks
 METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
 EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
 
+OVERLAP = 0.95  # of the diameter: the centres of two spheres cannot be closer
+IN_A_ROW = 1.5  # of the diameter: bodies farther apart do not form a row
+STRAIGHT_COSINE = -np.cos(np.radians(15.0))  # between the directions to the two neighbours
+EVEN_SPACING = 0.15  # of the spacing
+FEWEST_ALIKE = 3  # markers needed to establish the usual size
+RADIUS_DIFFERENCE = 0.035  # of the radius, at even odds: 0.2 mm
+CERTAIN = 3.0  # excess of an impossibility
+
 
 def shape_doubts(
     region: Region,
@@ -211,15 +219,6 @@ def _extent_difference(ways: Array, offsets: Array) -> float:
     matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
     values = np.linalg.eigvalsh(matrix)
     return float(np.ptp(values))
-
-
-OVERLAP = 0.95  # of the diameter: the centres of two spheres cannot be closer
-IN_A_ROW = 1.5  # of the diameter: bodies farther apart do not form a row
-STRAIGHT_COSINE = -np.cos(np.radians(15.0))  # between the directions to the two neighbours
-EVEN_SPACING = 0.15  # of the spacing
-FEWEST_ALIKE = 3  # markers needed to establish the usual size
-RADIUS_DIFFERENCE = 0.035  # of the radius, at even odds: 0.2 mm
-CERTAIN = 3.0  # excess of an impossibility
 
 
 def company_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:

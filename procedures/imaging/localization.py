@@ -39,6 +39,65 @@ MIN_CONTRAST_HU = 450.0  # a polymer sphere in air shows about 1000, one touchin
 SEPARATION = 1.2  # of the radius: weaker peaks closer to a stronger one are the same object
 MAX_PEAKS = 200
 
+Progress = Callable[[float], None]
+
+DIAMETER_MM = 11.5  # the usual passive sphere
+DETECTION_SHARE = 0.7  # of the work
+CLEAR, UNCLEAR = 0.9, 0.8  # odds that separate an expected number of markers from the rest
+NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
+MIN_VOXELS_ACROSS = 3.0  # per diameter, along the coarsest axis
+
+
+def localize(
+    volume: Volume,
+    *,
+    diameter_mm: float = DIAMETER_MM,
+    expected: int | None = None,
+    progress: Progress | None = None,
+) -> Localization:
+    """Localize all marker spheres of `diameter_mm` in a volume.
+
+    Returns markers in LPS mm from superior to inferior, and every candidate with the reason for accepting or
+    rejecting it. With `expected`, the clear ones are taken if exactly that many stand out; any other count
+    raises CT-016, which carries the candidates; without it, only a count of zero does. `progress` is called
+    with the fraction done. Raises CT-017 for invalid arguments, CT-024 for markers that are all distorted.
+    """
+    check_request(volume, diameter_mm, expected)
+    report = progress if progress is not None else _silent
+    report(0.0)
+    radius_mm = 0.5 * diameter_mm
+    peaks = find_peaks(volume, radius_mm)
+    report(DETECTION_SHARE)
+    found: list[Sphere] = []
+    refused: list[Candidate] = []
+    for number, (place_mm, contrast_hu) in enumerate(peaks):
+        outcome = examine(volume, place_mm, contrast_hu, radius_mm, found)
+        if isinstance(outcome, Sphere):
+            found.append(with_shape(outcome, volume, radius_mm))
+        elif not any(_same_object(outcome, other) for other in refused):
+            refused.append(outcome)
+        report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
+    report(1.0)
+    judged = judged_together(found, refused, volume.geometry, diameter_mm)
+    if expected is not None:
+        judged = _clear_ones(judged, expected)
+    spheres = [one for one in judged if one.accepted]
+    candidates = (*(as_candidate(one, volume) for one in judged), *refused)
+    require_count(len(spheres), expected, candidates)
+    overlaps = [one.centre_mm for one in refused if one.reason == OVERLAPS]
+    markers = sorted(
+        (_flagged(as_marker(one, spheres, volume, radius_mm), overlaps, diameter_mm) for one in spheres),
+        key=head_to_foot,
+    )
+    return Localization(
+        markers=tuple(markers),
+        candidates=candidates,
+        series_instance_uid=volume.series_instance_uid,
+        frame_of_reference_uid=volume.frame_of_reference_uid,
+        diameter_mm=diameter_mm,
+        warnings=distortion_warnings(markers, radius_mm),
+    )
+
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
     """Local maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
@@ -122,66 +181,6 @@ def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDAr
     spectrum *= fft.rfftn(values, s=shape)
     response = fft.irfftn(spectrum, s=shape, overwrite_x=True)
     return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])
-
-
-Progress = Callable[[float], None]
-
-DIAMETER_MM = 11.5  # the usual passive sphere
-DETECTION_SHARE = 0.7  # of the work
-CLEAR, UNCLEAR = 0.9, 0.8  # odds that separate an expected number of markers from the rest
-NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
-MIN_VOXELS_ACROSS = 3.0  # per diameter, along the coarsest axis
-
-
-def localize(
-    volume: Volume,
-    *,
-    diameter_mm: float = DIAMETER_MM,
-    expected: int | None = None,
-    progress: Progress | None = None,
-) -> Localization:
-    """Localize all marker spheres of `diameter_mm` in a volume.
-
-    Returns markers in LPS mm from superior to inferior, and every candidate with the reason for accepting or
-    rejecting it. With `expected`, the clear ones are taken if exactly that many stand out; any other count
-    raises CT-016, which carries the candidates; without it, only a count of zero does. `progress` is called
-    with the fraction done. Raises CT-017 for invalid arguments, CT-024 for markers that are all distorted.
-    """
-    check_request(volume, diameter_mm, expected)
-    report = progress if progress is not None else _silent
-    report(0.0)
-    radius_mm = 0.5 * diameter_mm
-    peaks = find_peaks(volume, radius_mm)
-    report(DETECTION_SHARE)
-    found: list[Sphere] = []
-    refused: list[Candidate] = []
-    for number, (place_mm, contrast_hu) in enumerate(peaks):
-        outcome = examine(volume, place_mm, contrast_hu, radius_mm, found)
-        if isinstance(outcome, Sphere):
-            found.append(with_shape(outcome, volume, radius_mm))
-        elif not any(_same_object(outcome, other) for other in refused):
-            refused.append(outcome)
-        report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
-    report(1.0)
-    judged = judged_together(found, refused, volume.geometry, diameter_mm)
-    if expected is not None:
-        judged = _clear_ones(judged, expected)
-    spheres = [one for one in judged if one.accepted]
-    candidates = (*(as_candidate(one, volume) for one in judged), *refused)
-    require_count(len(spheres), expected, candidates)
-    overlaps = [one.centre_mm for one in refused if one.reason == OVERLAPS]
-    markers = sorted(
-        (_flagged(as_marker(one, spheres, volume, radius_mm), overlaps, diameter_mm) for one in spheres),
-        key=head_to_foot,
-    )
-    return Localization(
-        markers=tuple(markers),
-        candidates=candidates,
-        series_instance_uid=volume.series_instance_uid,
-        frame_of_reference_uid=volume.frame_of_reference_uid,
-        diameter_mm=diameter_mm,
-        warnings=distortion_warnings(markers, radius_mm),
-    )
 
 
 def judged_together(

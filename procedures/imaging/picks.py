@@ -43,6 +43,56 @@ LONGEST_QUOTE = 60  # characters quoted from a rejected line
 EXPECTED = "a list of points, or the point lists of 3D Slicer"
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
+PICK_TOLERANCE = 1.0  # of the radius: a sphere's centre may be this far from its pick
+CROP = 3.2  # of the radius: the neighbourhood that is searched
+MIN_SURFACE_SHARE = 0.3
+IN_RAS = (
+    "It would be on a sphere in RAS, as shown by 3D Slicer: change the signs of the first two numbers, "
+    "or give its .mrk.json, which states its coordinate system."
+)
+IN_METRES = "It would be on a sphere in metres: give millimetres."
+START_STEP = 0.4  # of the radius, between starts around a pick without contrast
+
+
+def localize_picks(
+    volume: Volume,
+    picks_mm: ArrayLike,
+    *,
+    diameter_mm: float = DIAMETER_MM,
+    expected: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Localization:
+    """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
+
+    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016, CT-017
+    and CT-024 like `localize`.
+    """
+    picks = np.asarray(picks_mm, dtype=float)
+    check_request(volume, diameter_mm, expected)
+    if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
+        raise PickRefused("picks are rows of three finite numbers", got=f"shape {picks.shape}")
+    radius_mm = 0.5 * diameter_mm
+    found: list[Sphere] = []
+    for number, pick_mm in enumerate(picks, start=1):
+        found.append(with_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
+        progress(number / len(picks))
+    found = [
+        replace(sphere, picked=True) for sphere in judged_together(found, (), volume.geometry, diameter_mm)
+    ]
+    candidates = tuple(as_candidate(sphere, volume) for sphere in found)
+    require_count(len(found), expected, candidates)
+    markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]
+    return Localization(
+        markers=tuple(
+            sorted((replace(marker, flags=(*marker.flags, PICKED)) for marker in markers), key=head_to_foot)
+        ),
+        candidates=candidates,
+        series_instance_uid=volume.series_instance_uid,
+        frame_of_reference_uid=volume.frame_of_reference_uid,
+        diameter_mm=diameter_mm,
+        warnings=distortion_warnings(markers, radius_mm),
+    )
+
 
 def read_picks(path: Path) -> Array:
     """Read picks (n, 3) LPS mm from a .csv or .json file. Raises CT-018."""
@@ -122,57 +172,6 @@ def _from_json(content: Any) -> list[Any]:
             (turn * np.array(point["position"], dtype=float)).tolist() for point in markup["controlPoints"]
         ]
     return picks
-
-
-PICK_TOLERANCE = 1.0  # of the radius: a sphere's centre may be this far from its pick
-CROP = 3.2  # of the radius: the neighbourhood that is searched
-MIN_SURFACE_SHARE = 0.3
-IN_RAS = (
-    "It would be on a sphere in RAS, as shown by 3D Slicer: change the signs of the first two numbers, "
-    "or give its .mrk.json, which states its coordinate system."
-)
-IN_METRES = "It would be on a sphere in metres: give millimetres."
-START_STEP = 0.4  # of the radius, between starts around a pick without contrast
-
-
-def localize_picks(
-    volume: Volume,
-    picks_mm: ArrayLike,
-    *,
-    diameter_mm: float = DIAMETER_MM,
-    expected: int | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Localization:
-    """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
-
-    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016, CT-017
-    and CT-024 like `localize`.
-    """
-    picks = np.asarray(picks_mm, dtype=float)
-    check_request(volume, diameter_mm, expected)
-    if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
-        raise PickRefused("picks are rows of three finite numbers", got=f"shape {picks.shape}")
-    radius_mm = 0.5 * diameter_mm
-    found: list[Sphere] = []
-    for number, pick_mm in enumerate(picks, start=1):
-        found.append(with_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
-        progress(number / len(picks))
-    found = [
-        replace(sphere, picked=True) for sphere in judged_together(found, (), volume.geometry, diameter_mm)
-    ]
-    candidates = tuple(as_candidate(sphere, volume) for sphere in found)
-    require_count(len(found), expected, candidates)
-    markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]
-    return Localization(
-        markers=tuple(
-            sorted((replace(marker, flags=(*marker.flags, PICKED)) for marker in markers), key=head_to_foot)
-        ),
-        candidates=candidates,
-        series_instance_uid=volume.series_instance_uid,
-        frame_of_reference_uid=volume.frame_of_reference_uid,
-        diameter_mm=diameter_mm,
-        warnings=distortion_warnings(markers, radius_mm),
-    )
 
 
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:

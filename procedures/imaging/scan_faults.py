@@ -42,6 +42,13 @@ AROUND = 6  # slices: three changes in a row, with one between them and those co
 # markers, and 0.3 mm after a rigid fit.
 WARNED_MM, REFUSED_MM = 0.4, 1.0
 
+FEWEST = 4  # markers
+SURE = 3.0  # standard errors
+# Per unit of length: 1 % of scale leaves 0.24 mm rms at the markers after a rigid fit, 0.5 degrees of tilt
+# 0.12 mm. Phantom volumes with neither reach 0.9 %, those of 3 mm slices and a sharp kernel; others 0.5 %.
+WARNED = 0.009
+REFUSED = 0.015
+
 
 def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
     """Warn of a jump between slices; raise CT-023 beyond 1 mm, sideways or back along the table."""
@@ -141,14 +148,6 @@ def _back(changes: Array, slice_mm: float) -> tuple[float, float]:
 
 def _correlation(one: Array, other: Array) -> float:
     return float(one @ other) / float(np.linalg.norm(one) * np.linalg.norm(other))
-
-
-FEWEST = 4  # markers
-SURE = 3.0  # standard errors
-# Per unit of length: 1 % of scale leaves 0.24 mm rms at the markers after a rigid fit, 0.5 degrees of tilt
-# 0.12 mm. Phantom volumes with neither reach 0.9 %, those of 3 mm slices and a sharp kernel; others 0.5 %.
-WARNED = 0.009
-REFUSED = 0.015
 
 
 @dataclass(frozen=True)

@@ -22,12 +22,47 @@ if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
     from pydicom.uid import UID
 
+
 HU_LIMITS = (-32768, 32767)
 
 UNSIGNED, SIGNED = 0, 1  # PS3.3 C.7.6.3.1, Pixel Representation
 _LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
     {"1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99"}  # the last is deflated as a whole
 )
+
+HEADER_SHARE = 0.4  # of the reading time
+AIR_BELOW_HU = -500  # every head is surrounded by air
+
+
+def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
+    """Read the CT series whose files lie directly in `directory`.
+
+    Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called with the
+    fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;
+    nothing is guessed.
+    """
+    directory = Path(directory)
+    headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
+    slices, geometry = stack_slices(headers)
+    voxels = np.empty(geometry.shape, dtype=np.int16)
+    report = _part(progress, HEADER_SHARE, 1.0)
+    with FrameDecoder() as decoder:
+        for number, header in enumerate(slices):
+            read_pixels_into(voxels[number], header, decoder)
+            report((number + 1) / len(slices))
+    voxels.flags.writeable = False
+    return Volume(
+        voxels=voxels,
+        geometry=geometry,
+        series_instance_uid=slices[0].series_instance_uid,
+        frame_of_reference_uid=slices[0].frame_of_reference_uid,
+        patient_position=slices[0].patient_position,
+        warnings=(
+            *accuracy_warnings(slices, geometry),
+            *_intensity_warnings(voxels),
+            *motion_warnings(voxels, geometry),
+        ),
+    )
 
 
 def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
@@ -144,41 +179,6 @@ def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header
     values = stored * header.slope + header.intercept
     np.clip(np.rint(values), *HU_LIMITS, out=values)
     target[...] = values
-
-
-HEADER_SHARE = 0.4  # of the reading time
-AIR_BELOW_HU = -500  # every head is surrounded by air
-
-
-def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
-    """Read the CT series whose files lie directly in `directory`.
-
-    Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called with the
-    fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;
-    nothing is guessed.
-    """
-    directory = Path(directory)
-    headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
-    slices, geometry = stack_slices(headers)
-    voxels = np.empty(geometry.shape, dtype=np.int16)
-    report = _part(progress, HEADER_SHARE, 1.0)
-    with FrameDecoder() as decoder:
-        for number, header in enumerate(slices):
-            read_pixels_into(voxels[number], header, decoder)
-            report((number + 1) / len(slices))
-    voxels.flags.writeable = False
-    return Volume(
-        voxels=voxels,
-        geometry=geometry,
-        series_instance_uid=slices[0].series_instance_uid,
-        frame_of_reference_uid=slices[0].frame_of_reference_uid,
-        patient_position=slices[0].patient_position,
-        warnings=(
-            *accuracy_warnings(slices, geometry),
-            *_intensity_warnings(voxels),
-            *motion_warnings(voxels, geometry),
-        ),
-    )
 
 
 def _intensity_warnings(voxels: NDArray[np.int16]) -> tuple[str, ...]:

@@ -43,6 +43,86 @@ EDGE_THRESHOLD, VOTES = 100.0, 14.0
 
 AXIAL, SAGITTAL = 0, 2  # the axis perpendicular to a stack's planes: slices, columns
 
+IN_PLANE_MM = 1.0  # centres of one sphere's circles are stacked
+GAP_MM = 2.1  # a plane or two without a circle
+HEIGHT_SHARE = (0.35, 1.10)  # of the diameter: planes in which a sphere shows circles
+MIN_CIRCLES = 4
+SPHERE_TOLERANCE_MM = 0.6  # between a circle's radius and the sphere's section at that height
+MEETING_MM = 2.0  # between the centres of one sphere's axial and sagittal clusters
+
+TRIALS = 200
+LINE_TOLERANCE_MM = 0.5
+ON_SPHERE_MM = 0.3
+POINTS_PER_CIRCLE = 24
+SEED = 0
+
+RADIUS_TOLERANCE_MM = 1.0
+COVARIANCE_ASSUMED = "covariance_assumed"
+
+
+class ThesisFit(StrEnum):
+    """The thesis' two fits of the centre."""
+
+    LINE = "thesis-line"
+    SPHERE = "thesis-sphere"
+
+
+def localize_as_thesis(
+    volume: Volume,
+    fit: ThesisFit,
+    *,
+    diameter_mm: float = DIAMETER_MM,
+    expected: int | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Localization:
+    """Localize spheres with the thesis' pipeline; arguments and errors as for `localize`."""
+    check_request(volume, diameter_mm, expected)
+    radius_mm = 0.5 * diameter_mm
+    candidates: list[Candidate] = []
+    markers: list[Marker] = []
+    taken: list[Array] = []
+    boxes = find_regions(volume)
+    for number, box in enumerate(boxes):
+        axial = cluster_circles(find_circles(volume, box, AXIAL), radius_mm)
+        sagittal = cluster_circles(find_circles(volume, box, SAGITTAL), radius_mm)
+        for pair in meeting_clusters(axial, sagittal):
+            centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
+            if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
+                marker, reason = None, "overlaps a marker that was already found"
+            x, y, z = volume.geometry.grid_mm_to_patient_mm(centre_mm).tolist()
+            candidates.append(Candidate((x, y, z), marker is not None, reason, 0.0))
+            if marker is not None:
+                markers.append(marker)
+                taken.append(centre_mm)
+        progress((number + 1) / len(boxes))
+    require_count(len(markers), expected, tuple(candidates))
+    return Localization(
+        markers=tuple(sorted(markers, key=head_to_foot)),
+        candidates=tuple(candidates),
+        series_instance_uid=volume.series_instance_uid,
+        frame_of_reference_uid=volume.frame_of_reference_uid,
+        diameter_mm=diameter_mm,
+    )
+
+
+def _marker(
+    volume: Volume, pair: tuple[Cluster, Cluster], fit: ThesisFit, radius_mm: float
+) -> tuple[Array, Marker | None, str]:
+    by_lines_mm = fit_lines(*pair)
+    by_sphere_mm, found_radius_mm, share = fit_sphere(*pair)
+    centre_mm = by_lines_mm if fit is ThesisFit.LINE else by_sphere_mm
+    if abs(found_radius_mm - radius_mm) > RADIUS_TOLERANCE_MM:
+        return centre_mm, None, f"has radius {found_radius_mm:.2f} mm instead of {radius_mm:.2f}"
+    marker = Marker(
+        centre_mm=volume.geometry.grid_mm_to_patient_mm(centre_mm),
+        covariance_mm2=REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3),
+        radius_mm=found_radius_mm,
+        quality=share,
+        agreement_mm=float(np.linalg.norm(by_lines_mm - by_sphere_mm)),
+        flags=(COVARIANCE_ASSUMED,),
+    )
+    return centre_mm, marker, "is a marker"
+
 
 @dataclass(frozen=True, eq=False)
 class Circles:
@@ -129,14 +209,6 @@ def _disk(diameters: Array) -> NDArray[np.uint8]:
     return np.asarray(cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width, height)), dtype=np.uint8)
 
 
-IN_PLANE_MM = 1.0  # centres of one sphere's circles are stacked
-GAP_MM = 2.1  # a plane or two without a circle
-HEIGHT_SHARE = (0.35, 1.10)  # of the diameter: planes in which a sphere shows circles
-MIN_CIRCLES = 4
-SPHERE_TOLERANCE_MM = 0.6  # between a circle's radius and the sphere's section at that height
-MEETING_MM = 2.0  # between the centres of one sphere's axial and sagittal clusters
-
-
 @dataclass(frozen=True, eq=False)
 class Cluster:
     """Stacked circles of one plane direction, and the sphere centre they imply."""
@@ -206,13 +278,6 @@ def _as_cluster(circles: Circles, chain: list[int], radius_mm: float) -> Cluster
     return Cluster(centres_mm[keep], radii_mm[keep], circles.axis, middle_mm)
 
 
-TRIALS = 200
-LINE_TOLERANCE_MM = 0.5
-ON_SPHERE_MM = 0.3
-POINTS_PER_CIRCLE = 24
-SEED = 0
-
-
 def fit_lines(axial: Cluster, sagittal: Cluster) -> Array:
     """Find the point (3,) grid mm nearest to the lines through both clusters' centres."""
     (p, u), (q, v) = (_fit_line(cluster.centres_mm) for cluster in (axial, sagittal))
@@ -276,72 +341,4 @@ def _algebraic_sphere(points: Array) -> tuple[Array, float]:
     return centre + middle, float(np.sqrt(max(solved[3] + centre @ centre, 0.0)))
 
 
-RADIUS_TOLERANCE_MM = 1.0
-COVARIANCE_ASSUMED = "covariance_assumed"
-
-
-class ThesisFit(StrEnum):
-    """The thesis' two fits of the centre."""
-
-    LINE = "thesis-line"
-    SPHERE = "thesis-sphere"
-
-
 REPORTED_FLE_MM = {ThesisFit.LINE: 0.1685, ThesisFit.SPHERE: 0.1617}  # thesis, table 2
-
-
-def localize_as_thesis(
-    volume: Volume,
-    fit: ThesisFit,
-    *,
-    diameter_mm: float = DIAMETER_MM,
-    expected: int | None = None,
-    progress: Callable[[float], None] = lambda share: None,
-) -> Localization:
-    """Localize spheres with the thesis' pipeline; arguments and errors as for `localize`."""
-    check_request(volume, diameter_mm, expected)
-    radius_mm = 0.5 * diameter_mm
-    candidates: list[Candidate] = []
-    markers: list[Marker] = []
-    taken: list[Array] = []
-    boxes = find_regions(volume)
-    for number, box in enumerate(boxes):
-        axial = cluster_circles(find_circles(volume, box, AXIAL), radius_mm)
-        sagittal = cluster_circles(find_circles(volume, box, SAGITTAL), radius_mm)
-        for pair in meeting_clusters(axial, sagittal):
-            centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
-            if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
-                marker, reason = None, "overlaps a marker that was already found"
-            x, y, z = volume.geometry.grid_mm_to_patient_mm(centre_mm).tolist()
-            candidates.append(Candidate((x, y, z), marker is not None, reason, 0.0))
-            if marker is not None:
-                markers.append(marker)
-                taken.append(centre_mm)
-        progress((number + 1) / len(boxes))
-    require_count(len(markers), expected, tuple(candidates))
-    return Localization(
-        markers=tuple(sorted(markers, key=head_to_foot)),
-        candidates=tuple(candidates),
-        series_instance_uid=volume.series_instance_uid,
-        frame_of_reference_uid=volume.frame_of_reference_uid,
-        diameter_mm=diameter_mm,
-    )
-
-
-def _marker(
-    volume: Volume, pair: tuple[Cluster, Cluster], fit: ThesisFit, radius_mm: float
-) -> tuple[Array, Marker | None, str]:
-    by_lines_mm = fit_lines(*pair)
-    by_sphere_mm, found_radius_mm, share = fit_sphere(*pair)
-    centre_mm = by_lines_mm if fit is ThesisFit.LINE else by_sphere_mm
-    if abs(found_radius_mm - radius_mm) > RADIUS_TOLERANCE_MM:
-        return centre_mm, None, f"has radius {found_radius_mm:.2f} mm instead of {radius_mm:.2f}"
-    marker = Marker(
-        centre_mm=volume.geometry.grid_mm_to_patient_mm(centre_mm),
-        covariance_mm2=REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3),
-        radius_mm=found_radius_mm,
-        quality=share,
-        agreement_mm=float(np.linalg.norm(by_lines_mm - by_sphere_mm)),
-        flags=(COVARIANCE_ASSUMED,),
-    )
-    return centre_mm, marker, "is a marker"

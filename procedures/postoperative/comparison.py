@@ -11,11 +11,12 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes
 from procedures.postoperative.errors import (
@@ -27,6 +28,7 @@ from procedures.postoperative.errors import (
 )
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.way import SEARCH_MM, FitQuality, Usual, Way
+from ronna_hw.calibration import Numbers3, Strict
 
 Array = NDArray[np.float64]
 
@@ -34,12 +36,95 @@ ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes 
 INSTEAD_MM = 10.0 * SEARCH_MM  # a hole counts only if no instrument is left, a failed fit only after both
 NOTHING_MM = 1e6  # and none only if nothing is left
 
+Point = tuple[float, float, float]
+
 
 class FoundKind(StrEnum):
     """Kind of object found along a trajectory."""
 
     INSTRUMENT = "instrument"  # an electrode or a needle: a rod of metal
     DRILL_HOLE = "drill hole"
+
+
+class FoundTrajectory(Strict):
+    """One trajectory as planned and as carried out; points in LPS mm of the planned CT.
+
+    A hole has no tip: `tip_mm`, `target_error_mm` and `depth_error_mm` are None; `lateral_mm` is that of its
+    axis.
+    """
+
+    id: str = Field(description="Its name in the plan.")
+    kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
+    planned_entry_mm: Numbers3 = Field(description="Planned point.")
+    planned_target_mm: Numbers3 = Field(description="Planned point.")
+    entry_mm: Numbers3 = Field(description="Point of the found axis at the planned entry.")
+    axis_at_target_mm: Numbers3 = Field(description="The tip, or the point of a hole's axis at the target.")
+    tip_mm: Numbers3 | None = Field(description="Tip of the instrument.")
+    entry_error_mm: float = Field(
+        description="From the planned entry to the axis, across the planned trajectory."
+    )
+    target_error_mm: float | None = Field(description="From the planned target to the tip.")
+    lateral_mm: float = Field(description="At the target, across the planned trajectory.")
+    depth_error_mm: float | None = Field(description="Along the planned trajectory; positive is too deep.")
+    angle_deg: float = Field(description="Between the planned and the found axis.")
+    doubts: tuple[str, ...] = Field(default=(), description="Reasons, from its fit, why it may be wrong.")
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """Registration of both scans, and every requested trajectory."""
+
+    registration: BoneRegistration
+    trajectories: tuple[FoundTrajectory, ...]
+
+
+def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
+    """Find the object along each trajectory of a plan; `only` names those carried out, by default all.
+
+    Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
+    """
+    require_series(plan, pre, post)
+    return proof_by(register_on_bone(pre, post), plan, pre, post, only)
+
+
+def proof_by(
+    registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
+) -> Proof:
+    """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
+    asked = [one for one in plan.trajectories if not only or one.id in only]
+    ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
+    candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
+    found, lost_to = assigned(ways, candidates)
+    if lost_to:
+        pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
+        raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
+    if missing := [name for name in ways if name not in found]:
+        raise InstrumentMissing(
+            f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
+            expected=f"one along each of {len(asked)}",
+            got=f"found along {', '.join(found)}" if found else "none",
+        )
+    if failed := {name: one.failures for name, one in found.items() if one.failures}:
+        raise FitFailed(
+            "no straight rod or round hole could be fitted to the object along "
+            + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
+        )
+    return Proof(registration, tuple(_errors_along(one, ways[one.id], found[one.id]) for one in asked))
+
+
+def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
+    """Require the plan's series first and a different one second. Raises PLAN-003, POST-003, POST-004."""
+    if pre.series_instance_uid == post.series_instance_uid:
+        raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
+    if plan.series_instance_uid == pre.series_instance_uid:
+        return
+    if plan.series_instance_uid == post.series_instance_uid:
+        raise SeriesSwapped("the plan was made on the second CT: the two are swapped")
+    raise WrongSeries(
+        "the plan belongs to another CT series",
+        expected=plan.series_instance_uid,
+        got=pre.series_instance_uid,
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,91 +194,6 @@ def _beside_mm(way: Way, one: Candidate) -> float:
     return beside_mm + last_of_all * INSTEAD_MM
 
 
-Point = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class ProvenTrajectory:
-    """One trajectory as carried out; points in the planned CT's LPS, mm.
-
-    `entry_error_mm`: distance between the axis and the planned entry, in the plane perpendicular to the
-    planned trajectory. `axis_at_target_mm`: the tip, or the point of a hole's axis at the depth of the
-    target. `target_error_mm`: from the planned target to the tip; `lateral_mm` is its part across the planned
-    trajectory and `depth_error_mm` along it, positive when too deep. A hole has no tip, so these are None,
-    except `lateral_mm`, which is then that of its axis. `angle_deg` is between the two axes. `doubts` lists
-    what is wrong with the fit.
-    """
-
-    identifier: str
-    kind: FoundKind
-    entry_mm: Point
-    axis_at_target_mm: Point
-    tip_mm: Point | None
-    entry_error_mm: float
-    target_error_mm: float | None
-    lateral_mm: float
-    depth_error_mm: float | None
-    angle_deg: float
-    doubts: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class Proof:
-    """Registration of both scans, and every requested trajectory."""
-
-    registration: BoneRegistration
-    trajectories: tuple[ProvenTrajectory, ...]
-
-
-def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
-    """Find the object along each trajectory of a plan; `only` names those carried out, by default all.
-
-    Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
-    """
-    require_series(plan, pre, post)
-    return proof_by(register_on_bone(pre, post), plan, pre, post, only)
-
-
-def proof_by(
-    registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
-) -> Proof:
-    """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
-    asked = [one for one in plan.trajectories if not only or one.id in only]
-    ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
-    candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
-    found, lost_to = assigned(ways, candidates)
-    if lost_to:
-        pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
-        raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
-    if missing := [name for name in ways if name not in found]:
-        raise InstrumentMissing(
-            f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
-            expected=f"one along each of {len(asked)}",
-            got=f"found along {', '.join(found)}" if found else "none",
-        )
-    if failed := {name: one.failures for name, one in found.items() if one.failures}:
-        raise FitFailed(
-            "no straight rod or round hole could be fitted to the object along "
-            + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
-        )
-    return Proof(registration, tuple(proven(name, way, found[name]) for name, way in ways.items()))
-
-
-def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
-    """Require the plan's series first and a different one second. Raises PLAN-003, POST-003, POST-004."""
-    if pre.series_instance_uid == post.series_instance_uid:
-        raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
-    if plan.series_instance_uid == pre.series_instance_uid:
-        return
-    if plan.series_instance_uid == post.series_instance_uid:
-        raise SeriesSwapped("the plan was made on the second CT: the two are swapped")
-    raise WrongSeries(
-        "the plan belongs to another CT series",
-        expected=plan.series_instance_uid,
-        got=pre.series_instance_uid,
-    )
-
-
 def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
     """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
     pose = registration.post_from_pre
@@ -217,7 +217,7 @@ def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistrat
     )
 
 
-def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
+def _errors_along(planned: PlannedTrajectory, way: Way, found: Candidate) -> FoundTrajectory:
     """The errors of an instrument or a hole against its planned trajectory."""
     along, point_mm, inwards = way.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((way.entry_mm - point_mm) @ along) / float(inwards @ along))
@@ -228,9 +228,11 @@ def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
     depth_mm = float(off @ along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
     has_tip = found.kind is FoundKind.INSTRUMENT
-    return ProvenTrajectory(
-        identifier=identifier,
+    return FoundTrajectory(
+        id=planned.id,
         kind=found.kind,
+        planned_entry_mm=planned.entry_mm,
+        planned_target_mm=planned.target_mm,
         entry_mm=_point(entry),
         axis_at_target_mm=_point(at_target),
         tip_mm=_point(point_mm) if has_tip else None,

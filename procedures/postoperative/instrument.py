@@ -40,6 +40,49 @@ MOST_STRENGTH = 1.5
 REWEIGHTED = 3
 CAUCHY = 2.385
 
+METAL_HU = 1000.0  # by which metal is brighter than the tissue before, compact bone included
+OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: the search range
+LEAST_LENGTH_MM = 15.0  # in one piece along the trajectory; anything shorter is no instrument
+AROUND_MM = 3.5  # voxels within this distance of the axis are fitted
+RING_MM = (2.6, 3.5)  # the background around it, slab by slab
+BEYOND_TIP_MM = 6.0
+FITTED_LENGTH_MM = 60.0  # from the tip outwards; a longer one may be bent
+FIRST_RADIUS_MM, FIRST_SPREAD_MM = 0.6, 0.45
+VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean over its volume
+PROFILE_STEP_MM = 0.05
+SATURATED = 0.99  # of the largest stored value
+LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
+MOST_PIECES = 4  # of metal examined per trajectory
+PLACED, ROD = 5, 8  # numbers of fitted parameters that give the position, and of all the rod's
+MOST_PASSES = 10  # with streaks: tip and streaks are each read better with the other known
+STILL_MM = 0.005  # a smaller change by a pass says that they agree
+# streaks that are not fitted, and clipping, leave up to 300 HU; from the thinnest lead to the thickest needle
+USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
+
+
+@dataclass(frozen=True)
+class FoundRod:
+    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head."""
+
+    tip_mm: Array
+    outwards: Array
+    quality: FitQuality
+
+
+def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
+    """Find rods near a planned trajectory of the first scan, longest first.
+
+    Positions are in the second scan's coordinates.
+    """
+    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
+    seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
+    before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
+    labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
+    pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
+    long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
+    longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
+    return tuple(_fitted(post, _coarse(there, places)) for places in longest)
+
 
 @dataclass(frozen=True, eq=False)
 class Slices:
@@ -151,50 +194,6 @@ def _robustly_solved(columns: Array, values: Array) -> Array:
         left = values - columns @ solved
         weights = 1.0 / (1.0 + (left / (CAUCHY * (robust_sigma(left) + 1.0))) ** 2)
     return np.asarray(solved, dtype=float)
-
-
-METAL_HU = 1000.0  # by which metal is brighter than the tissue before, compact bone included
-OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: the search range
-LEAST_LENGTH_MM = 15.0  # in one piece along the trajectory; anything shorter is no instrument
-AROUND_MM = 3.5  # voxels within this distance of the axis are fitted
-RING_MM = (2.6, 3.5)  # the background around it, slab by slab
-BEYOND_TIP_MM = 6.0
-FITTED_LENGTH_MM = 60.0  # from the tip outwards; a longer one may be bent
-FIRST_RADIUS_MM, FIRST_SPREAD_MM = 0.6, 0.45
-VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean over its volume
-PROFILE_STEP_MM = 0.05
-SATURATED = 0.99  # of the largest stored value
-LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
-MOST_PIECES = 4  # of metal examined per trajectory
-PLACED, ROD = 5, 8  # numbers of fitted parameters that give the position, and of all the rod's
-MOST_PASSES = 10  # with streaks: tip and streaks are each read better with the other known
-STILL_MM = 0.005  # a smaller change by a pass says that they agree
-# streaks that are not fitted, and clipping, leave up to 300 HU; from the thinnest lead to the thickest needle
-USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
-
-
-@dataclass(frozen=True)
-class FoundRod:
-    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head."""
-
-    tip_mm: Array
-    outwards: Array
-    quality: FitQuality
-
-
-def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
-    """Find rods near a planned trajectory of the first scan, longest first.
-
-    Positions are in the second scan's coordinates.
-    """
-    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
-    seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
-    before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
-    labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
-    pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
-    long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
-    longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
-    return tuple(_fitted(post, _coarse(there, places)) for places in longest)
 
 
 def _length_mm(places: Array) -> float:

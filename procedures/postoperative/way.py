@@ -19,6 +19,8 @@ STEP_MM = 0.5  # of the coarse pass
 SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
 SLAB_MM = 1.0  # along the trajectory, for what is judged slab by slab
 
+AT_BOUND = 1e-3  # of the range between the two bounds
+
 
 @dataclass(frozen=True, eq=False)
 class Way:
@@ -104,9 +106,6 @@ def voxels_around(
     values = np.full(len(index), np.nan)
     values[inside] = volume.voxels[tuple(index[inside].T)]
     return local[near], values
-
-
-AT_BOUND = 1e-3  # of the range between the two bounds
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,12 @@ from procedures.registration.rigid_fit import fit_rigid
 
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand moves
 
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 3
+NEAR_MM = 8.0  # a point this close to a recorded one is that point: spheres are 20 mm and more apart
+SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be recognised by their layout
+
 
 @dataclass(frozen=True)
 class RigidMove:
@@ -59,13 +65,6 @@ def rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayL
     fit = register(before_mm, after_mm, covariance_mm2=covariance_mm2)
     fit.require_sound()
     return RigidMove(fit)
-
-
-Array = NDArray[np.float64]
-
-LEAST_POINTS = 3
-NEAR_MM = 8.0  # a point this close to a recorded one is that point: spheres are 20 mm and more apart
-SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be recognised by their layout
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,15 @@ Array = NDArray[np.float64]
 CLIQUE_SLACK = 2  # cliques up to two pairs smaller than the largest still compete
 MOST_BRANCHES = 20_000  # tens of milliseconds; if it takes more, the noise is too large for the spacing
 
+GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects correct pairs
+OUTLIER_BALL_RADIUS_MM = 300.0  # stray markers are within this ball around the head
+LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
+# Assumed, not measured: decision 10 shows how the answers depend on these odds.
+PAIR_ODDS = 10.0  # a priori, that two points which could be the same sphere are
+WIDE_SET_ODDS = 1e-3  # that pairs farther apart than a head is wide are all correct
+WIDEST_HEAD_MM = 260.0  # between two spheres: a head 220 mm long, plus a base and half a sphere at each end
+LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line and fixes no rotation
+
 
 def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> NDArray[np.bool_]:
     """Build the adjacency (n*m, n*m); node i*m + j pairs image point i of n with physical point j of m."""
@@ -165,16 +174,6 @@ def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
     """Pack each row of an adjacency matrix into one integer, bit k for column k."""
     packed = np.packbits(adjacency, axis=1, bitorder="little")
     return [int.from_bytes(row.tobytes(), "little") for row in packed]
-
-
-GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects correct pairs
-OUTLIER_BALL_RADIUS_MM = 300.0  # stray markers are within this ball around the head
-LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
-# Assumed, not measured: decision 10 shows how the answers depend on these odds.
-PAIR_ODDS = 10.0  # a priori, that two points which could be the same sphere are
-WIDE_SET_ODDS = 1e-3  # that pairs farther apart than a head is wide are all correct
-WIDEST_HEAD_MM = 260.0  # between two spheres: a head 220 mm long, plus a base and half a sphere at each end
-LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line and fixes no rotation
 
 
 @dataclass(frozen=True)

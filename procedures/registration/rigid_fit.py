@@ -22,6 +22,10 @@ from procedures.registration.errors import NotConverged
 
 Array = NDArray[np.float64]
 
+MOST_STEPS = 50  # ordinary data converge in five to eight
+MOST_HALVINGS = 30  # a step halved this often is zero
+SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far below any instrument
+
 
 @dataclass(frozen=True)
 class RigidFit:
@@ -76,11 +80,6 @@ def mirrored_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
     """
     change = np.where(fit.mirrored, -4.0, 4.0) * fit.spread_mm2[..., 2]
     return np.asarray(np.maximum(squared_sum_mm2 + change, 0.0))
-
-
-MOST_STEPS = 50  # ordinary data converge in five to eight
-MOST_HALVINGS = 30  # a step halved this often is zero
-SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far below any instrument
 
 
 def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:

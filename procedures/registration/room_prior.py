@@ -27,6 +27,31 @@ SOLID_SHARE = 0.75
 LYING_SHARE = 0.5  # of the head's axis that is horizontal; below it the patient sits over the floor
 COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
 
+# The 24 ways in which a stored image becomes a mirror image: its axes exchanged or reversed. Those first that
+# leave the slices' axis alone, as columns, rows or slices reversed and rows and columns swapped.
+MIRRORS = sorted(
+    (
+        np.eye(3)[list(order)] * signs
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+        if np.linalg.det(np.eye(3)[list(order)] * signs) < 0.0
+    ),
+    key=lambda one: abs(one[2, 2]),
+    reverse=True,
+)
+WITHIN_SLICES = sum(bool(one[2, 2]) for one in MIRRORS)
+LANDMARKS = {  # points of a head that a person finds and can touch: directions from its centre, LPS
+    "crown of the head": (0.0, 0.0, 1.0),
+    "tip of the nose": (0.0, -1.0, 0.0),
+    "back of the head": (0.0, 1.0, 0.0),
+    "left ear": (1.0, 0.0, 0.0),
+    "right ear": (-1.0, 0.0, 0.0),
+}
+LEAST_APART_MM = 15.0  # between the landmark as matched and as mirrored, for a reading to tell them apart
+# A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count only beyond this:
+# they are rare, and a viewer shows them.
+READING_LIMIT_MM = 40.0
+
 
 @dataclass(frozen=True, eq=False)
 class HeadSight:
@@ -100,32 +125,6 @@ class RoomPrior:
             return ""
         cosine = body @ base / max(np.linalg.norm(body) * np.linalg.norm(base), 1e-9)
         return "the arm would stand where the patient's body is" if cosine > COS_BODY else ""
-
-
-# The 24 ways in which a stored image becomes a mirror image: its axes exchanged or reversed. Those first that
-# leave the slices' axis alone, as columns, rows or slices reversed and rows and columns swapped.
-MIRRORS = sorted(
-    (
-        np.eye(3)[list(order)] * signs
-        for order in permutations(range(3))
-        for signs in product((1.0, -1.0), repeat=3)
-        if np.linalg.det(np.eye(3)[list(order)] * signs) < 0.0
-    ),
-    key=lambda one: abs(one[2, 2]),
-    reverse=True,
-)
-WITHIN_SLICES = sum(bool(one[2, 2]) for one in MIRRORS)
-LANDMARKS = {  # points of a head that a person finds and can touch: directions from its centre, LPS
-    "crown of the head": (0.0, 0.0, 1.0),
-    "tip of the nose": (0.0, -1.0, 0.0),
-    "back of the head": (0.0, 1.0, 0.0),
-    "left ear": (1.0, 0.0, 0.0),
-    "right ear": (-1.0, 0.0, 0.0),
-}
-LEAST_APART_MM = 15.0  # between the landmark as matched and as mirrored, for a reading to tell them apart
-# A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count only beyond this:
-# they are rare, and a viewer shows them.
-READING_LIMIT_MM = 40.0
 
 
 @dataclass(frozen=True, eq=False)

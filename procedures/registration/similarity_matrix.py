@@ -31,6 +31,8 @@ Indices = NDArray[np.intp]
 
 THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
 
+REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
+
 
 @dataclass(frozen=True)
 class SimilarityPairs:
@@ -191,9 +193,6 @@ def _sorted_rows(distances: Array, kept: Indices) -> Array:
 
 def _no_pairs() -> Indices:
     return np.empty((0, 2), dtype=np.intp)
-
-
-REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
 
 
 def validate_many(

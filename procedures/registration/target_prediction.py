@@ -39,6 +39,9 @@ Array = NDArray[np.float64]
 
 AXES = 3
 
+DIRECTIONS = 2000  # 3 degrees apart: the worst is missed by 0.1 % at most
+GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
+
 
 @dataclass(frozen=True)
 class SharedErrors:
@@ -127,10 +130,6 @@ def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike
         projected = projected @ np.asarray(weights, dtype=float)
     pose = np.linalg.solve((projected @ jacobian).sum(axis=0), projected)
     return np.asarray(pose_jacobian(target_mm, centre) @ pose)
-
-
-DIRECTIONS = 2000  # 3 degrees apart: the worst is missed by 0.1 % at most
-GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 
 
 def chi_square_of_shared(

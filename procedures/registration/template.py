@@ -25,6 +25,10 @@ Sigma = float | Sequence[float] | NDArray[np.float64]
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
 
+# Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
+SCAN_SIGMA_MM = 0.12
+TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for --pick."
+
 
 @dataclass(frozen=True)
 class _OfTemplate:
@@ -118,11 +122,6 @@ def _nothing(reason: str, nearest: Hypothesis | None, image: Array, physical: Ar
 def _others(count: int, used: NDArray[np.intp]) -> tuple[int, ...]:
     taken = set(used.tolist())
     return tuple(index for index in range(count) if index not in taken)
-
-
-# Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
-SCAN_SIGMA_MM = 0.12
-TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for --pick."
 
 
 @dataclass(frozen=True, eq=False)

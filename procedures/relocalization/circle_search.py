@@ -27,6 +27,58 @@ NOISY_SHARE = 0.5  # ... this share of the strong gradients
 GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: a step of six grey levels
 WEAK_SHARE = 0.5  # Canny's lower threshold relative to the upper
 
+Array = NDArray[np.float64]
+
+SEED = 20250711
+TRIPLES = 4000
+PORTIONS = 10  # of the triples: a clear image needs only one or two
+HYPOTHESES = 100  # scored circles, at most
+SCORED_POINTS = 600
+FACING_START = 0.90  # cosine between gradient and the direction to the centre
+FACING = 0.94
+TOLERANCE_PX = 2.0  # px of the reduced image
+REFINED_TOLERANCE_PX = (2.5, 1.5, 1.2)
+SECTORS = 60
+LEAST_COVERAGE = 0.2  # of the sectors; with less it is no circle
+LEAST_POINTS = 12
+CANDIDATES = 3
+REFINED_CIRCLES = 8  # at most, of those that score at least ...
+SCORE_SHARE = 0.3  # ... this share of the best
+
+
+@dataclass(frozen=True)
+class Circle:
+    """Centre and radius in pixels, and the share of the rim with edges."""
+
+    centre_px: tuple[float, float]
+    radius_px: float
+    coverage: float
+
+
+def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> list[Circle]:
+    """Find up to three distinct circles within the radius limits, most visible rim first."""
+    count = len(edges.position_px)
+    if count < LEAST_POINTS:
+        return []
+    centres, radii = _hypotheses(edges, smallest_px, largest_px)
+    scores = _scores(edges, centres, radii)
+    rest = np.argsort(-scores, kind="stable")
+    rest = rest[scores[rest] > SCORE_SHARE * scores.max(initial=0.0)]
+    found: list[Circle] = []
+    for _ in range(REFINED_CIRCLES):
+        if len(rest) == 0 or len(found) == CANDIDATES:
+            break
+        best, rest = rest[0], rest[1:]
+        circle = _refine(edges, centres[best], float(radii[best]))
+        if circle is None or not smallest_px <= circle.radius_px <= largest_px:
+            continue
+        here = np.array([circle.centre_px]), np.array([circle.radius_px])
+        if any(_same(*here, other)[0] for other in found):
+            continue
+        found.append(circle)
+        rest = rest[~_same(centres[rest], radii[rest], circle)]
+    return sorted(found, key=lambda circle: -circle.coverage * circle.radius_px)
+
 
 @dataclass(frozen=True)
 class EdgePoints:
@@ -88,59 +140,6 @@ def _edge_threshold(slope_x: NDArray[np.int16], slope_y: NDArray[np.int16]) -> f
     strong = float(np.percentile(strength, STRONG_PERCENTILE))
     above_noise = min(NOISE_FACTOR * typical, NOISY_SHARE * strong)  # a busy background hides no sphere
     return max(above_noise, STRONG_SHARE * strong, GRADIENT_FLOOR)
-
-
-Array = NDArray[np.float64]
-
-SEED = 20250711
-TRIPLES = 4000
-PORTIONS = 10  # of the triples: a clear image needs only one or two
-HYPOTHESES = 100  # scored circles, at most
-SCORED_POINTS = 600
-FACING_START = 0.90  # cosine between gradient and the direction to the centre
-FACING = 0.94
-TOLERANCE_PX = 2.0  # px of the reduced image
-REFINED_TOLERANCE_PX = (2.5, 1.5, 1.2)
-SECTORS = 60
-LEAST_COVERAGE = 0.2  # of the sectors; with less it is no circle
-LEAST_POINTS = 12
-CANDIDATES = 3
-REFINED_CIRCLES = 8  # at most, of those that score at least ...
-SCORE_SHARE = 0.3  # ... this share of the best
-
-
-@dataclass(frozen=True)
-class Circle:
-    """Centre and radius in pixels, and the share of the rim with edges."""
-
-    centre_px: tuple[float, float]
-    radius_px: float
-    coverage: float
-
-
-def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> list[Circle]:
-    """Find up to three distinct circles within the radius limits, most visible rim first."""
-    count = len(edges.position_px)
-    if count < LEAST_POINTS:
-        return []
-    centres, radii = _hypotheses(edges, smallest_px, largest_px)
-    scores = _scores(edges, centres, radii)
-    rest = np.argsort(-scores, kind="stable")
-    rest = rest[scores[rest] > SCORE_SHARE * scores.max(initial=0.0)]
-    found: list[Circle] = []
-    for _ in range(REFINED_CIRCLES):
-        if len(rest) == 0 or len(found) == CANDIDATES:
-            break
-        best, rest = rest[0], rest[1:]
-        circle = _refine(edges, centres[best], float(radii[best]))
-        if circle is None or not smallest_px <= circle.radius_px <= largest_px:
-            continue
-        here = np.array([circle.centre_px]), np.array([circle.radius_px])
-        if any(_same(*here, other)[0] for other in found):
-            continue
-        found.append(circle)
-        rest = rest[~_same(centres[rest], radii[rest], circle)]
-    return sorted(found, key=lambda circle: -circle.coverage * circle.radius_px)
 
 
 def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:

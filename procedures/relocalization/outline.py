@@ -26,6 +26,47 @@ from procedures.relocalization.rim_edges import (
     steepest_falls,
 )
 
+# Rim below a stain: the step from the dimmed film to the background, within a window too narrow for the
+# stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
+DIM_STEP_SHARE = 0.15
+DIM_NOISE_FACTOR = 6.0  # steps from noise alone are smaller
+DIM_SPAN_BLURS, DIM_SPAN_PX = 3.0, 2.0
+DIM_OFF_RIM_PX = 0.7  # the stain's inner edge shifts the steepest point by about half a pixel
+
+LEAST_RIM = 0.25  # with less it is no sphere at all
+RELIABLE_RIM = 0.625  # of the rim in view; a loss of 38 % must never pass
+CARRYING_RIM = 0.5  # of the rim must support the ellipse, not counting what a stain dims
+RELIABLE_AXIS_RATIO = (
+    0.99  # a sphere in the corner of the sensor has 0.996; below this, two objects share an outline
+)
+SPHERE_AXIS_RATIO = 0.75
+RELIABLE_SCATTER_PX = 0.6
+RELIABLE_CONTRAST_TO_NOISE = 6.0
+TOO_FAINT = "the sphere is too faint"
+FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
+FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
+FILLED_RINGS, FILLED_RAYS = 12, 36
+# Neighbouring rays share grain, uneven light and the edges of stains, so they carry less information than
+# independent ones. With this factor covariances are correct on rendered images; films and lights of the
+# hardware are unknown (U).
+SHARED_ERRORS = 2.3
+
+COARSE_RAYS = 180
+FINE_RAYS = 300
+COARSE_SPAN = 0.05  # of the radius, to either side of the first guess
+COARSE_SPAN_PX = 3.0  # px of the reduced image, at least
+FINE_SPAN_BLURS = 4.0
+BLUR_ATTEMPTS = 3  # the first attempt on a defocused rim sees only the middle of the edge
+BLUR_GROWTH = 1.5
+FINE_SPAN_PX = 6.0  # beyond the blur: enough plateau for both grey levels
+
+STEP_SHARE = 0.35  # of the median step: a smaller one is the sphere against its post, or a shadow
+BLUR_RATIO = 2.5  # to either side of the median blur
+MISFIT_SHARE = 0.25  # of the step
+OFF_RIM_SIGMAS = 4.0
+OFF_RIM_PX = 0.35  # never stricter than this: grain and small dents still count as rim
+OFF_RIM_LIMIT_PX = 1.5
+
 
 class SphereStatus(StrEnum):
     """Whether a centre may be used for a measurement."""
@@ -59,30 +100,35 @@ class SphereImage:
         return replace(self, centre_px=(x + offset_x_px, y + offset_y_px))
 
 
-# Rim below a stain: the step from the dimmed film to the background, within a window too narrow for the
-# stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
-DIM_STEP_SHARE = 0.15
-DIM_NOISE_FACTOR = 6.0  # steps from noise alone are smaller
-DIM_SPAN_BLURS, DIM_SPAN_PX = 3.0, 2.0
-DIM_OFF_RIM_PX = 0.7  # the stain's inner edge shifts the steepest point by about half a pixel
-
-LEAST_RIM = 0.25  # with less it is no sphere at all
-RELIABLE_RIM = 0.625  # of the rim in view; a loss of 38 % must never pass
-CARRYING_RIM = 0.5  # of the rim must support the ellipse, not counting what a stain dims
-RELIABLE_AXIS_RATIO = (
-    0.99  # a sphere in the corner of the sensor has 0.996; below this, two objects share an outline
-)
-SPHERE_AXIS_RATIO = 0.75
-RELIABLE_SCATTER_PX = 0.6
-RELIABLE_CONTRAST_TO_NOISE = 6.0
-TOO_FAINT = "the sphere is too faint"
-FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
-FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
-FILLED_RINGS, FILLED_RAYS = 12, 36
-# Neighbouring rays share grain, uneven light and the edges of stains, so they carry less information than
-# independent ones. With this factor covariances are correct on rendered images; films and lights of the
-# hardware are unknown (U).
-SHARED_ERRORS = 2.3
+def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
+    """Fit the ellipse at full resolution near a guess; None when there is no disc."""
+    span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
+    start = circle(guess.centre_px, guess.radius_px)
+    coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)
+    falls = steepest_falls(coarse_profiles)
+    rim = falls.found & _strong(falls)
+    coarse = fit_ellipse(rim_points(start, coarse_profiles, falls.offset_px)[rim], start)
+    if coarse is None or not _near(coarse.ellipse, guess, span_px):
+        return None
+    blur = float(np.median(falls.blur_px[rim]))
+    for _ in range(BLUR_ATTEMPTS):
+        span_px = FINE_SPAN_BLURS * blur + FINE_SPAN_PX
+        profiles = sample_profiles(image, coarse.ellipse, FINE_RAYS, span_px)
+        edges = fit_blurred_steps(profiles, steepest_falls(profiles), blur)
+        assumed, blur = blur, float(np.median(edges.blur_px))
+        if blur < BLUR_GROWTH * assumed:
+            break
+    points = rim_points(coarse.ellipse, profiles, edges.offset_px)
+    rim = _plausible(edges)
+    first = fit_ellipse(points[rim], coarse.ellipse, rough_start=False)
+    if first is None:
+        return None
+    rim &= _on_rim(first, points)
+    inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray next to a lost one is affected by the occluder
+    fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
+    if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
+        return None
+    return judged(image, fit, edges, rim, inner)
 
 
 def judged(
@@ -153,54 +199,6 @@ def _filled_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDAr
         return 0.0
     half_way = float(np.median((edges.dark_grey + 0.5 * edges.step_grey)[rim]))
     return float(np.mean(image[y[seen], x[seen]] > half_way))
-
-
-COARSE_RAYS = 180
-FINE_RAYS = 300
-COARSE_SPAN = 0.05  # of the radius, to either side of the first guess
-COARSE_SPAN_PX = 3.0  # px of the reduced image, at least
-FINE_SPAN_BLURS = 4.0
-BLUR_ATTEMPTS = 3  # the first attempt on a defocused rim sees only the middle of the edge
-BLUR_GROWTH = 1.5
-FINE_SPAN_PX = 6.0  # beyond the blur: enough plateau for both grey levels
-
-STEP_SHARE = 0.35  # of the median step: a smaller one is the sphere against its post, or a shadow
-BLUR_RATIO = 2.5  # to either side of the median blur
-MISFIT_SHARE = 0.25  # of the step
-OFF_RIM_SIGMAS = 4.0
-OFF_RIM_PX = 0.35  # never stricter than this: grain and small dents still count as rim
-OFF_RIM_LIMIT_PX = 1.5
-
-
-def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
-    """Fit the ellipse at full resolution near a guess; None when there is no disc."""
-    span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
-    start = circle(guess.centre_px, guess.radius_px)
-    coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)
-    falls = steepest_falls(coarse_profiles)
-    rim = falls.found & _strong(falls)
-    coarse = fit_ellipse(rim_points(start, coarse_profiles, falls.offset_px)[rim], start)
-    if coarse is None or not _near(coarse.ellipse, guess, span_px):
-        return None
-    blur = float(np.median(falls.blur_px[rim]))
-    for _ in range(BLUR_ATTEMPTS):
-        span_px = FINE_SPAN_BLURS * blur + FINE_SPAN_PX
-        profiles = sample_profiles(image, coarse.ellipse, FINE_RAYS, span_px)
-        edges = fit_blurred_steps(profiles, steepest_falls(profiles), blur)
-        assumed, blur = blur, float(np.median(edges.blur_px))
-        if blur < BLUR_GROWTH * assumed:
-            break
-    points = rim_points(coarse.ellipse, profiles, edges.offset_px)
-    rim = _plausible(edges)
-    first = fit_ellipse(points[rim], coarse.ellipse, rough_start=False)
-    if first is None:
-        return None
-    rim &= _on_rim(first, points)
-    inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray next to a lost one is affected by the occluder
-    fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
-    if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
-        return None
-    return judged(image, fit, edges, rim, inner)
 
 
 def _strong(edges: RimEdges) -> NDArray[np.bool_]:

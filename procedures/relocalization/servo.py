@@ -19,6 +19,11 @@ from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 Array = NDArray[np.float64]
 
+RINGS = 3
+RING_STEP_MM = 5.0
+SEARCH_RADIUS_MM = RINGS * RING_STEP_MM
+LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so that looks stay about 5 mm apart
+
 
 @dataclass(frozen=True)
 class ServoSettings:
@@ -133,12 +138,6 @@ def _vector(residual_mm: ArrayLike) -> Array:
 def _require_tool_pose(pose: Transform) -> None:
     if (pose.target, pose.source) != (Frame.ROBOT, Frame.TOOL):
         raise FrameMismatch(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")
-
-
-RINGS = 3
-RING_STEP_MM = 5.0
-SEARCH_RADIUS_MM = RINGS * RING_STEP_MM
-LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so that looks stay about 5 mm apart
 
 
 def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) -> Array:

@@ -39,6 +39,9 @@ BRIGHT_PERCENTILE = 99.8
 CONTRAST_FLOOR = 0.02  # of the grey range; with less it is noise or a uniform field
 SATURATED_LEVEL, DARK_LEVEL = 0.95, 0.15  # of the grey range, of an image without contrast
 
+SIDES = ("left", "right")
+RADIUS_TOLERANCE = 0.25  # of the radius in the image at the tool centre point: far beyond the depth of field
+
 
 def measure_sphere(
     image: NDArray[np.uint8] | NDArray[np.uint16],
@@ -133,10 +136,6 @@ def _checked(image: object) -> GreyImage:
 def _enlarged(guess: Circle, factor: int) -> Circle:
     x, y = (factor * (value + 0.5) - 0.5 for value in guess.centre_px)
     return Circle((x, y), factor * guess.radius_px, guess.coverage)
-
-
-SIDES = ("left", "right")
-RADIUS_TOLERANCE = 0.25  # of the radius in the image at the tool centre point: far beyond the depth of field
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,23 @@ Array = NDArray[np.float64]
 UNDISTORT_ITERATIONS = 20
 UNDISTORT_END = 1e-14  # normalised units, 1e-10 px
 
+SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
+RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different objects
+SIZE_TOLERANCE = 0.04  # of the radius: more than film and lens cause, less than a wrong match does
+LIKENESS_TOLERANCE = 0.015  # between the radii in both images, for the same sphere
+ITERATIONS = 5
+STEP_END_MM = 1e-9
+
+# Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
+# to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
+LARGEST_UNLIKENESS = 0.0009
+# Mean radius over the expected. The same focal lengths scatter it by 1.1e-4 (at most 2.2e-4 over 21 heads).
+LARGEST_SIZE_ERROR = 0.0005
+# Over the stated error of a point, to which cameras that are off by as much at random open a gap; those of a
+# calibration leave 0.001 mm.
+LARGEST_GAP_OVER_STATED = 5.0
+LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
+
 
 class Camera:
     """A camera calibration prepared for computation; `tool` coordinates in mm."""
@@ -107,14 +124,6 @@ def distorted(ideal: Array, coefficients: tuple[float, float, float, float, floa
         ],
         axis=-1,
     )
-
-
-SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
-RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different objects
-SIZE_TOLERANCE = 0.04  # of the radius: more than film and lens cause, less than a wrong match does
-LIKENESS_TOLERANCE = 0.015  # between the radii in both images, for the same sphere
-ITERATIONS = 5
-STEP_END_MM = 1e-9
 
 
 @dataclass(frozen=True)
@@ -241,17 +250,6 @@ def _weighted_point(
         if float(np.abs(step).max()) < STEP_END_MM:
             break
     return point, np.asarray(np.linalg.inv(normal), dtype=float)
-
-
-# Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
-# to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
-LARGEST_UNLIKENESS = 0.0009
-# Mean radius over the expected. The same focal lengths scatter it by 1.1e-4 (at most 2.2e-4 over 21 heads).
-LARGEST_SIZE_ERROR = 0.0005
-# Over the stated error of a point, to which cameras that are off by as much at random open a gap; those of a
-# calibration leave 0.001 mm.
-LARGEST_GAP_OVER_STATED = 5.0
-LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
 
 
 def check_head(

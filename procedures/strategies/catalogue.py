@@ -18,6 +18,12 @@ from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Transform
 
+CANDIDATES: tuple[Strategy, ...] = (
+    ImprovedDisplacementMinimization(),
+    OrientationCorrection(),
+    JointDisplacementMinimization(),
+)
+
 
 @dataclass(frozen=True)
 class StrategyByTrajectory:
@@ -65,13 +71,6 @@ class StrategyByTrajectory:
     ) -> Sequence[float]:
         """Take the turns of the trajectory's own strategy."""
         return self.of(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
-
-
-CANDIDATES: tuple[Strategy, ...] = (
-    ImprovedDisplacementMinimization(),
-    OrientationCorrection(),
-    JointDisplacementMinimization(),
-)
 
 
 @dataclass(frozen=True)

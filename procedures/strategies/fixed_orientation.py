@@ -24,6 +24,9 @@ from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch
 from procedures.strategies.trajectory import UP, Trajectory, poses_along, require_frames
 from ronna_hw.frames import Frame, Transform
 
+NEUTRAL = "neutral orientation"  # contains a space, so no planned trajectory can have this name
+LENGTH_MM = 100.0  # of the axis that represents the orientation; any length will do
+
 
 @dataclass(frozen=True)
 class OrientationCorrection:
@@ -50,10 +53,6 @@ class OrientationCorrection:
     ) -> tuple[float, ...]:
         """List all turns from the planned angle outwards: all serve equally well."""
         return OUTWARDS_RAD
-
-
-NEUTRAL = "neutral orientation"  # contains a space, so no planned trajectory can have this name
-LENGTH_MM = 100.0  # of the axis that represents the orientation; any length will do
 
 
 @dataclass(frozen=True)

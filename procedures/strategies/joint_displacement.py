@@ -41,6 +41,11 @@ Array = NDArray[np.float64]
 CONVERGED_RAD = 1e-10  # change of a step; 0.1 nm at 1 m
 MOST_STEPS = 60  # 6 to 15 are usual; more means no convergence
 
+STEP_RAD = 1e-4  # of a numerical derivative
+LARGEST_STEP_RAD = 0.2  # beyond it the errors are no longer linear in the rotation
+SETTLED_RAD = 1e-3  # changes the error at the target by less than a micrometre
+MOST_TURNS = 8  # four or five is usual
+
 
 def least_displacement(
     kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
@@ -113,7 +118,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Rank turns by displacement, least first; leave out those with a pose out of reach in this branch."""
+        """Rank turns by displacement, least first; leave out those with a pose out of reach."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -135,12 +140,6 @@ def joints_of(
         least_displacement(arm.kinematics, arm.flange_from_stereo.translation_mm, at_target, point)
         for point in points
     )
-
-
-STEP_RAD = 1e-4  # of a numerical derivative
-LARGEST_STEP_RAD = 0.2  # beyond it the errors are no longer linear in the rotation
-SETTLED_RAD = 1e-3  # changes the error at the target by less than a micrometre
-MOST_TURNS = 8  # four or five is usual
 
 
 @dataclass(frozen=True)

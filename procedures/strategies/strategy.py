@@ -26,6 +26,20 @@ from ronna_hw.frames import Frame, Transform
 
 Joints = tuple[float, float, float, float, float, float]  # rad
 
+STEP_RAD = math.radians(10.0)
+FURTHEST_RAD = math.radians(90.0)
+
+OUTWARDS_RAD: tuple[float, ...] = (
+    0.0,
+    *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
+)
+
+ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
+# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
+APPROACH_RAD = math.radians(0.2)
+LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
+
 
 @dataclass(frozen=True)
 class ArmInBranch:
@@ -109,15 +123,6 @@ class Strategy(Protocol):
         ...
 
 
-STEP_RAD = math.radians(10.0)
-FURTHEST_RAD = math.radians(90.0)
-
-OUTWARDS_RAD: tuple[float, ...] = (
-    0.0,
-    *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
-)
-
-
 def between_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
     """List turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once.
 
@@ -132,13 +137,6 @@ def between_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
             if abs(beside) < FURTHEST_RAD:
                 found.setdefault(round(math.degrees(beside) * 1000.0), beside)
     return tuple(found.values())
-
-
-ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
-AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
-# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
-APPROACH_RAD = math.radians(0.2)
-LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
 
 
 def arrival_signs(

@@ -23,6 +23,12 @@ Point = tuple[float, float, float]
 
 SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
 
+# For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
+PARALLEL_SINE = math.sin(math.radians(5.0))
+ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
+UP = np.array([0.0, 0.0, 1.0])
+AHEAD = np.array([1.0, 0.0, 0.0])
+
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -66,13 +72,6 @@ class Trajectory:
     def axis_ct(self) -> Array:
         """Unit vector (3,) from entry to target, into the head, in CT coordinates."""
         return np.subtract(self.target_mm, self.entry_mm) / self.depth_mm
-
-
-# For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
-PARALLEL_SINE = math.sin(math.radians(5.0))
-ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
-UP = np.array([0.0, 0.0, 1.0])
-AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 def reference_direction(axis: Array, at_mm: Array) -> Array:

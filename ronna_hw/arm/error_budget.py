@@ -37,6 +37,28 @@ HARMONIC_RAD = (float(np.radians(0.015)), float(np.radians(0.008)))  # once and 
 UNCALIBRATED_MM = 0.10
 X, Y, Z = np.eye(3)
 
+ONCE_RAD, TWICE_RAD = HARMONIC_RAD
+LINK = [LINK_TRANSLATION_MM, LINK_ROTATION_RAD]
+SIZES = np.array([JOINT_OFFSET_RAD, ONCE_RAD, ONCE_RAD, TWICE_RAD, TWICE_RAD, *LINK, *LINK, *LINK])
+OFFSET, SINE, COSINE, TRANSLATION, ROTATION = [0], [1, 3], [2, 4], [5, 7, 9], [6, 8, 10]  # of each joint
+
+# Parameter set S of the error study, as in `arm_geometry`; harmonics have an arbitrary phase.
+SAG_RAD = math.radians(0.03)
+
+BACKLASH_RAD = math.radians(0.02)
+
+TOOL_MM = 2.0
+
+PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
+
+HARMONIC_COLUMNS = slice(1, 5)
+
+PER_AXIS = 3.0**-0.5  # of a 3-D error
+
+EVEN_PHASE = 0.5**0.5  # rms sine and cosine component of a harmonic of arbitrary phase
+
+SAGGING = (1, 2)  # joints, counted from 0
+
 
 def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
     """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
@@ -61,12 +83,6 @@ def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
             columns.append(LINK_TRANSLATION_MM * (turned @ direction))
             columns.append(LINK_ROTATION_RAD * np.cross(turned @ direction, ball_mm - place))
     return np.stack(columns, axis=2)
-
-
-ONCE_RAD, TWICE_RAD = HARMONIC_RAD
-LINK = [LINK_TRANSLATION_MM, LINK_ROTATION_RAD]
-SIZES = np.array([JOINT_OFFSET_RAD, ONCE_RAD, ONCE_RAD, TWICE_RAD, TWICE_RAD, *LINK, *LINK, *LINK])
-OFFSET, SINE, COSINE, TRANSLATION, ROTATION = [0], [1, 3], [2, 4], [5, 7, 9], [6, 8, 10]  # of each joint
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,31 +124,6 @@ def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array
     backlash = FLANK_SHARE * swings * sides[:, None]
     flat = [one.reshape(*columns.shape[:2], -1) for one in (*fields, sag, backlash)]
     return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
-
-
-# Parameter set S of the error study, as in `arm_geometry`; harmonics have an arbitrary phase.
-SAG_RAD = math.radians(0.03)
-
-
-BACKLASH_RAD = math.radians(0.02)
-
-
-TOOL_MM = 2.0
-
-
-PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
-
-
-HARMONIC_COLUMNS = slice(1, 5)
-
-
-PER_AXIS = 3.0**-0.5  # of a 3-D error
-
-
-EVEN_PHASE = 0.5**0.5  # rms sine and cosine component of a harmonic of arbitrary phase
-
-
-SAGGING = (1, 2)  # joints, counted from 0
 
 
 @dataclass(frozen=True)

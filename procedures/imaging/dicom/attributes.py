@@ -20,42 +20,8 @@ LONGEST_VALUE = 65_536  # of an attribute other than pixels; none in use exceeds
 DEFLATED = b"1.2.840.10008.1.2.1.99"  # everything after the meta header is deflated (PS3.5 A.5)
 EXPLICIT = b"1.2.840.10008.1.2.1".ljust(len(DEFLATED), b"\0")  # the equivalent syntax once inflated
 
-
-class DataSetDeflated(Exception):
-    """Raised where the deflated rest of a file begins."""
-
-    def __init__(self, begin: int) -> None:
-        self.begin = begin
-
-
-class BoundedStream(io.BytesIO):
-    """Bytes of a file with limits on reads.
-
-    Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
-    """
-
-    def __init__(self, content: bytes, longest_value: int) -> None:
-        super().__init__(content)
-        self._left = MOST_READS
-        self._longest = longest_value
-
-    def read(self, size: int | None = -1, /) -> bytes:
-        """Read `size` bytes; only a deflated data set is read to the end at once."""
-        if size is None or size < 0:
-            raise DataSetDeflated(self.tell())
-        self._left -= 1
-        if self._left < 0:
-            raise InputRefused("too many elements", limit=f"{MOST_READS} reads")
-        if size > self._longest:
-            raise InputRefused("a value is too long", limit=f"{self._longest} bytes", got=f"{size}")
-        return super().read(size)
-
-
 LONGEST_SHOWN = 80  # characters of a value that is not as it should be
 LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
-
-if TYPE_CHECKING:
-    from pydicom.dataset import Dataset, FileDataset
 
 
 def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
@@ -95,6 +61,40 @@ def _inflated(content: bytes, begin: int) -> bytes:
     """Inflate the file's data set; pydicom would do so without a size limit."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
+
+
+class DataSetDeflated(Exception):
+    """Raised where the deflated rest of a file begins."""
+
+    def __init__(self, begin: int) -> None:
+        self.begin = begin
+
+
+class BoundedStream(io.BytesIO):
+    """Bytes of a file with limits on reads.
+
+    Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
+    """
+
+    def __init__(self, content: bytes, longest_value: int) -> None:
+        super().__init__(content)
+        self._left = MOST_READS
+        self._longest = longest_value
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read `size` bytes; only a deflated data set is read to the end at once."""
+        if size is None or size < 0:
+            raise DataSetDeflated(self.tell())
+        self._left -= 1
+        if self._left < 0:
+            raise InputRefused("too many elements", limit=f"{MOST_READS} reads")
+        if size > self._longest:
+            raise InputRefused("a value is too long", limit=f"{self._longest} bytes", got=f"{size}")
+        return super().read(size)
+
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset, FileDataset
 
 
 def value(path: Path, header: Dataset, keyword: str) -> Any:

@@ -32,6 +32,19 @@ LIMIT_S = (
 END_LIMIT_S = 1.0  # for a decoder that has stopped answering
 PIPE_BYTES = 1 << 16
 
+RLE = "1.2.840.10008.1.2.5"
+JPEG_2000 = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (90, 91, 201, 202, 203))
+JPEG = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 57, 70, 80, 81))  # and JPEG-LS
+
+MOST_TILES = 1024  # in JPEG 2000; each costs kilobytes
+RLE_SLACK_BYTES = 1024  # a segment may be padded
+
+_START = b"\xff\xd8"
+_SIZES = frozenset({*range(0xC0, 0xD0), 0xF7}) - {0xC4, 0xC8, 0xCC}  # frame headers; F7 is JPEG-LS
+_J2K_START = b"\xff\x4f\xff\x51"
+_J2K_SIZE = struct.Struct(">2H8IH")  # length, capabilities, image, its offset, tile, its offset, components
+_RLE_HEADER = struct.Struct("<16I")
+
 
 class NotDecoded(Exception):
     """The decoder's message, or how its process ended."""
@@ -121,20 +134,6 @@ class FrameDecoder:
         self._process.wait()
         os.close(self._answers)
         self._process = None
-
-
-RLE = "1.2.840.10008.1.2.5"
-JPEG_2000 = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (90, 91, 201, 202, 203))
-JPEG = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 57, 70, 80, 81))  # and JPEG-LS
-
-MOST_TILES = 1024  # in JPEG 2000; each costs kilobytes
-RLE_SLACK_BYTES = 1024  # a segment may be padded
-
-_START = b"\xff\xd8"
-_SIZES = frozenset({*range(0xC0, 0xD0), 0xF7}) - {0xC4, 0xC8, 0xCC}  # frame headers; F7 is JPEG-LS
-_J2K_START = b"\xff\x4f\xff\x51"
-_J2K_SIZE = struct.Struct(">2H8IH")  # length, capabilities, image, its offset, tile, its offset, components
-_RLE_HEADER = struct.Struct("<16I")
 
 
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:

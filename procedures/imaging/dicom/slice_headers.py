@@ -34,6 +34,7 @@ from procedures.imaging.errors import (
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
 
+
 Progress = Callable[[float], None]
 
 PREAMBLE_BYTES = 128  # DICOM part 10: 128 free bytes, then the letters DICM
@@ -80,6 +81,8 @@ _TAGS = (
     "ImagesInAcquisition",
     "PatientID",  # compared, then discarded
 )
+
+_IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 
 
 @dataclass(frozen=True)
@@ -299,9 +302,6 @@ def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
     stated = value(path, header, "ImageType") or ()
     words = (stated,) if isinstance(stated, str) else stated
     return tuple(str(word).strip().upper() for word in words)
-
-
-_IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 
 
 @dataclass(frozen=True, repr=False)  # keeps it out of logs

@@ -33,6 +33,19 @@ OUT, IN, SZ, SXY, RADIUS = 3, 4, 5, 6, 7
 BALL = 8
 SLOPE = slice(BALL, BALL + 3)
 
+TERMS = 5
+
+Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,) and derivatives (n, m)
+
+STEPS = 25
+DONE_MM = 5e-5
+CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
+FLAT_TO = 6.0  # standard deviations, at which the weight is a half
+MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
+MIN_GROWTH = 0.1
+START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
+BLOCK = 512  # rows; for larger products BLAS starts threads that cost more than they save
+
 
 def polynomial(places: Array, degrees: Iterable[int]) -> Array:
     """Products (n, m) of `degrees` coordinates of `places` (n, 3), degree by degree."""
@@ -77,9 +90,6 @@ def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[A
     return unknowns[OUT] + contrast * cover + background @ unknowns[BALL:], derivatives
 
 
-TERMS = 5
-
-
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """Distance of a body's surface from a ball's along each direction n: n' terms n, in mm.
@@ -111,18 +121,6 @@ def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Arr
     x, y, z = ways.T
     terms = np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
     return np.column_stack((derivatives, derivatives[:, RADIUS, None] * terms))
-
-
-Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,) and derivatives (n, m)
-
-STEPS = 25
-DONE_MM = 5e-5
-CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
-FLAT_TO = 6.0  # standard deviations, at which the weight is a half
-MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
-MIN_GROWTH = 0.1
-START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
-BLOCK = 512  # rows; for larger products BLAS starts threads that cost more than they save
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:

@@ -39,6 +39,20 @@ CORRELATED = 5.0  # variance relative to that of independent voxels: noise is co
 OUTLIER = 5.0  # deviations: noise alone reaches this in one sphere of a hundred
 OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
 
+FITTED_DEGREES = (1, 2, 3)
+
+METAL_HU = 900.0
+
+METAL_REACH_MM = 2.2  # reach of blur from metal
+
+FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
+
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
+
+HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
+
+START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
+
 
 @dataclass(frozen=True, eq=False)
 class BallVoxels:
@@ -146,27 +160,6 @@ class BallVoxels:
 def _with_possible_blur(unknowns: Array) -> Array:
     unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
     return unknowns
-
-
-FITTED_DEGREES = (1, 2, 3)
-
-
-METAL_HU = 900.0
-
-
-METAL_REACH_MM = 2.2  # reach of blur from metal
-
-
-FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
-
-
-HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
-
-
-HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
-
-
-START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
 
 
 def voxels_of_ball(

@@ -55,6 +55,146 @@ LEAST_SLOPE = 2.0  # of the bend terms' size: streaks fade with distance, and sl
 LEAST_VARIANCE_HU2 = 1e-3  # stands for no streaks
 BENT = slice(SLOPE.stop, None)  # the parameters of the second and third degree
 
+EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
+# Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
+# fits more finely; 0.03 would gain 1 % on the phantom's noise. If much of a ball is covered, the cover is the
+# limit, not noise: then all frequencies count nearly alike, chosen on balls half buried in 20 to 60 HU.
+LEAST_POWER, LEAST_POWER_COVERED = 0.1, 3.0
+# power (HU² per voxel) that bend terms of 1 HU² leave, chosen on streaks of one, two and six lobes around a
+# post: without it whitening takes their remains for signal, and errors grow by half
+STREAK_POWER = 8.0
+MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-free data
+
+
+@dataclass(frozen=True, eq=False)
+class BlurredBall:
+    """A fitted ball. Centre and covariance in grid mm (slice, row, column), intensities in HU."""
+
+    centre_mm: Array
+    covariance_mm2: Array
+    radius_mm: float
+    metal_share: float  # part of the sphere's surface too close to metal to be used
+    streak_hu: float  # typical size, at the surface, of the terms by which streaks bend the background
+    contrast_hu: float
+    stretch: Stretch  # where the surface borders on the outside
+
+
+def fit_rough_ball(
+    region: Region,
+    start_mm: Array,
+    radius_mm: float,
+    inside_hu: float,
+    outside_hu: float,
+    *,
+    hidden_ways: Array | None = None,
+) -> RoughBall | None:
+    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
+
+    `hidden_ways` (n, 3) are directions from the centre in which the surface borders on something other than
+    the outside; voxels near and beyond the surface there are excluded.
+    """
+    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
+    if usable.sum() < MIN_VOXELS:
+        return None
+    covered = hidden_ways is not None and len(hidden_ways) > 0
+    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
+    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
+    settled = voxels.robust_fit(start)
+    return None if settled is None else RoughBall(voxels, settled, metal_share)
+
+
+@dataclass(frozen=True, eq=False)
+class RoughBall:
+    """Result of the robust fit: the voxels used, and all parameters."""
+
+    voxels: BallVoxels
+    unknowns: Array
+    metal_share: float
+
+    @property
+    def contrast_hu(self) -> float:
+        """Contrast between ball and surroundings."""
+        return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
+
+    @property
+    def uneven(self) -> float:
+        """Slope and bend of the background over a radius, as a share of the contrast."""
+        return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
+
+    def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
+        """Refine the fit; None without one nearby, or if streaks bend more than `most_streaks` of the
+        contrast.
+
+        `hidden_ways` (n, 3) are directions without information about the shape.
+        """
+        fitted = fit_whitened(
+            self.voxels.without_outliers(self.unknowns),
+            self.unknowns,
+            most_streak_hu=most_streaks * self.contrast_hu,
+        )
+        if fitted is None:
+            return None
+        unknowns = fitted.unknowns
+        outer = self.voxels.beyond_mm(unknowns) > -HIDDEN_DEPTH_MM
+        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_ways, outer)
+        return BlurredBall(
+            centre_mm=unknowns[:3],
+            covariance_mm2=fitted.covariance_mm2,
+            radius_mm=float(unknowns[RADIUS]),
+            metal_share=self.metal_share,
+            streak_hu=fitted.streak_hu,
+            contrast_hu=float(unknowns[IN] - unknowns[OUT]),
+            stretch=self.voxels.stretch(unknowns, clear),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WhitenedBall:
+    """All parameters, the covariance of the centre in grid mm, and the typical background bend in HU."""
+
+    unknowns: Array
+    covariance_mm2: Array
+    streak_hu: float
+
+
+def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
+    """Refine a robust fit; None without a fit nearby, or if streaks bend more than `most_streak_hu`."""
+    derivatives, pull, weights = voxels.at(start)
+    derivatives *= weights[:, None]
+    smooth = np.ones(len(start), dtype=bool)
+    smooth[EDGE] = False
+    grid = VoxelGrid.around(voxels.where, WINDOW_MM, voxels.spacing_mm)
+    spectra = grid.spectra(derivatives)
+    least = LEAST_POWER_COVERED if voxels.covered else LEAST_POWER
+    noise = CorrelatedNoise.of_fit(grid, pull, spectra, least)
+    growth = voxels.growth(weights)
+
+    def pull_at(unknowns: Array) -> Array:
+        return voxels.at(unknowns)[1]
+
+    step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
+    settled = step.settle(start, pull_at)
+    if settled is None:
+        return None
+    prior = StreakPrior.of_bends(settled[BENT], step.covariance[BENT, BENT])
+    if prior.streak_hu > most_streak_hu:
+        return None
+    if prior.bent_hu2 > 0.0:
+        noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
+        step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
+    step = step.drawn(prior.stiffness(len(start)))
+    settled = step.settle(settled, pull_at)
+    if settled is None:
+        return None
+    prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
+    step = step.drawn(prior.stiffness(len(start)))
+    settled = step.settle(settled, pull_at)
+    if settled is None:
+        return None
+    by_streaks = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
+    covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
+    return WhitenedBall(settled, covariance_mm2, prior.streak_hu)
+
 
 @dataclass(frozen=True)
 class StreakPrior:
@@ -115,144 +255,3 @@ def _square_over(found: Array, covariance: Array) -> tuple[float, float]:
     """Square of `found` over its covariance, and the trace of that covariance's inverse."""
     precision = np.linalg.pinv(covariance, hermitian=True)
     return float(found @ precision @ found), float(np.trace(precision))
-
-
-EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
-# Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
-# fits more finely; 0.03 would gain 1 % on the phantom's noise. If much of a ball is covered, the cover is the
-# limit, not noise: then all frequencies count nearly alike, chosen on balls half buried in 20 to 60 HU.
-LEAST_POWER, LEAST_POWER_COVERED = 0.1, 3.0
-# power (HU² per voxel) that bend terms of 1 HU² leave, chosen on streaks of one, two and six lobes around a
-# post: without it whitening takes their remains for signal, and errors grow by half
-STREAK_POWER = 8.0
-MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-free data
-
-
-@dataclass(frozen=True, eq=False)
-class WhitenedBall:
-    """All parameters, the covariance of the centre in grid mm, and the typical background bend in HU."""
-
-    unknowns: Array
-    covariance_mm2: Array
-    streak_hu: float
-
-
-def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
-    """Refine a robust fit; None without a fit nearby, or if streaks bend more than `most_streak_hu`."""
-    derivatives, pull, weights = voxels.at(start)
-    derivatives *= weights[:, None]
-    smooth = np.ones(len(start), dtype=bool)
-    smooth[EDGE] = False
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, voxels.spacing_mm)
-    spectra = grid.spectra(derivatives)
-    least = LEAST_POWER_COVERED if voxels.covered else LEAST_POWER
-    noise = CorrelatedNoise.of_fit(grid, pull, spectra, least)
-    growth = voxels.growth(weights)
-
-    def pull_at(unknowns: Array) -> Array:
-        return voxels.at(unknowns)[1]
-
-    step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
-    settled = step.settle(start, pull_at)
-    if settled is None:
-        return None
-    prior = StreakPrior.of_bends(settled[BENT], step.covariance[BENT, BENT])
-    if prior.streak_hu > most_streak_hu:
-        return None
-    if prior.bent_hu2 > 0.0:
-        noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
-        step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
-    step = step.drawn(prior.stiffness(len(start)))
-    settled = step.settle(settled, pull_at)
-    if settled is None:
-        return None
-    prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
-    step = step.drawn(prior.stiffness(len(start)))
-    settled = step.settle(settled, pull_at)
-    if settled is None:
-        return None
-    by_streaks = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
-    covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
-    return WhitenedBall(settled, covariance_mm2, prior.streak_hu)
-
-
-@dataclass(frozen=True, eq=False)
-class BlurredBall:
-    """A fitted ball. Centre and covariance in grid mm (slice, row, column), intensities in HU."""
-
-    centre_mm: Array
-    covariance_mm2: Array
-    radius_mm: float
-    metal_share: float  # part of the sphere's surface too close to metal to be used
-    streak_hu: float  # typical size, at the surface, of the terms by which streaks bend the background
-    contrast_hu: float
-    stretch: Stretch  # where the surface borders on the outside
-
-
-@dataclass(frozen=True, eq=False)
-class RoughBall:
-    """Result of the robust fit: the voxels used, and all parameters."""
-
-    voxels: BallVoxels
-    unknowns: Array
-    metal_share: float
-
-    @property
-    def contrast_hu(self) -> float:
-        """Contrast between ball and surroundings."""
-        return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
-
-    @property
-    def uneven(self) -> float:
-        """Slope and bend of the background over a radius, as a share of the contrast."""
-        return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
-
-    def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """Refine the fit; None without one nearby, or if streaks bend more than `most_streaks` of the
-        contrast.
-
-        `hidden_ways` (n, 3) are directions without information about the shape.
-        """
-        fitted = fit_whitened(
-            self.voxels.without_outliers(self.unknowns),
-            self.unknowns,
-            most_streak_hu=most_streaks * self.contrast_hu,
-        )
-        if fitted is None:
-            return None
-        unknowns = fitted.unknowns
-        outer = self.voxels.beyond_mm(unknowns) > -HIDDEN_DEPTH_MM
-        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_ways, outer)
-        return BlurredBall(
-            centre_mm=unknowns[:3],
-            covariance_mm2=fitted.covariance_mm2,
-            radius_mm=float(unknowns[RADIUS]),
-            metal_share=self.metal_share,
-            streak_hu=fitted.streak_hu,
-            contrast_hu=float(unknowns[IN] - unknowns[OUT]),
-            stretch=self.voxels.stretch(unknowns, clear),
-        )
-
-
-def fit_rough_ball(
-    region: Region,
-    start_mm: Array,
-    radius_mm: float,
-    inside_hu: float,
-    outside_hu: float,
-    *,
-    hidden_ways: Array | None = None,
-) -> RoughBall | None:
-    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
-
-    `hidden_ways` (n, 3) are directions from the centre in which the surface borders on something other than
-    the outside; voxels near and beyond the surface there are excluded.
-    """
-    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
-    if usable.sum() < MIN_VOXELS:
-        return None
-    covered = hidden_ways is not None and len(hidden_ways) > 0
-    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
-    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
-    settled = voxels.robust_fit(start)
-    return None if settled is None else RoughBall(voxels, settled, metal_share)

@@ -26,8 +26,15 @@ from procedures.imaging.sphere_centre.ball_model import products
 Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
-
 SAME_SPACE = 1e-10  # columns with a smaller remainder are in the space of the others
+
+WINDOW_MM = 3.0  # noise of voxels farther apart counts as independent
+PASSES = 3  # the fit absorbs a few per cent: restored to 0.1 % in two passes
+
+Pull = Callable[[Array], Array]  # parameters (m,) to weighted residuals w·r (n,)
+
+STEPS = 2
+MOST_MOVED_MM = 0.5  # the previous fit cannot have been off by more
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +109,6 @@ def _multiplicity(shape: tuple[int, ...]) -> Array:
     return counts
 
 
-WINDOW_MM = 3.0  # noise of voxels farther apart counts as independent
-PASSES = 3  # the fit absorbs a few per cent: restored to 0.1 % in two passes
-
-
 @dataclass(frozen=True, eq=False)
 class CorrelatedNoise:
     """Stationary noise, correlated between neighbours.
@@ -155,12 +158,6 @@ def _taper(grid: VoxelGrid) -> Array:
     """Weights of the lags: one up to half the window, then falling to zero."""
     beyond = np.clip(2.0 * np.sqrt(grid.squared_lags_mm2()) / WINDOW_MM - 1.0, 0.0, 1.0)
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * beyond)))
-
-
-Pull = Callable[[Array], Array]  # parameters (m,) to weighted residuals w·r (n,)
-
-STEPS = 2
-MOST_MOVED_MM = 0.5  # the previous fit cannot have been off by more
 
 
 @dataclass(frozen=True, eq=False)

@@ -51,6 +51,111 @@ FEWEST_VOXELS = 40  # of a slice, to estimate its noise
 CLEAR_SHARE = 0.05  # of the largest eigenvalue: patterns that the voxels see less of are dropped
 ROOM_MM = 2.0  # from the voxels to the end of the cosines' period
 
+STEPS, LEAST_STEPS = 14, 5
+DONE_MM, SETTLED_MM = 5e-4, 5e-3
+MOST_STEP_MM = 0.3
+MOST_RESIZED = 0.3  # of the radius
+FARTHEST_MM = 0.6  # from the start: streaks move the edges found by rays by less
+START_NOISE_HU, START_FIELD_HU = 30.0, 150.0
+FIELD_LIMITS_HU = (1.0, 1600.0)
+AWAY_MM = 1.3  # from the edge, where its blur ends
+EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
+MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
+LEAST_NOISE_HU = 1.0
+NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
+FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
+# Not in the model: neighbouring slices share streaks, which are narrower than its field in places. Chosen so
+# that chi-square is 1 on bands of 150 to 450 HU across `plain`, seed 100.
+COVARIANCE_FACTOR = 1.7
+NOISE_FACTOR = 1.5
+MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its limit
+
+
+@dataclass(frozen=True, eq=False)
+class StreakedBall:
+    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
+
+    centre_mm: Array
+    covariance_mm2: Array
+    radius_mm: float
+    metal_share: float  # part of the sphere's surface too close to metal to be used
+    cleaned: Region
+    stretch: Stretch
+    evident: bool  # its streaks also show away from the sphere's edge
+
+
+def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
+    """Fit from a sphere of edge points; None if too few voxels are usable or it does not converge nearby.
+
+    Directions in which the edge is not on that sphere are excluded.
+    """
+    usable, metal_share = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
+    if usable.sum() < MIN_VOXELS:
+        return None
+    points_mm = (np.argwhere(usable) + region.start) * region.spacing_mm
+    values = region.values[usable]
+    start = first_guess(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
+    floor_hu = _floor_hu(region)
+    censored = np.zeros(len(values), dtype=bool) if floor_hu is None else values <= floor_hu
+    field = SliceField.around(points_mm, float(np.ptp(points_mm[:, 1:], axis=0).max()) / 2.0)
+    no_background = np.zeros((len(values), 0))
+    unknowns, weights = start.copy(), np.ones(len(values))
+    streaks = np.zeros(len(values))
+    field_hu2 = np.full(len(field.slices), START_FIELD_HU**2)
+    white_hu, noise_hu2 = START_NOISE_HU, START_NOISE_HU**2
+    modes: tuple[NoiseModes, ...] = ()
+    for number in range(STEPS):
+        modelled, derivatives = intensities(points_mm, unknowns, no_background)
+        working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
+        step_found = _solve(
+            field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
+        )
+        if step_found is None:
+            return None
+        solved = step_found
+        streaks, field_hu2 = solved.field, solved.field_hu2
+        left = working - modelled - streaks
+        counted = weights * known
+        white_hu2 = float(counted @ left**2) / max(float(counted.sum()) - solved.degrees, 1.0)
+        white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
+        noise_hu2 = white_hu**2
+        if number >= NOISE_FROM_STEP:
+            modes = modes or field.noise_modes((weights > 0.5) & ~censored)
+            noise_hu2 = max(noise_power(modes, left), noise_hu2)
+        weights = flat_weights(left, scale(left[~censored]))
+        step = solved.step
+        step[:3] = np.clip(step[:3], -MOST_STEP_MM, MOST_STEP_MM)
+        unknowns = unknowns + step
+        unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
+        moved_mm = float(np.abs(step[:3]).max())
+        if not abs(unknowns[RADIUS] / start[RADIUS] - 1.0) < MOST_RESIZED:
+            return None
+        if number >= LEAST_STEPS and moved_mm < DONE_MM:
+            break
+    if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
+        return None
+    if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
+        return None  # what is in the image besides the ball is not a streak
+    modelled, derivatives = intensities(points_mm, unknowns, no_background)
+    working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
+    stretched = stretched_ball(points_mm, unknowns, derivatives)
+    evident = _is_evident(
+        points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
+    )
+    noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
+    shaped = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
+    if shaped is None:
+        return None
+    return StreakedBall(
+        centre_mm=unknowns[:3],
+        covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
+        radius_mm=float(unknowns[RADIUS]),
+        metal_share=metal_share,
+        cleaned=_cleaned(region, field.over(region, solved.coefficients), floor_hu, float(unknowns[OUT])),
+        evident=evident,
+        stretch=Stretch.of_last_terms(shaped.step, shaped.covariance),
+    )
+
 
 @dataclass(frozen=True, eq=False)
 class Waves:
@@ -160,39 +265,6 @@ class SliceField:
         return field
 
 
-STEPS, LEAST_STEPS = 14, 5
-DONE_MM, SETTLED_MM = 5e-4, 5e-3
-MOST_STEP_MM = 0.3
-MOST_RESIZED = 0.3  # of the radius
-FARTHEST_MM = 0.6  # from the start: streaks move the edges found by rays by less
-START_NOISE_HU, START_FIELD_HU = 30.0, 150.0
-FIELD_LIMITS_HU = (1.0, 1600.0)
-AWAY_MM = 1.3  # from the edge, where its blur ends
-EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
-MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
-LEAST_NOISE_HU = 1.0
-NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
-FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
-# Not in the model: neighbouring slices share streaks, which are narrower than its field in places. Chosen so
-# that chi-square is 1 on bands of 150 to 450 HU across `plain`, seed 100.
-COVARIANCE_FACTOR = 1.7
-NOISE_FACTOR = 1.5
-MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its limit
-
-
-@dataclass(frozen=True, eq=False)
-class StreakedBall:
-    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
-
-    centre_mm: Array
-    covariance_mm2: Array
-    radius_mm: float
-    metal_share: float  # part of the sphere's surface too close to metal to be used
-    cleaned: Region
-    stretch: Stretch
-    evident: bool  # its streaks also show away from the sphere's edge
-
-
 @dataclass(frozen=True, eq=False)
 class _Solved:
     """Result of one step: the update of the parameters, their covariance, and each slice's field."""
@@ -203,79 +275,6 @@ class _Solved:
     field: Array  # (n,) HU
     field_hu2: Array  # (slices,)
     degrees: float  # degrees of freedom absorbed by the fields
-
-
-def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
-    """Fit from a sphere of edge points; None if too few voxels are usable or it does not converge nearby.
-
-    Directions in which the edge is not on that sphere are excluded.
-    """
-    usable, metal_share = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
-    if usable.sum() < MIN_VOXELS:
-        return None
-    points_mm = (np.argwhere(usable) + region.start) * region.spacing_mm
-    values = region.values[usable]
-    start = first_guess(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
-    floor_hu = _floor_hu(region)
-    censored = np.zeros(len(values), dtype=bool) if floor_hu is None else values <= floor_hu
-    field = SliceField.around(points_mm, float(np.ptp(points_mm[:, 1:], axis=0).max()) / 2.0)
-    no_background = np.zeros((len(values), 0))
-    unknowns, weights = start.copy(), np.ones(len(values))
-    streaks = np.zeros(len(values))
-    field_hu2 = np.full(len(field.slices), START_FIELD_HU**2)
-    white_hu, noise_hu2 = START_NOISE_HU, START_NOISE_HU**2
-    modes: tuple[NoiseModes, ...] = ()
-    for number in range(STEPS):
-        modelled, derivatives = intensities(points_mm, unknowns, no_background)
-        working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
-        step_found = _solve(
-            field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
-        )
-        if step_found is None:
-            return None
-        solved = step_found
-        streaks, field_hu2 = solved.field, solved.field_hu2
-        left = working - modelled - streaks
-        counted = weights * known
-        white_hu2 = float(counted @ left**2) / max(float(counted.sum()) - solved.degrees, 1.0)
-        white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
-        noise_hu2 = white_hu**2
-        if number >= NOISE_FROM_STEP:
-            modes = modes or field.noise_modes((weights > 0.5) & ~censored)
-            noise_hu2 = max(noise_power(modes, left), noise_hu2)
-        weights = flat_weights(left, scale(left[~censored]))
-        step = solved.step
-        step[:3] = np.clip(step[:3], -MOST_STEP_MM, MOST_STEP_MM)
-        unknowns = unknowns + step
-        unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
-        moved_mm = float(np.abs(step[:3]).max())
-        if not abs(unknowns[RADIUS] / start[RADIUS] - 1.0) < MOST_RESIZED:
-            return None
-        if number >= LEAST_STEPS and moved_mm < DONE_MM:
-            break
-    if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
-        return None
-    if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
-        return None  # what is in the image besides the ball is not a streak
-    modelled, derivatives = intensities(points_mm, unknowns, no_background)
-    working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
-    stretched = stretched_ball(points_mm, unknowns, derivatives)
-    evident = _is_evident(
-        points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
-    )
-    noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
-    shaped = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
-    if shaped is None:
-        return None
-    return StreakedBall(
-        centre_mm=unknowns[:3],
-        covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
-        radius_mm=float(unknowns[RADIUS]),
-        metal_share=metal_share,
-        cleaned=_cleaned(region, field.over(region, solved.coefficients), floor_hu, float(unknowns[OUT])),
-        evident=evident,
-        stretch=Stretch.of_last_terms(shaped.step, shaped.covariance),
-    )
 
 
 def _is_evident(

@@ -55,7 +55,7 @@ def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Vo
     left = misplaced(scene, Kind.ELECTRODE, SEED)
     post, _ = _after(scene, left)
     proof = compare(plan_of(scene), planned, post)
-    assert [one.identifier for one in proof.trajectories] == ["T1", "T2"]
+    assert [one.id for one in proof.trajectories] == ["T1", "T2"]
     for truth, found in zip(left, proof.trajectories, strict=True):
         tip_mm, entry_mm, angle_deg = errors_of(truth, found)
         assert tip_mm < 0.2
@@ -118,9 +118,7 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
     post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
     with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
         proof_by(truth, plan_of(scene), planned, post)
-    assert [
-        one.identifier for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories
-    ] == ["T1"]
+    assert [one.id for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories] == ["T1"]
 
 
 @pytest.mark.hazard(43)
