@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
-from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use, frame_poses, uses_of
+from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use, assign_uses, frame_poses
 from procedures.calibration.head_model import pose_record
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
@@ -87,7 +87,7 @@ class FrameCell:
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head
         seen: list[FrameLook] = []
-        uses = uses_of(count, validation)
+        uses = assign_uses(count, validation)
         for planned in frame_poses(reference, frame, round(SPARE * len(uses))):
             if len(seen) == len(uses):
                 break

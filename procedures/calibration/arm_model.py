@@ -238,7 +238,7 @@ class ArmModel:
         return np.asarray(flange @ self.flange_from_tool.rotation_matrix)
 
 
-def most_telling(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
+def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
     """Select the `count` poses that reveal most about an arm, by greedy D-optimal design; return their
     indices.
 

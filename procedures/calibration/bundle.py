@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
+from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
 from ronna_hw.arm.error_budget import UNCALIBRATED_MM, error_columns
@@ -104,7 +104,7 @@ def fit_bundle(
     looks = _arrays(observations)
     require_spread(looks.rotations, "the orientations of the poses hardly vary")
     cameras = cameras_of(start)
-    points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
+    points, _ = intersect_rays(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
     values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)

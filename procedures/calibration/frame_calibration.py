@@ -26,7 +26,7 @@ from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slope
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
-from procedures.calibration.pose_set import PlannedLook, in_short_order, require_count, turned_about
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, require_count, turned_about
 from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -90,7 +90,7 @@ class FrameLooks(Measurements):
         return {"stereo_head": self.stereo_head, "tracker_frame": self.start, "arm": self.arm_record}
 
 
-def uses_of(count: int, validation: int) -> tuple[Use, ...]:
+def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
     """Assign a purpose to each measurement: those for validation are spread evenly among those for the
     fit.
     """
@@ -238,4 +238,4 @@ def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -
     looks = turned_about(
         reference.rigid.rotation, place, count, tilt_rad=TILT_RAD, turn_rad=TURN_RAD, offset_mm=in_tool
     )
-    return tuple(in_short_order(looks))
+    return tuple(order_by_orientation(looks))

@@ -22,7 +22,7 @@ from procedures.calibration.head_model import (
     CAMERA_PARAMETERS,
     Cameras,
     cameras_of,
-    intersected,
+    intersect_rays,
     pose_record,
 )
 from procedures.calibration.observations import ObservationSet, stamp
@@ -145,7 +145,7 @@ def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_kept_points())
     left, right = cameras_of(before)
-    return intersected(cameras, left.seen(points), right.seen(points))[0]
+    return intersect_rays(cameras, left.seen(points), right.seen(points))[0]
 
 
 def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:

@@ -117,7 +117,7 @@ def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
     return FlangeCamera.of(calibration.left, tool), FlangeCamera.of(calibration.right, tool)
 
 
-def intersected(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
+def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
     """Midpoints (n, 3) between the two lines of sight in the flange frame, and the gaps (n,), mm.
 
     The gap is signed: positive when the right line of sight passes on the side of left x right.

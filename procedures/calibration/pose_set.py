@@ -61,7 +61,7 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
         )
         offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
         looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), offset))
-    return tuple(in_short_order(looks))
+    return tuple(order_by_orientation(looks))
 
 
 def centred_looks(
@@ -123,7 +123,7 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
     )
 
 
-def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
+def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
     """Order views so that each is nearest in orientation to the previous one."""
     if not looks:
         return []

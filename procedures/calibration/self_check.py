@@ -26,7 +26,7 @@ from pydantic import Field
 from scipy.special import chdtri
 
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
-from procedures.calibration.head_model import cameras_of, intersected
+from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
@@ -65,7 +65,7 @@ class Baseline(Strict):
     def ball_mm(self) -> Array:
         """Position of the ball, (3,) in the robot frame, accurate to a tenth of a millimetre."""
         centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
-        points, _ = intersected(cameras_of(self.stereo_head), *centres)
+        points, _ = intersect_rays(cameras_of(self.stereo_head), *centres)
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
         return np.asarray(np.mean(in_robot, axis=0))
 
@@ -241,7 +241,7 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
     cameras = cameras_of(head)
     tool = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     centres = np.array([[_centre(look, side) for side in (0, 1)] for look in run])
-    in_flange, gaps = intersected(cameras, centres[:, 0], centres[:, 1])
+    in_flange, gaps = intersect_rays(cameras, centres[:, 0], centres[:, 1])
     points = tool.inverse().apply(in_flange)
     sizes = np.zeros(len(run))
     for side, camera in enumerate(cameras):

@@ -163,7 +163,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     )
 
 
-def kept_apart(count: int, validation: int) -> tuple[int, ...]:
+def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
     """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 

@@ -221,7 +221,7 @@ def _extent_difference(ways: Array, offsets: Array) -> float:
     return float(np.ptp(values))
 
 
-def company_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
+def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
     """Doubts about each sphere at `centres_mm` (n, 3), raised by bodies of similar size at `others_mm` (m,
     3).
     """

@@ -95,7 +95,7 @@ def examine(
     return replace(sphere, contrast_hu=contrast_hu)
 
 
-def with_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
+def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
     """Add the doubts about a sphere's shape.
 
     Streaks distort a shape: a doubtful sphere is judged again without its streaks, and accepted if that

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from procedures.imaging.doubts import company_doubts, size_doubts
+from procedures.imaging.doubts import neighbour_doubts, size_doubts
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import OVERLAPS, as_candidate, as_marker, examine, with_shape
+from procedures.imaging.examination import OVERLAPS, as_candidate, as_marker, examine, judge_shape
 from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Doubt, Localization, Marker
 from procedures.imaging.measurement import Sphere
 from procedures.imaging.scan_faults import distortion_warnings
@@ -73,12 +73,12 @@ def localize(
     for number, (place_mm, contrast_hu) in enumerate(peaks):
         outcome = examine(volume, place_mm, contrast_hu, radius_mm, found)
         if isinstance(outcome, Sphere):
-            found.append(with_shape(outcome, volume, radius_mm))
+            found.append(judge_shape(outcome, volume, radius_mm))
         elif not any(_same_object(outcome, other) for other in refused):
             refused.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
-    judged = judged_together(found, refused, volume.geometry, diameter_mm)
+    judged = judge_together(found, refused, volume.geometry, diameter_mm)
     if expected is not None:
         judged = _clear_ones(judged, expected)
     spheres = [one for one in judged if one.accepted]
@@ -183,7 +183,7 @@ def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDAr
     return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])
 
 
-def judged_together(
+def judge_together(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
     """Add the doubts that spheres and rejected candidates raise about each other."""
@@ -192,7 +192,7 @@ def judged_together(
     centres_mm = np.array([one.centre_mm for one in found])
     overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
-    beside = company_doubts(centres_mm, others_mm, diameter_mm)
+    beside = neighbour_doubts(centres_mm, others_mm, diameter_mm)
     judged = [sphere.doubted(doubts) for sphere, doubts in zip(found, beside, strict=True)]
     sizes = size_doubts(
         np.array([one.radius_mm for one in judged]),

@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
-from procedures.imaging.examination import as_candidate, as_marker, examine, with_shape
+from procedures.imaging.examination import as_candidate, as_marker, examine, judge_shape
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
     find_peaks,
     head_to_foot,
-    judged_together,
+    judge_together,
     require_count,
 )
 from procedures.imaging.markers import PICKED, Candidate, Localization
@@ -74,10 +74,10 @@ def localize_picks(
     radius_mm = 0.5 * diameter_mm
     found: list[Sphere] = []
     for number, pick_mm in enumerate(picks, start=1):
-        found.append(with_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
+        found.append(judge_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
         progress(number / len(picks))
     found = [
-        replace(sphere, picked=True) for sphere in judged_together(found, (), volume.geometry, diameter_mm)
+        replace(sphere, picked=True) for sphere in judge_together(found, (), volume.geometry, diameter_mm)
     ]
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)

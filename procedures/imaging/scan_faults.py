@@ -164,7 +164,7 @@ class Distortion:
     shear_error: float
 
 
-def distortion_of(markers: Sequence[Marker], radius_mm: float) -> Distortion | None:
+def measure_distortion(markers: Sequence[Marker], radius_mm: float) -> Distortion | None:
     """Take medians over the markers of which enough shows; None with fewer than four of them."""
     shapes = [marker.shape_mm / radius_mm for marker in markers if marker.shape_mm is not None]
     if len(shapes) < FEWEST:
@@ -183,7 +183,7 @@ def distortion_of(markers: Sequence[Marker], radius_mm: float) -> Distortion | N
 
 def distortion_warnings(markers: Sequence[Marker], radius_mm: float) -> tuple[str, ...]:
     """Warn of a certain distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
-    found = distortion_of(markers, radius_mm)
+    found = measure_distortion(markers, radius_mm)
     if found is None:
         return ()
     sentences = []

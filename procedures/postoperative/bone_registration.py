@@ -107,7 +107,7 @@ def bone_at(volume: Volume, places_mm: Array) -> Array:
     return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU), dtype=float)
 
 
-def finely_at(volume: Volume, places_mm: Array) -> Array:
+def bone_spline_at(volume: Volume, places_mm: Array) -> Array:
     """HU at a few positions (n, 3) close together and within the scan, by cubic splines, clipped to bone."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)

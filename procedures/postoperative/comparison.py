@@ -27,7 +27,7 @@ from procedures.postoperative.errors import (
     SeriesSwapped,
 )
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
-from procedures.postoperative.way import SEARCH_MM, FitQuality, Usual, Way
+from procedures.postoperative.planned_line import SEARCH_MM, ExpectedFit, FitQuality, PlannedLine
 from ronna_hw.calibration import Numbers3, Strict
 
 Array = NDArray[np.float64]
@@ -84,21 +84,21 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
     require_series(plan, pre, post)
-    return proof_by(register_on_bone(pre, post), plan, pre, post, only)
+    return compare_registered(register_on_bone(pre, post), plan, pre, post, only)
 
 
-def proof_by(
+def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> Proof:
     """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
     asked = [one for one in plan.trajectories if not only or one.id in only]
-    ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
-    candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
-    found, lost_to = assigned(ways, candidates)
+    lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
+    candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}
+    found, lost_to = assign(lines, candidates)
     if lost_to:
         pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
         raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
-    if missing := [name for name in ways if name not in found]:
+    if missing := [name for name in lines if name not in found]:
         raise InstrumentMissing(
             f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
             expected=f"one along each of {len(asked)}",
@@ -109,7 +109,7 @@ def proof_by(
             "no straight rod or round hole could be fitted to the object along "
             + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
         )
-    return Proof(registration, tuple(_errors_along(one, ways[one.id], found[one.id]) for one in asked))
+    return Proof(registration, tuple(_errors_along(one, lines[one.id], found[one.id]) for one in asked))
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -156,15 +156,15 @@ class Candidate:
         return all(near)
 
 
-def assigned(
-    ways: Mapping[str, Way], candidates: Mapping[str, Sequence[Candidate]]
+def assign(
+    lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
     """Assign candidates to trajectories by least total distance; also name who took what others might have
     had.
 
-    `ways` are the planned ones, `candidates` those found along each; both by name.
+    `lines` are the planned ones, `candidates` those found along each; both by name.
     """
-    names = list(ways)
+    names = list(lines)
     things: list[Candidate] = []
     nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and candidate
     for row, name in enumerate(names):
@@ -172,7 +172,7 @@ def assigned(
             number = next((k for k, thing in enumerate(things) if thing.is_also(one)), len(things))
             if number == len(things):
                 things.append(one)
-            cost_mm = _beside_mm(ways[name], one)
+            cost_mm = _beside_mm(lines[name], one)
             if cost_mm < nearest.get((row, number), (NOTHING_MM, one))[0]:
                 nearest[row, number] = cost_mm, one
     costs_mm = np.full((len(names), len(things) + len(names)), NOTHING_MM)
@@ -185,22 +185,24 @@ def assigned(
     return found, lost_to
 
 
-def _beside_mm(way: Way, one: Candidate) -> float:
+def _beside_mm(line: PlannedLine, one: Candidate) -> float:
     """Mean distance by which a candidate's axis misses entry and target, plus a penalty for holes and failed
     fits.
     """
-    beside_mm = 0.5 * (one.passes_mm(way.entry_mm) + one.passes_mm(way.target_mm))
+    beside_mm = 0.5 * (one.passes_mm(line.entry_mm) + one.passes_mm(line.target_mm))
     last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return beside_mm + last_of_all * INSTEAD_MM
 
 
-def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
+def _candidates(
+    line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
+) -> tuple[Candidate, ...]:
     """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
     pose = registration.post_from_pre
     back = pose.inv()
 
     def planned(
-        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: Usual
+        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: ExpectedFit
     ) -> Candidate:
         inwards = -back.rotation.apply(outwards)
         return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
@@ -208,23 +210,23 @@ def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistrat
     return (
         *(
             planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
-            for rod in find_rods(pre, post, way, pose)
+            for rod in find_rods(pre, post, line, pose)
         ),
         *(
             planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
-            for hole in find_holes(pre, post, way, pose)
+            for hole in find_holes(pre, post, line, pose)
         ),
     )
 
 
-def _errors_along(planned: PlannedTrajectory, way: Way, found: Candidate) -> FoundTrajectory:
+def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
     """The errors of an instrument or a hole against its planned trajectory."""
-    along, point_mm, inwards = way.inwards, found.point_mm, found.inwards
-    entry = point_mm + inwards * (float((way.entry_mm - point_mm) @ along) / float(inwards @ along))
+    along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
+    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm
     if found.kind is FoundKind.DRILL_HOLE:
-        at_target = point_mm + inwards * (float((way.target_mm - point_mm) @ along) / float(inwards @ along))
-    off = at_target - way.target_mm
+        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
+    off = at_target - line.target_mm
     depth_mm = float(off @ along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
     has_tip = found.kind is FoundKind.INSTRUMENT
@@ -236,7 +238,7 @@ def _errors_along(planned: PlannedTrajectory, way: Way, found: Candidate) -> Fou
         entry_mm=_point(entry),
         axis_at_target_mm=_point(at_target),
         tip_mm=_point(point_mm) if has_tip else None,
-        entry_error_mm=float(np.linalg.norm(entry - way.entry_mm)),
+        entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
         lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
         depth_error_mm=depth_mm if has_tip else None,

@@ -23,7 +23,15 @@ from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
 from procedures.postoperative.bone_registration import bone_at
-from procedures.postoperative.way import SLAB_MM, FitQuality, Usual, Way, at_bound, look_along, voxels_around
+from procedures.postoperative.planned_line import (
+    SLAB_MM,
+    ExpectedFit,
+    FitQuality,
+    PlannedLine,
+    at_bound,
+    sample_along,
+    voxels_around,
+)
 from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
@@ -57,7 +65,7 @@ PLACED, ROD = 5, 8  # numbers of fitted parameters that give the position, and o
 MOST_PASSES = 10  # with streaks: tip and streaks are each read better with the other known
 STILL_MM = 0.005  # a smaller change by a pass says that they agree
 # streaks that are not fitted, and clipping, leave up to 300 HU; from the thinnest lead to the thickest needle
-USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
+USUAL_ROD = ExpectedFit(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
 @dataclass(frozen=True)
@@ -69,13 +77,15 @@ class FoundRod:
     quality: FitQuality
 
 
-def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
+def find_rods(
+    pre: Volume, post: Volume, line: PlannedLine, post_from_pre: RigidTransform
+) -> tuple[FoundRod, ...]:
     """Find rods near a planned trajectory of the first scan, longest first.
 
     Positions are in the second scan's coordinates.
     """
-    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
-    seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
+    there = PlannedLine(post_from_pre.apply(line.entry_mm), post_from_pre.apply(line.target_mm))
+    seen = sample_along(post, there, -OUTSIDE_MM, line.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
     labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
     pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
@@ -107,7 +117,7 @@ class Slices:
 
 
 @dataclass(frozen=True, eq=False)
-class Line:
+class RodAxis:
     """Axis of a rod: a point (3,) mm, its direction outwards (3,) per mm, and how far along it the tip is."""
 
     point_mm: Array
@@ -124,7 +134,7 @@ class Streaks:
 
     shaft_hu: Array
     pattern: Array
-    line: Line
+    rod: RodAxis
     slices: Slices
     parts: tuple[Numbers, ...]
     start: Array
@@ -135,39 +145,39 @@ class Streaks:
         """Streak HU at each voxel, given strength and origin along the rod, mm, for each slice of the tip."""
         found = self.shaft_hu.copy()
         for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
-            found[part] = strength * (_harmonics(self.slices, self.line, along_mm, part) @ self.pattern)
+            found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
         return found
 
 
-def no_streaks(slices: Slices, line: Line) -> Streaks:
+def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
     """Return streaks of zero everywhere."""
     nothing = np.zeros(0)
-    return Streaks(np.zeros(len(slices.voxels)), nothing, line, slices, (), nothing, nothing, nothing)
+    return Streaks(np.zeros(len(slices.voxels)), nothing, rod, slices, (), nothing, nothing, nothing)
 
 
-def streaks_along(slices: Slices, line: Line, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
     """Read the pattern from what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
-    steep = float(line.outwards @ slices.normal)
-    if abs(steep) < LEAST_STEEP * float(np.linalg.norm(line.outwards)):
-        return no_streaks(slices, line)
-    middles_mm = (slices.heights_mm - float(line.point_mm @ slices.normal)) / steep  # along the rod
+    steep = float(rod.outwards @ slices.normal)
+    if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
+        return no_streaks(slices, rod)
+    middles_mm = (slices.heights_mm - float(rod.point_mm @ slices.normal)) / steep  # along the rod
     half_mm = 0.5 * slices.slice_mm / abs(steep)
-    whole = middles_mm - half_mm > line.tip_mm + PART_MM
+    whole = middles_mm - half_mm > rod.tip_mm + PART_MM
     of_shaft = whole[slices.numbers]
     read = np.flatnonzero(of_shaft & usable)
     if len(read) < LEAST_VOXELS:
-        return no_streaks(slices, line)
+        return no_streaks(slices, rod)
     everywhere = np.arange(len(slices.voxels))
-    columns = _harmonics(slices, line, middles_mm[slices.numbers], everywhere)
+    columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
     pattern = _robustly_solved(columns[read], rest_hu[read])
-    partly = np.flatnonzero(~whole & (middles_mm + half_mm > line.tip_mm - PART_MM))
-    inner_mm = np.maximum(middles_mm[partly] - half_mm, line.tip_mm)
-    outer_mm = np.maximum(middles_mm[partly] + half_mm, line.tip_mm)
+    partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
+    inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
+    outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
     start = np.column_stack([np.full(len(partly), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
     return Streaks(
         np.where(of_shaft, columns @ pattern, 0.0),
         pattern,
-        line,
+        rod,
         slices,
         tuple(np.flatnonzero(slices.numbers == number) for number in partly),
         start.ravel(),
@@ -176,9 +186,9 @@ def streaks_along(slices: Slices, line: Line, rest_hu: Array, usable: NDArray[np
     )
 
 
-def _harmonics(slices: Slices, line: Line, along_mm: Array | float, voxels: Numbers) -> Array:
+def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Numbers) -> Array:
     """Columns (n, COLUMNS) at voxels, about the points of the axis that far along it."""
-    centres = line.point_mm + np.reshape(along_mm, (-1, 1)) * line.outwards
+    centres = rod.point_mm + np.reshape(along_mm, (-1, 1)) * rod.outwards
     across = (slices.voxels[voxels] - centres) @ slices.plane
     angles = np.arctan2(across[:, 1], across[:, 0])[:, None] * np.arange(1, HARMONICS + 1)
     turns = np.hstack([np.cos(angles), np.sin(angles)])
@@ -200,16 +210,16 @@ def _length_mm(places: Array) -> float:
     return float(np.ptp(places[:, 0]))
 
 
-def _coarse(way: Way, places: Array) -> Way:
+def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
     """Fit a line to a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
-    line = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
-    outer, inner = way.to_patient_mm(line)
-    return Way(outer, inner)
+    rod = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
+    outer, inner = line.to_patient_mm(rod)
+    return PlannedLine(outer, inner)
 
 
-def _fitted(volume: Volume, coarse: Way) -> FoundRod:
+def _fitted(volume: Volume, coarse: PlannedLine) -> FoundRod:
     """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
@@ -287,11 +297,11 @@ class _Shown:
         )
 
 
-def _axis(unknown: Array, length_mm: float) -> Line:
+def _axis(unknown: Array, length_mm: float) -> RodAxis:
     """Axis of the rod, measured outwards from the coarse tip."""
     tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
     outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
-    return Line(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
+    return RodAxis(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
 
 
 def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
@@ -307,12 +317,12 @@ def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
     return np.asarray(across * 0.5 * erfc((local[..., 0] - depth_mm) / (np.sqrt(2.0) * spread_mm)))
 
 
-def _within_voxel(volume: Volume, way: Way) -> Array:
+def _within_voxel(volume: Volume, line: PlannedLine) -> Array:
     """Sample positions (n, 3) within a voxel relative to its centre, along and across the trajectory, mm."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ way.axes)
+    return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ line.axes)
 
 
 def _background(local: Array, values: Array) -> Array:

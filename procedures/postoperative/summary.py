@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform
 from procedures.imaging.volume import Volume
 from procedures.planning.plan.model import Plan
 from procedures.postoperative.comparison import FoundTrajectory, Proof
-from procedures.postoperative.way import Way
+from procedures.postoperative.planned_line import PlannedLine
 from ronna_hw.calibration import Numbers4, Strict
 from ronna_hw.text.beyond import beyond
 
@@ -83,14 +83,14 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    way = Way(np.array(found.planned_entry_mm), np.array(found.planned_target_mm))
+    line = PlannedLine(np.array(found.planned_entry_mm), np.array(found.planned_target_mm))
     end = np.array(found.axis_at_target_mm)
-    local = way.to_local_mm(np.array([found.entry_mm, end]))
+    local = line.to_local_mm(np.array([found.entry_mm, end]))
     across = _largest_offset(local)
-    along = np.arange(-BEFORE_MM, way.length_mm + BEHIND_MM, STEP_MM)
+    along = np.arange(-BEFORE_MM, line.length_mm + BEHIND_MM, STEP_MM)
     side = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM, STEP_MM)
     grid = along[:, None, None] * np.array([1.0, 0.0, 0.0]) + side[:, None] * across
-    places = post_from_pre.apply(way.to_patient_mm(grid).reshape(-1, 3))
+    places = post_from_pre.apply(line.to_patient_mm(grid).reshape(-1, 3))
     index = post.geometry.to_index(places).T
     values = ndimage.map_coordinates(post.voxels, index, output=np.float32, order=1, cval=-1000)
     figure = Figure(figsize=(3.2, 6.4), dpi=100)
@@ -104,7 +104,7 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
         vmax=WINDOW_HU[1],
         extent=extent,
     )
-    axes.plot([0.0, 0.0], [0.0, way.length_mm], color=PLANNED_COLOUR, linewidth=1.0, label="planned")
+    axes.plot([0.0, 0.0], [0.0, line.length_mm], color=PLANNED_COLOUR, linewidth=1.0, label="planned")
     axes.plot(local @ across, local[:, 0], color=FOUND_COLOUR, linewidth=1.0, linestyle="--", label="found")
     axes.set_xlabel("across mm", fontsize=7)
     axes.set_ylabel("from the planned entry mm", fontsize=7)

@@ -109,7 +109,7 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))
 
 
-def moved_alone_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
+def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
     """Displacement of one point while the others, three or more, stayed within the limit; None otherwise.
 
     Shapes like in `shift_of`.

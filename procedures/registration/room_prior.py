@@ -147,7 +147,7 @@ class Landmark:
         return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
 
 
-def telling_landmark(
+def choose_landmark(
     matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior
 ) -> Landmark | None:
     """Choose the landmark that best tells a match from its mirror images; None if no landmark does.

@@ -100,7 +100,7 @@ class SphereImage:
         return replace(self, centre_px=(x + offset_x_px, y + offset_y_px))
 
 
-def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
+def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     """Fit the ellipse at full resolution near a guess; None when there is no disc."""
     span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
     start = circle(guess.centre_px, guess.radius_px)
@@ -128,10 +128,10 @@ def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
     if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
         return None
-    return judged(image, fit, edges, rim, inner)
+    return judge_outline(image, fit, edges, rim, inner)
 
 
-def judged(
+def judge_outline(
     image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
     """Judge the outline; `rim` are the rays that support it, `bright` also their neighbours."""

@@ -25,7 +25,7 @@ from procedures.relocalization.errors import (
     Saturated,
     WrongSize,
 )
-from procedures.relocalization.outline import SphereImage, SphereStatus, refined
+from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
 from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, Camera, StereoPoint, triangulate
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.errors import DataError
@@ -101,7 +101,7 @@ def _spheres(
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
     for guess in guesses:  # most visible rim first
-        sphere = refined(grey, _enlarged(guess, factor), factor)
+        sphere = fit_outline(grey, _enlarged(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
 

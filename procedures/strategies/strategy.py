@@ -123,7 +123,7 @@ class Strategy(Protocol):
         ...
 
 
-def between_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
+def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
     """List turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once.
 
     A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
@@ -149,7 +149,7 @@ def arrival_signs(
     return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
 
 
-def before_arriving(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
+def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
     """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
     A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (A[0], A[1], A[2], A[3], A[4], A[5])

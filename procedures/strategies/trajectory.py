@@ -97,7 +97,7 @@ def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotati
     return Rotation.from_matrix(np.column_stack([x, np.cross(axis, x), axis]))
 
 
-def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
+def turn_onto(orientation: Rotation, axis: Array) -> Rotation:
     """Turn the orientation robot <- tool by the smallest rotation that aligns tool z with a unit axis (3,).
 
     For a refined registration: follows the small change of the axis without any turn about it.
@@ -146,7 +146,7 @@ def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_c
     """
     require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
     require_frames(planned, Frame.ROBOT, Frame.TOOL)
-    orientation = turned_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
+    orientation = turn_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
     return tool_pose(orientation, robot_from_ct.apply(trajectory.rest_mm))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import ArmFit, identify
-from procedures.calibration.arm_model import ArmModel, LookArrays, most_telling
+from procedures.calibration.arm_model import ArmModel, LookArrays, choose_poses
 from procedures.calibration.pose_set import centred_looks
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
@@ -45,7 +45,7 @@ def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
     model = ArmModel(ARM, TOOL)
     candidates = _candidates(spheres_mm)
     chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
-    chosen[most_telling(model, candidates, LOOKS)] = True
+    chosen[choose_poses(model, candidates, LOOKS)] = True
     looks = candidates.only(chosen)
     for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
         flange = arm.at_rest(joints, flanks, row)

@@ -16,8 +16,8 @@ from procedures.calibration.frame_calibration import (
     FrameLook,
     FrameLooks,
     Use,
+    assign_uses,
     frame_poses,
-    uses_of,
 )
 from procedures.calibration.hand_eye import LEAST_LOOKS
 from procedures.calibration.head_model import pose_record
@@ -62,7 +62,7 @@ class FrameTurning:
         context.result(CheckedSetUp)
         workcell, calibrations = context.workcell, context.workcell.calibrations
         plan = self._plan(workcell)
-        uses = uses_of(self.count, self.validation)
+        uses = assign_uses(self.count, self.validation)
         total = len(uses)
         context.confirm(
             Topic.CALIBRATION,

@@ -15,7 +15,7 @@ from procedures.calibration.tip_calibration import (
     BallLook,
     DivotReading,
     TipLooks,
-    kept_apart,
+    held_out_indices,
     pairs_of,
     require_plausible,
     tips_of,
@@ -94,7 +94,7 @@ class TipReadings:
             arm_record=calibrations.arm,
             looks=stand.looks,
             readings=(),
-            validation=kept_apart(len(stand.looks), self.validation),
+            validation=held_out_indices(len(stand.looks), self.validation),
         )
 
 

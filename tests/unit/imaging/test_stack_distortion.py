@@ -16,7 +16,7 @@ from scipy.ndimage import shift
 
 from procedures.imaging import Marker, Volume, localize
 from procedures.imaging.errors import SlicesMisplaced
-from procedures.imaging.scan_faults import distortion_of, distortion_warnings
+from procedures.imaging.scan_faults import distortion_warnings, measure_distortion
 
 Array = NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def test_a_hidden_tilt_is_told_and_from_one_degree_refused(make_scan: Callable[.
 
 
 def test_three_markers_are_too_few() -> None:
-    assert distortion_of([marker(0.2 * FLAT)] * 3 + [marker(None)], RADIUS_MM) is None
+    assert measure_distortion([marker(0.2 * FLAT)] * 3 + [marker(None)], RADIUS_MM) is None
 
 
 def test_one_odd_marker_says_nothing_about_the_scan() -> None:
@@ -80,7 +80,7 @@ def test_one_odd_marker_says_nothing_about_the_scan() -> None:
 
 def test_markers_that_disagree_are_not_sure() -> None:
     shapes_mm = [amount * FLAT for amount in (-0.4, 0.1, 0.3, 0.5)]
-    found = distortion_of([marker(one) for one in shapes_mm], RADIUS_MM)
+    found = measure_distortion([marker(one) for one in shapes_mm], RADIUS_MM)
     assert found is not None
     assert found.scale > 0.03
     assert distortion_warnings([marker(one) for one in shapes_mm], RADIUS_MM) == ()
@@ -90,7 +90,7 @@ def test_a_shear_is_the_same_in_every_direction_across_the_table() -> None:
     down, across = np.zeros((3, 3)), np.zeros((3, 3))
     down[0, 1] = down[1, 0] = across[0, 2] = across[2, 0] = 0.5 * 0.01 * RADIUS_MM
     for shape_mm in (down, across, (down + across) / np.sqrt(2.0)):
-        found = distortion_of([marker(shape_mm), marker(shape_mm)] * 2, RADIUS_MM)
+        found = measure_distortion([marker(shape_mm), marker(shape_mm)] * 2, RADIUS_MM)
         assert found is not None
         assert found.shear == pytest.approx(0.01)
         assert found.scale == pytest.approx(0.0)

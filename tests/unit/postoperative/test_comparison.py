@@ -13,7 +13,7 @@ from benchmarks.scans.postoperative import after, before, errors_of, misplaced, 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
-from procedures.postoperative.comparison import FoundKind, compare, proof_by, require_series
+from procedures.postoperative.comparison import FoundKind, compare, compare_registered, require_series
 from procedures.postoperative.errors import (
     FitFailed,
     HeadsDiffer,
@@ -70,7 +70,7 @@ def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
     left = misplaced(scene, Kind.ELECTRODE, seed)
     scan = draw_scan(scene, left, seed)
     truth = BoneRegistration(RigidTransform.from_matrix(scan.pose.scan_from_head), 1.0, 1.0, 0.0)
-    (found,) = proof_by(truth, plan_of(scene), before(scene), after(scan)).trajectories
+    (found,) = compare_registered(truth, plan_of(scene), before(scene), after(scan)).trajectories
     tip_mm, _, angle_deg = errors_of(left[0], found)
     assert tip_mm < 0.1
     assert angle_deg < 0.03
@@ -82,7 +82,7 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
     left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
     plan = plan_of(scene)
-    proof = proof_by(truth, plan, planned, post, ["T1"])
+    proof = compare_registered(truth, plan, planned, post, ["T1"])
     (found,) = proof.trajectories
     assert summary_of(proof, plan, planned, post).warnings == ()
     strict = plan.trajectories[0].model_copy(update={"margin_mm": 1.0})
@@ -101,7 +101,9 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
 def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, planned: Volume) -> None:
     left = misplaced(scene, Kind.DRILL_HOLE, SEED)
     post, truth = _after(scene, left)
-    for one, found in zip(left, proof_by(truth, plan_of(scene), planned, post).trajectories, strict=True):
+    for one, found in zip(
+        left, compare_registered(truth, plan_of(scene), planned, post).trajectories, strict=True
+    ):
         assert found.kind is FoundKind.DRILL_HOLE
         assert found.tip_mm is None
         assert found.depth_error_mm is None
@@ -117,8 +119,10 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
 ) -> None:
     post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
     with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
-        proof_by(truth, plan_of(scene), planned, post)
-    assert [one.id for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories] == ["T1"]
+        compare_registered(truth, plan_of(scene), planned, post)
+    assert [
+        one.id for one in compare_registered(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+    ] == ["T1"]
 
 
 @pytest.mark.hazard(43)
@@ -133,7 +137,7 @@ def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
     beside = second.model_copy(update=aside)
     plan = plan_of(scene).model_copy(update={"trajectories": (first, beside)})
     with pytest.raises(InstrumentAmbiguous, match=r"T1 and T2|T2 and T1"):
-        proof_by(truth, plan, planned, post)
+        compare_registered(truth, plan, planned, post)
 
 
 @pytest.mark.hazard(43)
@@ -147,7 +151,7 @@ def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
     flap = voxels[slices - 12 : slices + 13, rows - 15 : rows + 16, columns - 15 : columns + 16]
     flap[flap > 300] = 40  # a plate of bone of 36 mm was taken out
     with pytest.raises(FitFailed, match=r"T1 \(drill hole: .*ended at a limit"):
-        proof_by(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
+        compare_registered(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
 
 
 def _between(post: Volume, first: int, end: int) -> Volume:
@@ -168,7 +172,7 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
     entry = _slice_of(post, truth, scene.head.targets[0].entry_ct_mm)
     for below in (0, 8, 15):  # slices by which it ends too low
         with pytest.raises(InstrumentMissing):
-            proof_by(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
+            compare_registered(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
 
 
 @pytest.mark.hazard(43)
@@ -182,7 +186,7 @@ def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_r
     if kind is Kind.DRILL_HOLE:
         cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
     with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
-        proof_by(truth, plan_of(scene), planned, cut, ["T1"])
+        compare_registered(truth, plan_of(scene), planned, cut, ["T1"])
 
 
 @pytest.mark.hazard(43)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.postoperative.instrument import Line, Slices, streaks_along
+from procedures.postoperative.instrument import RodAxis, Slices, streaks_along
 
-TIP = Line(np.array([0.3, -0.2, 0.0]), np.array([0.4, 0.1, 1.0]), 0.0)
+TIP = RodAxis(np.array([0.3, -0.2, 0.0]), np.array([0.4, 0.1, 1.0]), 0.0)
 RAYS_HU, RAYS, SLICE_MM = 250.0, 5, 1.5
 
 
@@ -23,7 +23,7 @@ def slices() -> Slices:
     return Slices(grid[near], np.array([0.0, 0.0, 1.0]), np.eye(3)[:, :2], SLICE_MM)
 
 
-def rays(slices: Slices, line: Line) -> NDArray[np.float64]:
+def rays(slices: Slices, line: RodAxis) -> NDArray[np.float64]:
     """Of a rod through all slices, in each about where it crosses the middle."""
     heights = slices.voxels[:, 2]
     across = slices.voxels[:, :2] - line.point_mm[:2] - np.outer(heights, line.outwards[:2])
@@ -44,7 +44,7 @@ def test_the_pattern_of_the_shaft_continues_in_the_slices_of_the_tip(slices: Sli
 
 
 def test_a_rod_that_lies_in_the_slices_has_no_streaks_to_read(slices: Slices) -> None:
-    flat = Line(TIP.point_mm, np.array([1.0, 0.2, 0.1]), 0.0)
+    flat = RodAxis(TIP.point_mm, np.array([1.0, 0.2, 0.1]), 0.0)
     found = streaks_along(slices, flat, rays(slices, TIP), np.ones(len(slices.voxels), dtype=bool))
     assert found.parts == ()
     assert not found.hu(found.start).any()

@@ -17,7 +17,7 @@ from procedures.strategies.trajectory import (
     reference_direction,
     refined_target_pose,
     target_pose,
-    turned_onto,
+    turn_onto,
 )
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
@@ -83,7 +83,7 @@ def test_a_refined_registration_adds_no_turn_about_the_axis():
 
 def test_the_same_axis_needs_no_turn():
     orientation = target_pose(trajectory(), room()).rigid.rotation
-    unchanged = turned_onto(orientation, orientation.as_matrix()[:, 2])
+    unchanged = turn_onto(orientation, orientation.as_matrix()[:, 2])
     assert (unchanged.inv() * orientation).magnitude() < 1e-12
 
 

@@ -9,7 +9,7 @@ from arm_looks import ENDPOINTS, KINEMATICS, SPHERES_MM, LookingArm
 
 from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
 from procedures.calibration.arm_check import check_arm
-from procedures.calibration.arm_model import ArmLooks, ArmModel, arrays_of, most_telling
+from procedures.calibration.arm_model import ArmLooks, ArmModel, arrays_of, choose_poses
 from procedures.calibration.errors import (
     ArmChanged,
     ArmOlderThanHead,
@@ -259,7 +259,7 @@ def test_chosen_looks_carry_more_information_than_the_first_ones() -> None:
     arm = LookingArm.of(3)
     model = ArmModel(KINEMATICS, arm.head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
     candidates = arrays_of(arm.looks(200, 0, SPHERES_MM).looks)
-    chosen = most_telling(model, candidates, 40)
+    chosen = choose_poses(model, candidates, 40)
     assert len(set(chosen.tolist())) == 40
 
     def information(rows: object) -> float:

@@ -23,7 +23,7 @@ AT_BOUND = 1e-3  # of the range between the two bounds
 
 
 @dataclass(frozen=True, eq=False)
-class Way:
+class PlannedLine:
     """A straight line from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
 
     entry_mm: Array
@@ -58,7 +58,7 @@ class Way:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Surroundings:
     """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), and its positions (..., 3) mm.
 
     NaN outside the scan, where nothing is known.
@@ -68,18 +68,18 @@ class Seen:
     places_mm: Array
 
 
-def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> Seen:
+def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> Surroundings:
     """Sample HU around a trajectory between two distances from its entry, by linear interpolation."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
-    index = np.moveaxis(volume.geometry.to_index(way.to_patient_mm(local)), -1, 0)
+    index = np.moveaxis(volume.geometry.to_index(line.to_patient_mm(local)), -1, 0)
     values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=np.nan)
-    return Seen(values, local)
+    return Surroundings(values, local)
 
 
 def voxels_around(
-    volume: Volume, way: Way, between_mm: tuple[float, float], radius_mm: float
+    volume: Volume, line: PlannedLine, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
     """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
 
@@ -87,7 +87,7 @@ def voxels_around(
     """
     geometry = volume.geometry
     ends = geometry.to_index(
-        way.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
+        line.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
     )
     room = radius_mm / geometry.spacing_mm + 1.0
     low = np.floor(ends.min(axis=0) - room).astype(int)
@@ -95,7 +95,7 @@ def voxels_around(
     index = np.stack(
         np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
     ).reshape(-1, 3)
-    local = way.to_local_mm(geometry.to_patient_mm(index))
+    local = line.to_local_mm(geometry.to_patient_mm(index))
     near = (
         (local[:, 0] >= between_mm[0])
         & (local[:, 0] <= between_mm[1])
@@ -124,7 +124,7 @@ class FitQuality:
 
 
 @dataclass(frozen=True)
-class Usual:
+class ExpectedFit:
     """Usual fits of real objects: the largest residual in HU, and the range of radii in mm."""
 
     residual_hu: float
