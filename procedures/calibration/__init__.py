@@ -1,4 +1,4 @@
-"""Fits of the stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
+"""Fits of stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
 numerics.
 """
 

@@ -31,9 +31,7 @@ FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
 @dataclass(frozen=True)
 class ArmCheck:
-    """Result of a check. `error_mm` is the 3-D rms error, `expected_mm` the value expected from the
-    record.
-    """
+    """Result of a check: 3-D rms error `error_mm`, and `expected_mm` from the record."""
 
     calibration: str
     looks: int
@@ -66,8 +64,9 @@ def require_record(record: ArmCalibration | None) -> ArmCalibration:
 
 
 def check_arm(observed: ArmLooks) -> ArmCheck:
-    """Compare measurements with the record in use; the spheres' positions are not known. Raises CAL-002,
-    CAL-014.
+    """Compare measurements with the record in use. Raises CAL-002, CAL-014.
+
+    The spheres' positions are not known.
     """
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)

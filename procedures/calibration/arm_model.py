@@ -239,8 +239,9 @@ class ArmModel:
 
 
 def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Select the `count` poses that reveal most about an arm, by greedy D-optimal design; return their
-    indices.
+    """Choose the `count` poses that reveal most about an arm, by greedy D-optimal design.
+
+    Returns their indices.
 
     Each pose adds the information that it provides beyond what is already known; the one that adds most is
     next. Initially only the prior of an uncalibrated arm is known. Fewer if there are not enough candidates.

@@ -44,8 +44,7 @@ def arm_sources(
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """List the sources for one target and its `n` spheres: geometry, joints, backlash, repeatability, tool
-    frame.
+    """List the error sources for one target and its `n` spheres.
 
     All arms that are not identified have one repeatability. `servo_mm` is 0 if the servo's residual is
     measured.

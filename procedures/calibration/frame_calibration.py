@@ -1,5 +1,4 @@
-"""Calibrate the reference frame on the arm's mount: poses, stored measurements, and the dated record of its
-pose.
+"""Calibrate the reference frame on the arm's mount: poses, stored measurements, the dated record.
 
 The poses turn the frame about itself, in all directions, so it stays nearly in place. The tracker's smooth
 error over its volume is then equal in all of them, and affects the tracker's pose rather than the frame's on
@@ -91,9 +90,7 @@ class FrameLooks(Measurements):
 
 
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
-    """Assign a purpose to each measurement: those for validation are spread evenly among those for the
-    fit.
-    """
+    """Assign a purpose to each measurement, with those for validation spread evenly."""
     total = count + validation
     judging = {round((number + 0.5) * total / validation) for number in range(validation)}
     return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))

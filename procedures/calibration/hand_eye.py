@@ -37,8 +37,7 @@ UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and 
 
 @dataclass(frozen=True)
 class HandEye:
-    """Solution `flange_from_marker` (4, 4) and `robot_from_tracker` (4, 4), with the covariance (12, 12) of
-    both.
+    """Solution `flange_from_marker` and `robot_from_tracker` (4, 4), with the covariance (12, 12) of both.
 
     The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) are in the robot frame; `used` (m,) marks
     the inliers.
@@ -159,9 +158,7 @@ def _start(pairs: PosePairs) -> tuple[Array, Array]:
 
 
 def _rotation_along(matrix: Array) -> Array:
-    """Find the rotation nearest to a multiple of the matrix; the null vector's sign and length are
-    arbitrary.
-    """
+    """Find the rotation nearest to a multiple of the matrix; a null vector has no sign or length."""
     return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 

@@ -149,9 +149,7 @@ def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
 
 
 def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """Find FLANGE <- TOOL that preserves the pixels of points around the tool centre; also the rms misfit,
-    mm.
-    """
+    """Find FLANGE <- TOOL that preserves the pixels around the tool centre, and the rms misfit, mm."""
     tool, flange = _kept_points(), _seen_again(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)

@@ -43,8 +43,7 @@ class Measurements(Strict, ABC):
 def require_same_theatre(
     measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
 ) -> None:
-    """Raise CAL-020 unless each record is the theatre's, or the theatre's is the result that these
-    measurements `found`.
+    """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
     another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record

@@ -1,5 +1,4 @@
-"""Views of a ball for a calibration: tool poses in evenly spread orientations, deterministic; and whether
-they suffice.
+"""Views of a ball for a calibration: evenly spread tool poses, deterministic; and whether they suffice.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
@@ -67,8 +66,8 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
 def centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """List views with the sphere at the tool centre, where lens and field do not matter, from number
-    `first` on.
+    """List views from number `first` on with the sphere at the tool centre; lens and field do not matter
+    there.
     """
     return turned_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
@@ -163,15 +162,13 @@ def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int |
 
 
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
-    """Raise CAL-002 below the minimum count; `what` names what there is too little of."""
+    """Raise CAL-002, naming `what`, below the minimum count."""
     if count < least:
         raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
 
 
 def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
-    """Raise CAL-003 if rotations (n, 3, 3) hardly vary in one direction; `what` names what varies too
-    little.
-    """
+    """Raise CAL-003, naming `what`, if rotations (n, 3, 3) hardly vary in one direction."""
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
             what,

@@ -137,9 +137,7 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Means per orientation: ball in the tool frame (m, 3), gap (m,), relative size (m,), rotation, visits
-    (m,).
-    """
+    """Means per orientation: ball in the tool frame (m, 3), gap (m,), size (m,), rotation, visits (m,)."""
 
     points_mm: Array
     gaps_mm: Array

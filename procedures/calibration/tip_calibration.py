@@ -206,8 +206,7 @@ def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
 
 @dataclass(frozen=True)
 class TipFit:
-    """A fitted tip: `tip_mm` (3,) in the head's tool frame, with covariance (3, 3) mm2; `scatter_mm` per
-    axis.
+    """A fitted tip (3,) in the head's tool frame, with covariance (3, 3) mm2; `scatter_mm` per axis.
 
     `gap_mm` (3,) is the divot's offset from the ball according to pivoting, robot axes, with a standard error
     of `gap_error_mm` in space.

@@ -28,8 +28,9 @@ TEMPLATE = "ct.html.j2"
 def ct_page(
     volume: Volume, name: str, markers: Sequence[Marker], candidates: Sequence[Candidate], outcome: str
 ) -> str:
-    """Render the page. `name` is the heading, `outcome` one sentence on the search; neither may name a
-    patient.
+    """Render the page with the heading `name` and one sentence on the search, `outcome`.
+
+    Neither may name a patient.
 
     Positions are LPS mm. Doubtful and rejected candidates are listed apart, with reasons and odds.
     """

@@ -97,9 +97,7 @@ def shape_doubts(
 def _doubts(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
-    """Judge one region. With `streaked`, remaining streaks shift a ray's levels: its edge is halfway between
-    its own.
-    """
+    """Judge one region; if it is `streaked`, each ray's edge is halfway between its own levels."""
     shares = np.linspace(0.0, OUTERMOST, STEPS)
     ways = ray_directions()
     profiles = region.sample(
@@ -222,9 +220,7 @@ def _extent_difference(ways: Array, offsets: Array) -> float:
 
 
 def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
-    """Doubts about each sphere at `centres_mm` (n, 3), raised by bodies of similar size at `others_mm` (m,
-    3).
-    """
+    """Doubts about spheres at `centres_mm` (n, 3), raised by bodies of their size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     ways = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(ways, axis=2)

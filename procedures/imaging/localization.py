@@ -202,9 +202,7 @@ def judge_together(
 
 
 def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
-    """If more than the expected markers were found, keep the clear ones; all, unless exactly that many stand
-    out.
-    """
+    """Keep only the clear markers if exactly as many as expected stand out; else keep all."""
     accepted = sorted((one for one in judged if one.accepted), key=lambda one: -one.odds)
     if not 0 < expected < len(accepted):
         return list(judged)

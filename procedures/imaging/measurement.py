@@ -171,9 +171,7 @@ def _without_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float)
 
 
 def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Sphere:
-    """Combine both estimates into their minimum-variance mean (generalized least squares with
-    cross-covariance).
-    """
+    """Combine both estimates into their minimum-variance mean (generalized least squares)."""
     if _is_spoiled(edge, ball):
         return _by_edges(edge, ball, spacing_mm)
     first = _edge_covariance(edge, spacing_mm, ball.streak_hu / abs(ball.contrast_hu))

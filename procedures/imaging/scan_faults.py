@@ -115,9 +115,7 @@ def _reduced(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
 
 
 def _jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
-    """Estimate the jump between the middle two of six slices: the fields of `Jumps`, and how much outline
-    shows.
-    """
+    """Estimate the jump between the middle two of six slices: `Jumps`' fields, and the outline's strength."""
     middle = 0.5 * (planes[2] + planes[3])
     slopes = np.gradient(middle, *steps_mm)
     outline = np.hypot(*slopes) > OUTLINE_HU_PER_MM

@@ -1,3 +1,1 @@
-"""The postoperative check: registers both CTs on bone, finds what was inserted, measures its errors. Pure
-numerics.
-"""
+"""The postoperative check: registers both CTs on bone, finds what was inserted, measures its errors."""

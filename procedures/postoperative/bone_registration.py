@@ -65,9 +65,7 @@ class _Level:
 
 
 def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
-    """Find the pose of one scan's head in the other. Raises POST-001 without bone, POST-002 for another
-    head.
-    """
+    """Find the pose of one scan's head in the other. Raises POST-001, POST-002."""
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:

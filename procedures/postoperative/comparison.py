@@ -159,8 +159,7 @@ class Candidate:
 def assign(
     lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """Assign candidates to trajectories by least total distance; also name who took what others might have
-    had.
+    """Assign candidates to trajectories by least total distance; also tell who took another's candidate.
 
     `lines` are the planned ones, `candidates` those found along each; both by name.
     """
@@ -186,9 +185,7 @@ def assign(
 
 
 def _beside_mm(line: PlannedLine, one: Candidate) -> float:
-    """Mean distance by which a candidate's axis misses entry and target, plus a penalty for holes and failed
-    fits.
-    """
+    """Mean distance of a candidate's axis from entry and target, plus a penalty for holes and failed fits."""
     beside_mm = 0.5 * (one.passes_mm(line.entry_mm) + one.passes_mm(line.target_mm))
     last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return beside_mm + last_of_all * INSTEAD_MM

@@ -1,6 +1,4 @@
-"""Surroundings of a straight trajectory into the head, and how far a fit to an object in them can be relied
-on.
-"""
+"""Surroundings of a straight trajectory into the head, and the quality of fits to objects in them."""
 
 from __future__ import annotations
 
@@ -110,8 +108,7 @@ def voxels_around(
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Quality of a fit: whether the scan shows all it needs, and the fit converged with its position within
-    bounds.
+    """Quality of a fit: `whole` if the scan shows all it needs, `inside` if its position is within bounds.
 
     Residual in HU, radius in mm.
     """

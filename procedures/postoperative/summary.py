@@ -1,6 +1,4 @@
-"""Result of a postoperative check, as stored, printed for scripts, and shown in a report; a picture per
-trajectory.
-"""
+"""Result of a postoperative check as stored, printed and reported, and a picture of each trajectory."""
 
 from __future__ import annotations
 

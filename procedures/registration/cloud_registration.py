@@ -40,8 +40,7 @@ MOST_STEPS = 200
 
 @dataclass(frozen=True)
 class CloudFit:
-    """A fit of two clouds. `transform` is physical <- image, `residual_mm` the rms distance to the nearest
-    physical points.
+    """A fit physical <- image of two clouds, with the rms distance to the nearest physical points.
 
     The residual says how similar the clouds are, not how accurate the registration is.
     """

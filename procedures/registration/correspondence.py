@@ -31,8 +31,8 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """Explain why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if it is
-        possible.
+        """Explain why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if
+        not.
         """
         ...
 

@@ -172,9 +172,7 @@ class CorrespondenceSearch:
         return replace(nothing, runner_up=found.runner_up)
 
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
-        """Sort candidates into those that pass the gate and those that fail; drop those with too little
-        evidence.
-        """
+        """Sort candidates by whether they pass the gate; drop those with too little evidence."""
         waiting: dict[int, list[int]] = {}
         for clique in cliques:
             waiting.setdefault(clique.bit_count(), []).append(clique)

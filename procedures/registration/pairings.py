@@ -108,9 +108,7 @@ class CliqueSearch:
     _branches: int = 0
 
     def run(self) -> list[int]:
-        """Find the maximal cliques, as bit masks over the nodes, of at least `fewest` nodes and near the
-        largest size.
-        """
+        """Find the maximal cliques near the largest size, as bit masks over the nodes."""
         self._neighbours = bit_rows(self.adjacency)
         self.largest = self._greedy()
         self._neighbours = prune(self._neighbours, self._bound())

@@ -1,5 +1,4 @@
-"""Rigid transform between two point sets: least squares in closed form, or weighted by each pair's error
-ellipsoid.
+"""Rigid transform between two point sets: least squares, or weighted by each pair's error ellipsoid.
 
 The closed form (singular value decomposition) works on stacks of point sets, because a correspondence search
 fits hundreds of candidates. Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a

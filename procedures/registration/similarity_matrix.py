@@ -61,8 +61,7 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Fill matrices (b, n, m) from sorted distances (b, n, k) of image and (b, m, l) of physical points, e
-    (b,).
+    """Fill matrices (b, n, m) from sorted distances of image (b, n, k) and physical (b, m, l) points, e (b,).
 
     All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
     shorter is skipped.
@@ -106,7 +105,7 @@ class _Readings:
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Return outcomes of the readings that are settled or have too few points; drop a point of the
+        """Return the outcomes of settled readings and of those with too few points; drop a point of the
         others.
         """
         r, c = self.size
@@ -165,9 +164,7 @@ def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """Find the row whose best cell is lowest, in a tie the one with the smallest sum; return that best cell,
-    too.
-    """
+    """Find the row whose best cell is lowest, in a tie the one with the smallest sum, and that cell."""
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)

@@ -1,5 +1,4 @@
-"""The outline of one disc on the full image, near a guess: edges along rays, a robust ellipse, its
-reliability.
+"""Outline of one disc on the full image: edges along rays, a robust ellipse, and its reliability.
 
 The steepest falls along rays, a blurred step fitted to each ray, an ellipse. Rays whose edge is too weak, too
 blurred, misfitted or off the ellipse are not rim: posts, occluders, stains and the image border cost rim, but

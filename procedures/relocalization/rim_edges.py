@@ -48,9 +48,7 @@ class RimEdges:
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:
-    """Sample grey values every pixel along `rays` rays, from `half_width_px` inside the rim to as far
-    outside.
-    """
+    """Sample grey values every pixel along `rays` rays, from `half_width_px` inside the rim to outside it."""
     angle: Array = np.arange(rays, dtype=float) * (2.0 * np.pi / rays)
     base = ellipse.radius_at(angle)
     offset = np.arange(-np.ceil(half_width_px), np.ceil(half_width_px) + 1.0)

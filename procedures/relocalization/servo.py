@@ -1,5 +1,4 @@
-"""Control law that brings the tool centre point onto a sphere, and the pattern to search when none is in
-view.
+"""Control law that brings the tool centre point onto a sphere, and the pattern to search for one.
 
 The residual is the sphere's centre in the tool frame; the law leads from a measured residual to the next
 pose. The loop that moves the arm and takes the images is in the workcell; it keeps a `ServoState` and queries
@@ -84,8 +83,7 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """Return the next pose ROBOT <- TOOL: the tool centre on the mean of all measurements, orientation
-        kept.
+        """Return the next pose ROBOT <- TOOL: tool centre on the mean of all measurements, orientation kept.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.
@@ -141,8 +139,7 @@ def _require_tool_pose(pose: Transform) -> None:
 
 
 def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) -> Array:
-    """Offsets (n, 3) of the search pattern in the tool frame, mm: rings across the tool axis, from near to
-    far.
+    """Offsets (n, 3) mm of the search pattern in the tool frame: rings across the tool axis, near to far.
 
     The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
     spiral.
@@ -161,9 +158,7 @@ def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) ->
 def search_pose(
     start: Transform, look: int, rings: int = RINGS, ring_step_mm: float = RING_STEP_MM
 ) -> Transform:
-    """Return the pose of look number `look` (from 0), oriented like `start`. Raises STE-009 when none is
-    left.
-    """
+    """Return pose number `look` (from 0), oriented like `start`. Raises STE-009 when none is left."""
     offsets = search_offsets_mm(rings, ring_step_mm)
     if look >= len(offsets):
         raise SphereNotInView(

@@ -48,8 +48,7 @@ def measure_sphere(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> SphereImage:
-    """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left
-    unmodified.
+    """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image.
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
     Raises STE-001 for any other input, STE-002 without contrast, STE-011 when fully saturated, STE-003 when
@@ -79,9 +78,7 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Measure every distinct disc in the image that may be a sphere, most visible rim first; empty if there
-    is none.
-    """
+    """Measure every disc that may be a sphere, most visible rim first; empty if there is none."""
     return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
 
 

@@ -1,5 +1,4 @@
-"""Triangulate the sphere's centre in the tool frame from its outlines in both images, and check the head's
-cameras.
+"""Triangulate the sphere's centre in the tool frame from both outlines; check the head's cameras.
 
 Pixels are those of the full sensor, with (0, 0) at the centre of the top-left one. Distortion follows
 OpenCV's five-coefficient model, k1 k2 p1 p2 k3, in normalised coordinates.
@@ -233,9 +232,7 @@ def _weighted_point(
     pixels: list[Array],
     start: Array,
 ) -> tuple[Array, Array]:
-    """Minimise the weighted distance to both pixels by Gauss-Newton from `start`; return the point and its
-    covariance.
-    """
+    """Minimise the weighted distance to both pixels by Gauss-Newton: the point and its covariance."""
     weights = [np.linalg.inv(np.array(outline.covariance_px2)) for outline in outlines]
     point = start
     normal = np.eye(3)
@@ -258,8 +255,7 @@ def check_head(
     stated_error_mm: float,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> None:
-    """Raise STE-014 when the spheres of one re-localization show that a camera has moved since its
-    calibration.
+    """Raise STE-014 when the spheres of one re-localization show that a camera has moved.
 
     `radii_mm` are the radii from the left and the right outline at the measured position, per sphere;
     `stated_error_mm` is from the head's calibration record, `sphere_diameter_mm` as its cameras see them.

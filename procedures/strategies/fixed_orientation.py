@@ -1,5 +1,4 @@
-"""Strategies that localize all fiducials in one orientation: that of the target (OCS), or straight down
-(NOS).
+"""Strategies that localize all fiducials in one orientation: the target's (OCS), or straight down (NOS).
 
 OCS: a constant tool frame error shifts all localizations and the target alike and cancels. The cost: the
 localizations are repeated for every trajectory, and all must be reachable in its orientation. The thesis
@@ -66,8 +65,7 @@ class NeutralOrientation:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; nothing if there are
-        none.
+        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; nothing without any.
 
         Raises FRM-001 on other frames.
         """

@@ -1,5 +1,4 @@
-"""Interface of a localization strategy, the arm it plans for, the turns it tries, and how a pose is
-approached.
+"""Interface of a localization strategy, the arm it plans for, its turns, and the approach to a pose.
 
 A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
 tool the same way at a target, see `target_pose`: its axis is the trajectory's, and only the free angle about
@@ -43,8 +42,7 @@ LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Arm for a strategy: nominal kinematics, guide and stereo head as FLANGE <- TOOL, branch, reference for
-    whole turns.
+    """Arm for a strategy: nominal kinematics, tools as FLANGE <- TOOL, branch, reference for whole turns.
 
     `sizes` are those of the arm's remaining errors.
     """

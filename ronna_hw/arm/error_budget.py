@@ -188,9 +188,7 @@ class Displacements:
 
 
 def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Displacements:
-    """Displace the tool at joints (p, axes), with its origin at points (p, 3) mm in the robot frame, by
-    every error.
-    """
+    """Displace the tool by every error, at joints (p, axes) with its origin at points (p, 3) mm."""
     columns = error_columns(chain, joints_rad, points_mm)
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD

@@ -1,3 +1,1 @@
-"""Estimators of one sphere's centre: its edge along rays, a blurred ball in the voxels, a ball with its
-streaks.
-"""
+"""Estimators of one sphere's centre: its edge along rays, and a blurred ball without or with its streaks."""

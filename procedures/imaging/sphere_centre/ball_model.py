@@ -1,5 +1,4 @@
-"""Model of a scanned ball on a smooth but uneven background, its stretch, and the robust fit of any such
-model.
+"""Model of a scanned ball on an uneven background, its stretch, and the robust fit of such a model.
 
 Near the surface of a ball of radius R, blurred by a Gaussian of covariance S = diag(sz², sxy², sxy²),
 

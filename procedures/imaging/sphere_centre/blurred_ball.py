@@ -122,8 +122,9 @@ class RoughBall:
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """Refine the fit; None without one nearby, or if streaks bend more than `most_streaks` of the
-        contrast.
+        """Refine the fit; None without one nearby, or if streaks bend it by more than `most_streaks`.
+
+        `most_streaks` is relative to the contrast.
 
         `hidden_ways` (n, 3) are directions without information about the shape.
         """

@@ -121,8 +121,8 @@ class CorrelatedNoise:
 
     @classmethod
     def of_fit(cls, grid: VoxelGrid, pull: Array, taken: Spectrum, least: float) -> Self:
-        """Measure the noise on the weighted residuals (n,) of a fit whose derivatives have spectra `taken`
-        (m, ...).
+        """Measure the noise on a fit's weighted residuals (n,); its derivatives have spectra `taken` (m,
+        ...).
 
         No frequency counts as less noisy than `least`, relative to the variance.
         """
@@ -183,8 +183,7 @@ class WhitenedStep:
         growth: float,
         smooth: NDArray[np.bool_],
     ) -> Self:
-        """Set up the equations from weighted derivatives (n, m) at a robust fit and their spectra; nothing is
-        shrunk.
+        """Set up the equations from weighted derivatives (n, m) at a robust fit; nothing is shrunk.
 
         `growth` is the growth of the weighted residual with the residual, relative to its weight; `smooth`
         (m,) marks the derivatives that are smooth where the voxels end.
