@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.sphere_centre.ball_voxels import METAL_HU
 from procedures.imaging.sphere_centre.radial_edge import (
@@ -30,6 +29,7 @@ from procedures.imaging.sphere_centre.radial_edge import (
     RadialEdge,
     ray_directions,
 )
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 Rays = NDArray[np.bool_]

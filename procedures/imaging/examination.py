@@ -28,9 +28,8 @@ from procedures.imaging.measurement import (
     measure,
     measure_under_streaks,
 )
-from procedures.imaging.region import Region, cut_region
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, is_polymer
-from procedures.imaging.volume import Volume
+from procedures.imaging.volume import Region, Volume, cut_region
 
 Array = NDArray[np.float64]
 

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import EVEN, Doubt, odds, reasons
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
 from procedures.imaging.sphere_centre.radial_edge import (
@@ -25,6 +24,7 @@ from procedures.imaging.sphere_centre.radial_edge import (
     ray_directions,
 )
 from procedures.imaging.sphere_centre.streaked_ball import fit_streaked_ball
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Candidate, Localization, Marker
-from procedures.imaging.region import cut_region
-from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.imaging.volume import Volume, VoxelGeometry, cut_region
 
 Array = NDArray[np.float64]
 

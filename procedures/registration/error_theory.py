@@ -66,11 +66,15 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
 
 def chi_square_limit(freedom: int, confidence: float) -> float:
     """Chi-square value that is exceeded with probability 1 - confidence. Raises REG-007."""
+    _require_confidence(confidence)
+    return float(chdtri(freedom, 1.0 - confidence))
+
+
+def _require_confidence(confidence: float) -> None:
     if not 0.0 < confidence < 1.0:
         raise BadParameter(
             "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
         )
-    return float(chdtri(freedom, 1.0 - confidence))
 
 
 @dataclass(frozen=True)
@@ -161,10 +165,7 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     variance. `freedom` is given when the size of the error was itself estimated from that many residual
     degrees of freedom; the limit then widens according to the F distribution.
     """
-    if not 0.0 < confidence < 1.0:
-        raise BadParameter(
-            "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
-        )
+    _require_confidence(confidence)
     variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
     total = variances.sum(axis=-1)
     squares = np.square(variances).sum(axis=-1)

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     RADIUS,
@@ -29,6 +28,7 @@ from procedures.imaging.sphere_centre.ball_model import (
     scale,
     stretched_ball,
 )
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,6 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     IN,
@@ -46,6 +45,7 @@ from procedures.imaging.sphere_centre.correlated_noise import (
     VoxelGrid,
     WhitenedStep,
 )
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 

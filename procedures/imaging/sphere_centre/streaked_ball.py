@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import (
     OUT,
     RADIUS,
@@ -39,6 +38,7 @@ from procedures.imaging.sphere_centre.ball_voxels import (
     voxels_of_ball,
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 
