@@ -71,7 +71,7 @@ class HeadResult:
 
 
 def calibrate_head(
-    observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "", arm_geometry: bool = True
+    observed: ObservationSet, *, life: timedelta = LIFE, arm_geometry: bool = True
 ) -> HeadResult:
     """Compute dated records from observations. Raises CAL-002 to CAL-004.
 
@@ -86,7 +86,7 @@ def calibrate_head(
     flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
     left, right = fit.cameras
     head = StereoHeadCalibration(
-        identifier=identifier or new_identifier("stereo-head", observed.created),
+        identifier=new_identifier("stereo-head", observed.created),
         stated_error_mm=_point_error_mm(before, fit),
         flange_from_tool=pose_record(flange_from_tool),
         left=left.record(observed.serials[0], before.left.sensor_px, flange_from_tool),

@@ -58,39 +58,40 @@ def examine(
     min_surface_share: float = MIN_SURFACE_SHARE,
 ) -> Sphere | Candidate:
     """Examine a place (3,) grid mm; return a sphere, or the candidate with the reason why it is none."""
+
+    def rejected(edge: RadialEdge | None, reason: str) -> Candidate:
+        return Candidate(
+            centre_mm=_patient(volume, edge.centre_mm if edge is not None else place_mm),
+            accepted=False,
+            reason=reason,
+            contrast_hu=contrast_hu,
+            surface_share=edge.surface_share if edge is not None else None,
+            radius_mm=edge.radius_mm if edge is not None else None,
+        )
+
     region = cut_region(volume, place_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, place_mm, radius_mm)
     if edge is None:
-        return _rejected(volume, None, place_mm, contrast_hu, NOT_POLYMER)
+        return rejected(None, NOT_POLYMER)
     if edge.surface_share < min_surface_share and not _is_half_covered(edge):
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         cut = edge.cut_share > CUT_FLAG
-        return _rejected(
-            volume,
-            edge,
-            place_mm,
-            contrast_hu,
-            f"is cut off by the field of view, shows {seen}" if cut else f"shows only {seen}",
+        return rejected(
+            edge, f"is cut off by the field of view, shows {seen}" if cut else f"shows only {seen}"
         )
     if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
-        return _rejected(
-            volume,
-            edge,
-            place_mm,
-            contrast_hu,
-            f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}",
-        )
+        return rejected(edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
     distances_mm = [float(np.linalg.norm(edge.centre_mm - other.centre_mm)) for other in known]
     if min(distances_mm, default=np.inf) < radius_mm:
-        return _rejected(volume, edge, place_mm, contrast_hu, "is a marker that was already found")
+        return rejected(edge, "is a marker that was already found")
     if min(distances_mm, default=np.inf) < OVERLAP * 2.0 * radius_mm:
-        return _rejected(volume, edge, place_mm, contrast_hu, OVERLAPS)
+        return rejected(edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
     sphere = measure(region, refined, radius_mm)
     if sphere is None:
         reason = "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER
-        return _rejected(volume, refined, place_mm, contrast_hu, reason)
+        return rejected(refined, reason)
     return replace(sphere, contrast_hu=contrast_hu)
 
 
@@ -176,19 +177,6 @@ def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float) -> tuple[str,
         NEAR_ANOTHER: min(distances_mm, default=np.inf) < NEAR_ANOTHER_FLAG * 2.0 * radius_mm,
     }
     return tuple(word for word, is_raised in raised.items() if is_raised)
-
-
-def _rejected(
-    volume: Volume, edge: RadialEdge | None, place_mm: Array, contrast_hu: float, reason: str
-) -> Candidate:
-    return Candidate(
-        centre_mm=_patient(volume, edge.centre_mm if edge is not None else place_mm),
-        accepted=False,
-        reason=reason,
-        contrast_hu=contrast_hu,
-        surface_share=edge.surface_share if edge is not None else None,
-        radius_mm=edge.radius_mm if edge is not None else None,
-    )
 
 
 def _patient(volume: Volume, grid_mm: Array) -> tuple[float, float, float]:

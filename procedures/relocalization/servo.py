@@ -138,7 +138,7 @@ def _require_tool_pose(pose: Transform) -> None:
         raise FrameMismatch(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")
 
 
-def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) -> Array:
+def search_offsets_mm() -> Array:
     """Offsets (n, 3) mm of the search pattern in the tool frame: rings across the tool axis, near to far.
 
     The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
@@ -146,23 +146,21 @@ def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) ->
     """
     offsets = []
     first = 0.0
-    for ring in range(1, rings + 1):
+    for ring in range(1, RINGS + 1):
         looks = LOOKS_PER_RING * ring
         angles = first + np.arange(looks) * (2.0 * np.pi / looks)
-        radius = ring * ring_step_mm
+        radius = ring * RING_STEP_MM
         offsets += [(radius * np.cos(angle), radius * np.sin(angle), 0.0) for angle in angles]
         first = float(angles[-1])
     return np.array(offsets).reshape(-1, 3)
 
 
-def search_pose(
-    start: Transform, look: int, rings: int = RINGS, ring_step_mm: float = RING_STEP_MM
-) -> Transform:
+def search_pose(start: Transform, look: int) -> Transform:
     """Return pose number `look` (from 0), oriented like `start`. Raises STE-009 when none is left."""
-    offsets = search_offsets_mm(rings, ring_step_mm)
+    offsets = search_offsets_mm()
     if look >= len(offsets):
         raise SphereNotInView(
-            f"no sphere in {len(offsets)} image pairs", limit=f"{rings * ring_step_mm:g} mm around the pose"
+            f"no sphere in {len(offsets)} image pairs", limit=f"{SEARCH_RADIUS_MM:g} mm around the pose"
         )
     return Transform.of(
         start.target,
