@@ -109,6 +109,11 @@ class TipLooks(Measurements):
         return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
 
 
+def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
+    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
+    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
+
+
 @dataclass(frozen=True)
 class TipResult:
     """New record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
@@ -163,45 +168,43 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     )
 
 
-def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
-    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
-    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
+def require_plausible(dials_mm: tuple[float, float, float]) -> None:
+    """Raise CAL-018 for readings that three dials in millimetres cannot show."""
+    if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
+        raise ReadingImplausible(
+            "the dials cannot show this",
+            limit=f"each within ±{DIALS_TRAVEL_MM:g} mm",
+            got=" ".join(f"{value:g}" for value in dials_mm),
+        )
 
 
-@dataclass(frozen=True)
-class TipPairs:
-    """Ball and divot in m orientations, in the head's tool frame according to its record."""
-
-    at_ball: Array  # (m, 4, 4) ROBOT <- TOOL of the head over the ball
-    at_divot: Array  # (m, 4, 4) the same with the tip in the divot
-    ball_mm: Array  # (m, 3) tool frame
-    dials_mm: Array  # (m, 3) robot axes
-
-    @property
-    def count(self) -> int:
-        """Number of orientations."""
-        return len(self.at_ball)
-
-    def only(self, rows: NDArray[np.bool_]) -> TipPairs:
-        """Select orientations."""
-        return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
+def _require_plausible(observed: TipLooks) -> None:
+    numbers = [one.look for one in observed.readings]
+    if len(set(numbers)) < len(numbers) or any(number >= len(observed.looks) for number in numbers):
+        raise BadObservations(
+            "each reading of the dials needs its own measurement", expected=f"0 to {len(observed.looks) - 1}"
+        )
+    for one in observed.readings:
+        require_plausible(one.dials_mm)
 
 
-def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
-    """Convert readings and their views to arrays."""
-    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-
-    def tools(poses: Sequence[PoseRecord]) -> Array:
-        found: list[Transform] = [pose.transform(Frame.ROBOT, Frame.FLANGE) @ head for pose in poses]
-        return np.array([one.as_matrix() for one in found]).reshape(-1, 4, 4)
-
-    looks = [observed.looks[one.look] for one in readings]
-    return TipPairs(
-        at_ball=tools([one.robot_from_flange for one in looks]),
-        at_divot=tools([one.robot_from_flange for one in readings]),
-        ball_mm=np.array([one.ball_mm for one in looks]).reshape(-1, 3),
-        dials_mm=np.array([one.dials_mm for one in readings]).reshape(-1, 3),
-    )
+def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
+    """Misses (m, 3) of held-out readings, and their expected rms."""
+    require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
+    misses = tips_of(kept) - fit.tip_mm
+    variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
+    rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+    # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
+    ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
+    limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
+    if rms_mm > limit_mm:
+        rms, limit = side_by_side(rms_mm, limit_mm, 3)
+        raise DoesNotFit(
+            "the tip does not agree with the readings kept for validation",
+            limit=f"{limit} mm rms",
+            got=f"{rms} mm",
+        )
+    return misses, float(np.sqrt(3.0 * variance))
 
 
 @dataclass(frozen=True)
@@ -270,6 +273,42 @@ def fit_tip(pairs: TipPairs) -> TipFit:
     return TipFit(tip, covariance, scatter, misses, gap, gap_error)
 
 
+@dataclass(frozen=True)
+class TipPairs:
+    """Ball and divot in m orientations, in the head's tool frame according to its record."""
+
+    at_ball: Array  # (m, 4, 4) ROBOT <- TOOL of the head over the ball
+    at_divot: Array  # (m, 4, 4) the same with the tip in the divot
+    ball_mm: Array  # (m, 3) tool frame
+    dials_mm: Array  # (m, 3) robot axes
+
+    @property
+    def count(self) -> int:
+        """Number of orientations."""
+        return len(self.at_ball)
+
+    def only(self, rows: NDArray[np.bool_]) -> TipPairs:
+        """Select orientations."""
+        return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
+    """Convert readings and their views to arrays."""
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+
+    def tools(poses: Sequence[PoseRecord]) -> Array:
+        found: list[Transform] = [pose.transform(Frame.ROBOT, Frame.FLANGE) @ head for pose in poses]
+        return np.array([one.as_matrix() for one in found]).reshape(-1, 4, 4)
+
+    looks = [observed.looks[one.look] for one in readings]
+    return TipPairs(
+        at_ball=tools([one.robot_from_flange for one in looks]),
+        at_divot=tools([one.robot_from_flange for one in readings]),
+        ball_mm=np.array([one.ball_mm for one in looks]).reshape(-1, 3),
+        dials_mm=np.array([one.dials_mm for one in readings]).reshape(-1, 3),
+    )
+
+
 def tips_of(pairs: TipPairs) -> Array:
     """Tip (m, 3) in the tool frame from each reading alone."""
     offsets = _offsets_mm(pairs)
@@ -309,42 +348,3 @@ def _offsets_mm(pairs: TipPairs) -> Array:
     """Offsets (m, 3) from the tool centre at the divot to the ball plus the dial readings, robot axes."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])
-
-
-def require_plausible(dials_mm: tuple[float, float, float]) -> None:
-    """Raise CAL-018 for readings that three dials in millimetres cannot show."""
-    if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
-        raise ReadingImplausible(
-            "the dials cannot show this",
-            limit=f"each within ±{DIALS_TRAVEL_MM:g} mm",
-            got=" ".join(f"{value:g}" for value in dials_mm),
-        )
-
-
-def _require_plausible(observed: TipLooks) -> None:
-    numbers = [one.look for one in observed.readings]
-    if len(set(numbers)) < len(numbers) or any(number >= len(observed.looks) for number in numbers):
-        raise BadObservations(
-            "each reading of the dials needs its own measurement", expected=f"0 to {len(observed.looks) - 1}"
-        )
-    for one in observed.readings:
-        require_plausible(one.dials_mm)
-
-
-def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
-    """Misses (m, 3) of held-out readings, and their expected rms."""
-    require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
-    misses = tips_of(kept) - fit.tip_mm
-    variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
-    rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
-    # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
-    ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
-    limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
-    if rms_mm > limit_mm:
-        rms, limit = side_by_side(rms_mm, limit_mm, 3)
-        raise DoesNotFit(
-            "the tip does not agree with the readings kept for validation",
-            limit=f"{limit} mm rms",
-            got=f"{rms} mm",
-        )
-    return misses, float(np.sqrt(3.0 * variance))

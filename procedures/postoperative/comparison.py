@@ -127,6 +127,64 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
     )
 
 
+def _candidates(
+    line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
+) -> tuple[Candidate, ...]:
+    """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
+    pose = registration.post_from_pre
+    back = pose.inv()
+
+    def planned(
+        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: ExpectedFit
+    ) -> Candidate:
+        inwards = -back.rotation.apply(outwards)
+        return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
+
+    return (
+        *(
+            planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
+            for rod in find_rods(pre, post, line, pose)
+        ),
+        *(
+            planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
+            for hole in find_holes(pre, post, line, pose)
+        ),
+    )
+
+
+def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
+    """The errors of an instrument or a hole against its planned trajectory."""
+    along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
+    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
+    at_target = point_mm
+    if found.kind is FoundKind.DRILL_HOLE:
+        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
+    off = at_target - line.target_mm
+    depth_mm = float(off @ along)
+    angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
+    has_tip = found.kind is FoundKind.INSTRUMENT
+    return FoundTrajectory(
+        id=planned.id,
+        kind=found.kind,
+        planned_entry_mm=planned.entry_mm,
+        planned_target_mm=planned.target_mm,
+        entry_mm=_point(entry),
+        axis_at_target_mm=_point(at_target),
+        tip_mm=_point(point_mm) if has_tip else None,
+        entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
+        target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
+        lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
+        depth_error_mm=depth_mm if has_tip else None,
+        angle_deg=float(np.degrees(angle_rad)),
+        doubts=found.doubts,
+    )
+
+
+def _point(values: Array) -> Point:
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """A rod or hole in coordinates of the planned CT: its tip, or a point in the bone, (3,) mm, and its axis.
@@ -189,61 +247,3 @@ def _beside_mm(line: PlannedLine, one: Candidate) -> float:
     beside_mm = 0.5 * (one.passes_mm(line.entry_mm) + one.passes_mm(line.target_mm))
     last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return beside_mm + last_of_all * INSTEAD_MM
-
-
-def _candidates(
-    line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
-) -> tuple[Candidate, ...]:
-    """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
-    pose = registration.post_from_pre
-    back = pose.inv()
-
-    def planned(
-        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: ExpectedFit
-    ) -> Candidate:
-        inwards = -back.rotation.apply(outwards)
-        return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
-
-    return (
-        *(
-            planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
-            for rod in find_rods(pre, post, line, pose)
-        ),
-        *(
-            planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
-            for hole in find_holes(pre, post, line, pose)
-        ),
-    )
-
-
-def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
-    """The errors of an instrument or a hole against its planned trajectory."""
-    along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
-    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
-    at_target = point_mm
-    if found.kind is FoundKind.DRILL_HOLE:
-        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
-    off = at_target - line.target_mm
-    depth_mm = float(off @ along)
-    angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
-    has_tip = found.kind is FoundKind.INSTRUMENT
-    return FoundTrajectory(
-        id=planned.id,
-        kind=found.kind,
-        planned_entry_mm=planned.entry_mm,
-        planned_target_mm=planned.target_mm,
-        entry_mm=_point(entry),
-        axis_at_target_mm=_point(at_target),
-        tip_mm=_point(point_mm) if has_tip else None,
-        entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
-        target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
-        lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
-        depth_error_mm=depth_mm if has_tip else None,
-        angle_deg=float(np.degrees(angle_rad)),
-        doubts=found.doubts,
-    )
-
-
-def _point(values: Array) -> Point:
-    x, y, z = (float(value) for value in values)
-    return x, y, z

@@ -94,118 +94,6 @@ def find_rods(
     return tuple(_fitted(post, _coarse(there, places)) for places in longest)
 
 
-@dataclass(frozen=True, eq=False)
-class Slices:
-    """Voxels (n, 3) mm and their slices: `normal` (3,) and `plane` (3, 2) unit vectors."""
-
-    voxels: Array
-    normal: Array
-    plane: Array
-    slice_mm: float
-
-    @cached_property
-    def numbers(self) -> Numbers:
-        """Slice number of each voxel, from 0."""
-        heights = self.voxels @ self.normal
-        return np.asarray(np.rint((heights - heights.min()) / self.slice_mm), dtype=np.int64)
-
-    @cached_property
-    def heights_mm(self) -> Array:
-        """Height of each slice along the normal."""
-        lowest = float((self.voxels @ self.normal).min())
-        return lowest + self.slice_mm * np.arange(self.numbers.max() + 1)
-
-
-@dataclass(frozen=True, eq=False)
-class RodAxis:
-    """Axis of a rod: a point (3,) mm, its direction outwards (3,) per mm, and how far along it the tip is."""
-
-    point_mm: Array
-    outwards: Array
-    tip_mm: float
-
-
-@dataclass(frozen=True, eq=False)
-class Streaks:
-    """HU that streaks add to each voxel: known in the slices of the shaft, unknown in those of the tip.
-
-    `parts` are the voxels of the latter, slice by slice; each has two unknowns, with `start` and bounds.
-    """
-
-    shaft_hu: Array
-    pattern: Array
-    rod: RodAxis
-    slices: Slices
-    parts: tuple[Numbers, ...]
-    start: Array
-    low: Array
-    high: Array
-
-    def hu(self, unknown: Array) -> Array:
-        """Streak HU at each voxel, given strength and origin along the rod, mm, for each slice of the tip."""
-        found = self.shaft_hu.copy()
-        for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
-            found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
-        return found
-
-
-def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
-    """Return streaks of zero everywhere."""
-    nothing = np.zeros(0)
-    return Streaks(np.zeros(len(slices.voxels)), nothing, rod, slices, (), nothing, nothing, nothing)
-
-
-def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
-    """Read the pattern from what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
-    steep = float(rod.outwards @ slices.normal)
-    if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
-        return no_streaks(slices, rod)
-    middles_mm = (slices.heights_mm - float(rod.point_mm @ slices.normal)) / steep  # along the rod
-    half_mm = 0.5 * slices.slice_mm / abs(steep)
-    whole = middles_mm - half_mm > rod.tip_mm + PART_MM
-    of_shaft = whole[slices.numbers]
-    read = np.flatnonzero(of_shaft & usable)
-    if len(read) < LEAST_VOXELS:
-        return no_streaks(slices, rod)
-    everywhere = np.arange(len(slices.voxels))
-    columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
-    pattern = _robustly_solved(columns[read], rest_hu[read])
-    partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
-    inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
-    outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
-    start = np.column_stack([np.full(len(partly), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
-    return Streaks(
-        np.where(of_shaft, columns @ pattern, 0.0),
-        pattern,
-        rod,
-        slices,
-        tuple(np.flatnonzero(slices.numbers == number) for number in partly),
-        start.ravel(),
-        (start * [0.0, 1.0] - [0.0, ALONG_MM]).ravel(),
-        (start * [0.0, 1.0] + [MOST_STRENGTH, ALONG_MM]).ravel(),
-    )
-
-
-def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Numbers) -> Array:
-    """Columns (n, COLUMNS) at voxels, about the points of the axis that far along it."""
-    centres = rod.point_mm + np.reshape(along_mm, (-1, 1)) * rod.outwards
-    across = (slices.voxels[voxels] - centres) @ slices.plane
-    angles = np.arctan2(across[:, 1], across[:, 0])[:, None] * np.arange(1, HARMONICS + 1)
-    turns = np.hstack([np.cos(angles), np.sin(angles)])
-    return np.hstack([turns, turns * np.linalg.norm(across, axis=1, keepdims=True)])
-
-
-def _robustly_solved(columns: Array, values: Array) -> Array:
-    """Solve least squares with Cauchy weights."""
-    weights = np.ones(len(values))
-    for _ in range(REWEIGHTED):
-        root = np.sqrt(weights)
-        solved = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        left = values - columns @ solved
-        weights = 1.0 / (1.0 + (left / (CAUCHY * (robust_sigma(left) + 1.0))) ** 2)
-    return np.asarray(solved, dtype=float)
-
-
 def _length_mm(places: Array) -> float:
     return float(np.ptp(places[:, 0]))
 
@@ -335,3 +223,115 @@ def _background(local: Array, values: Array) -> Array:
     for number in np.unique(slab[ring]):
         levels[number] = np.median(values[ring & (slab == number)])
     return np.asarray(levels[slab])
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """Voxels (n, 3) mm and their slices: `normal` (3,) and `plane` (3, 2) unit vectors."""
+
+    voxels: Array
+    normal: Array
+    plane: Array
+    slice_mm: float
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """Slice number of each voxel, from 0."""
+        heights = self.voxels @ self.normal
+        return np.asarray(np.rint((heights - heights.min()) / self.slice_mm), dtype=np.int64)
+
+    @cached_property
+    def heights_mm(self) -> Array:
+        """Height of each slice along the normal."""
+        lowest = float((self.voxels @ self.normal).min())
+        return lowest + self.slice_mm * np.arange(self.numbers.max() + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class RodAxis:
+    """Axis of a rod: a point (3,) mm, its direction outwards (3,) per mm, and how far along it the tip is."""
+
+    point_mm: Array
+    outwards: Array
+    tip_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Streaks:
+    """HU that streaks add to each voxel: known in the slices of the shaft, unknown in those of the tip.
+
+    `parts` are the voxels of the latter, slice by slice; each has two unknowns, with `start` and bounds.
+    """
+
+    shaft_hu: Array
+    pattern: Array
+    rod: RodAxis
+    slices: Slices
+    parts: tuple[Numbers, ...]
+    start: Array
+    low: Array
+    high: Array
+
+    def hu(self, unknown: Array) -> Array:
+        """Streak HU at each voxel, given strength and origin along the rod, mm, for each slice of the tip."""
+        found = self.shaft_hu.copy()
+        for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
+            found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
+        return found
+
+
+def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
+    """Return streaks of zero everywhere."""
+    nothing = np.zeros(0)
+    return Streaks(np.zeros(len(slices.voxels)), nothing, rod, slices, (), nothing, nothing, nothing)
+
+
+def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+    """Read the pattern from what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
+    steep = float(rod.outwards @ slices.normal)
+    if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
+        return no_streaks(slices, rod)
+    middles_mm = (slices.heights_mm - float(rod.point_mm @ slices.normal)) / steep  # along the rod
+    half_mm = 0.5 * slices.slice_mm / abs(steep)
+    whole = middles_mm - half_mm > rod.tip_mm + PART_MM
+    of_shaft = whole[slices.numbers]
+    read = np.flatnonzero(of_shaft & usable)
+    if len(read) < LEAST_VOXELS:
+        return no_streaks(slices, rod)
+    everywhere = np.arange(len(slices.voxels))
+    columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
+    pattern = _robustly_solved(columns[read], rest_hu[read])
+    partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
+    inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
+    outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
+    start = np.column_stack([np.full(len(partly), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
+    return Streaks(
+        np.where(of_shaft, columns @ pattern, 0.0),
+        pattern,
+        rod,
+        slices,
+        tuple(np.flatnonzero(slices.numbers == number) for number in partly),
+        start.ravel(),
+        (start * [0.0, 1.0] - [0.0, ALONG_MM]).ravel(),
+        (start * [0.0, 1.0] + [MOST_STRENGTH, ALONG_MM]).ravel(),
+    )
+
+
+def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Numbers) -> Array:
+    """Columns (n, COLUMNS) at voxels, about the points of the axis that far along it."""
+    centres = rod.point_mm + np.reshape(along_mm, (-1, 1)) * rod.outwards
+    across = (slices.voxels[voxels] - centres) @ slices.plane
+    angles = np.arctan2(across[:, 1], across[:, 0])[:, None] * np.arange(1, HARMONICS + 1)
+    turns = np.hstack([np.cos(angles), np.sin(angles)])
+    return np.hstack([turns, turns * np.linalg.norm(across, axis=1, keepdims=True)])
+
+
+def _robustly_solved(columns: Array, values: Array) -> Array:
+    """Solve least squares with Cauchy weights."""
+    weights = np.ones(len(values))
+    for _ in range(REWEIGHTED):
+        root = np.sqrt(weights)
+        solved = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        left = values - columns @ solved
+        weights = 1.0 / (1.0 + (left / (CAUCHY * (robust_sigma(left) + 1.0))) ** 2)
+    return np.asarray(solved, dtype=float)

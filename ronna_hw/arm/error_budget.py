@@ -42,88 +42,16 @@ LINK = [LINK_TRANSLATION_MM, LINK_ROTATION_RAD]
 SIZES = np.array([JOINT_OFFSET_RAD, ONCE_RAD, ONCE_RAD, TWICE_RAD, TWICE_RAD, *LINK, *LINK, *LINK])
 OFFSET, SINE, COSINE, TRANSLATION, ROTATION = [0], [1, 3], [2, 4], [5, 7, 9], [6, 8, 10]  # of each joint
 
-# Parameter set S of the error study, as in `arm_geometry`; harmonics have an arbitrary phase.
+# also of set S; harmonics have an arbitrary phase
 SAG_RAD = math.radians(0.03)
-
 BACKLASH_RAD = math.radians(0.02)
-
 TOOL_MM = 2.0
 
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
-
 HARMONIC_COLUMNS = slice(1, 5)
-
 PER_AXIS = 3.0**-0.5  # of a 3-D error
-
 EVEN_PHASE = 0.5**0.5  # rms sine and cosine component of a harmonic of arbitrary phase
-
 SAGGING = (1, 2)  # joints, counted from 0
-
-
-def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
-    """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
-
-    One column per error, at one standard deviation: six for every link at its far end, offset and harmonics
-    for every joint. `joints_rad` is (n, axes).
-    """
-    angles = np.asarray(joints_rad, dtype=float)
-    place = np.tile(chain.base_mm, (len(angles), 1))
-    turned = np.tile(np.eye(3), (len(angles), 1, 1))  # robot <- link
-    columns: list[Array] = []
-    for joint, (axis_of_joint, to_next_mm) in enumerate(chain.joints):
-        axis = np.array(axis_of_joint)
-        swing = np.cross(turned @ axis, ball_mm - place)  # of the ball, per radian of this joint
-        columns.append(JOINT_OFFSET_RAD * swing)
-        for order, size_rad in enumerate(HARMONIC_RAD, start=1):
-            phase = order * angles[:, joint, None]
-            columns += [size_rad * np.sin(phase) * swing, size_rad * np.cos(phase) * swing]
-        turned = turned @ Rotation.from_rotvec(angles[:, joint, None] * axis).as_matrix()
-        place = place + turned @ np.array(to_next_mm)
-        for direction in (X, Y, Z):
-            columns.append(LINK_TRANSLATION_MM * (turned @ direction))
-            columns.append(LINK_ROTATION_RAD * np.cross(turned @ direction, ball_mm - place))
-    return np.stack(columns, axis=2)
-
-
-@dataclass(frozen=True, eq=False)
-class IdentifiedArm:
-    """Errors that the calibration of an arm leaves, with their correlations.
-
-    Views of spheres separate a link from its neighbour, or the last one from the head on the flange, far
-    worse than they determine what both do to the tool together. Independent errors of these sizes would
-    displace it several times as far. `remaining` (k, k), times its transpose, is the covariance of the errors
-    as ordered in `by_deviation`. `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose
-    to pose, including what the arm's model does not describe.
-    """
-
-    remaining: Array
-    backlash_rad: Array
-    scatter_mm: float
-
-    @classmethod
-    def of(cls, record: ArmCalibration) -> Self | None:
-        """Read a record; None if it does not state the covariance."""
-        if record.remaining is None:
-            return None
-        remaining = np.zeros((len(record.remaining), len(record.remaining)))
-        remaining[np.tril_indices(len(remaining))] = np.concatenate(record.remaining)
-        return cls(remaining, np.array(record.backlash_rad), record.scatter_mm)
-
-
-def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array) -> Array:
-    """Displacement (p, 3, k) of points (p, 3) mm fixed to the flange, robot frame, per mm or rad.
-
-    In the order of `ArmDeviations.flat`; then x, y, z of the head on the flange. `joints_rad` and `sides`,
-    the side of its backlash on which each joint rests, are (p, axes).
-    """
-    columns = error_columns(chain, joints_rad, points_mm)
-    by_joint = columns.reshape(*columns.shape[:2], -1, len(SIZES)) / SIZES
-    swings = by_joint[..., 0]
-    fields = [by_joint[..., of] for of in (TRANSLATION, ROTATION, OFFSET, SINE, COSINE)]
-    sag = swings * gravity_levers(chain, joints_rad)[:, None]
-    backlash = FLANK_SHARE * swings * sides[:, None]
-    flat = [one.reshape(*columns.shape[:2], -1) for one in (*fields, sag, backlash)]
-    return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
 
 
 @dataclass(frozen=True)
@@ -167,7 +95,29 @@ def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> flo
     return arm.arm_error_mm or 2.0**0.5 * PER_AXIS * arm.stated_error_mm
 
 
-UNCALIBRATED = ErrorSizes()
+@dataclass(frozen=True, eq=False)
+class IdentifiedArm:
+    """Errors that the calibration of an arm leaves, with their correlations.
+
+    Views of spheres separate a link from its neighbour, or the last one from the head on the flange, far
+    worse than they determine what both do to the tool together. Independent errors of these sizes would
+    displace it several times as far. `remaining` (k, k), times its transpose, is the covariance of the errors
+    as ordered in `by_deviation`. `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose
+    to pose, including what the arm's model does not describe.
+    """
+
+    remaining: Array
+    backlash_rad: Array
+    scatter_mm: float
+
+    @classmethod
+    def of(cls, record: ArmCalibration) -> Self | None:
+        """Read a record; None if it does not state the covariance."""
+        if record.remaining is None:
+            return None
+        remaining = np.zeros((len(record.remaining), len(record.remaining)))
+        remaining[np.tril_indices(len(remaining))] = np.concatenate(record.remaining)
+        return cls(remaining, np.array(record.backlash_rad), record.scatter_mm)
 
 
 def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Array:
@@ -197,3 +147,47 @@ def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Erro
     levers = gravity_levers(chain, joints_rad)
     sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
     return Displacements(sizes.links * links, sizes.joints * np.concatenate([harmonics, sag], axis=2), swings)
+
+
+def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
+    """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
+
+    One column per error, at one standard deviation: six for every link at its far end, offset and harmonics
+    for every joint. `joints_rad` is (n, axes).
+    """
+    angles = np.asarray(joints_rad, dtype=float)
+    place = np.tile(chain.base_mm, (len(angles), 1))
+    turned = np.tile(np.eye(3), (len(angles), 1, 1))  # robot <- link
+    columns: list[Array] = []
+    for joint, (axis_of_joint, to_next_mm) in enumerate(chain.joints):
+        axis = np.array(axis_of_joint)
+        swing = np.cross(turned @ axis, ball_mm - place)  # of the ball, per radian of this joint
+        columns.append(JOINT_OFFSET_RAD * swing)
+        for order, size_rad in enumerate(HARMONIC_RAD, start=1):
+            phase = order * angles[:, joint, None]
+            columns += [size_rad * np.sin(phase) * swing, size_rad * np.cos(phase) * swing]
+        turned = turned @ Rotation.from_rotvec(angles[:, joint, None] * axis).as_matrix()
+        place = place + turned @ np.array(to_next_mm)
+        for direction in (X, Y, Z):
+            columns.append(LINK_TRANSLATION_MM * (turned @ direction))
+            columns.append(LINK_ROTATION_RAD * np.cross(turned @ direction, ball_mm - place))
+    return np.stack(columns, axis=2)
+
+
+def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array) -> Array:
+    """Displacement (p, 3, k) of points (p, 3) mm fixed to the flange, robot frame, per mm or rad.
+
+    In the order of `ArmDeviations.flat`; then x, y, z of the head on the flange. `joints_rad` and `sides`,
+    the side of its backlash on which each joint rests, are (p, axes).
+    """
+    columns = error_columns(chain, joints_rad, points_mm)
+    by_joint = columns.reshape(*columns.shape[:2], -1, len(SIZES)) / SIZES
+    swings = by_joint[..., 0]
+    fields = [by_joint[..., of] for of in (TRANSLATION, ROTATION, OFFSET, SINE, COSINE)]
+    sag = swings * gravity_levers(chain, joints_rad)[:, None]
+    backlash = FLANK_SHARE * swings * sides[:, None]
+    flat = [one.reshape(*columns.shape[:2], -1) for one in (*fields, sag, backlash)]
+    return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
+
+
+UNCALIBRATED = ErrorSizes()
