@@ -142,7 +142,7 @@ class ArmFit:
 
     @property
     def remaining(self) -> Array:
-        """Lower triangle (k, k) of the covariance of what an arm record states, wherever the spheres are."""
+        """Lower triangle (k, k) of the covariance of an arm record's contents, for spheres anywhere."""
         size = self.model.size
         root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
         _, upper = np.linalg.qr(root.T)

@@ -79,7 +79,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     turned = flange[:, :3, :3] @ tool.rotation_matrix
     own = turned @ looks.covariances_mm2 @ turned.transpose(0, 2, 1) + record.scatter_mm**2 * np.eye(3)
     shared = _left_by_calibration(record, kinematics.chain, looks, seen).reshape(3 * count, -1)
-    # What the measurements say whatever the spheres' positions: their part beyond each sphere's mean.
+    # The part of the measurements beyond each sphere's mean does not depend on the spheres' positions.
     at_sphere = looks.sphere == np.arange(spheres)[:, None]
     apart = np.kron(null_space(at_sphere), np.eye(3))
     covariance = apart.T @ (block_diag(*own) + shared @ shared.T) @ apart

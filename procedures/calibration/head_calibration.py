@@ -98,7 +98,7 @@ def calibrate_head(
     tool_before = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     shift_mm = float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm))
     covariance = _covariance(fit, lambda cameras: _seen_again(before, cameras)[0])
-    # A drawing is off by what all of the mount is off; a calibration of the same kind only by its error.
+    # A drawing is as far off as the whole mount; a calibration of the same kind only by its error.
     smallest_mm = MOVED_OVER_ERROR * _standard_error_mm(covariance) if before.made_by == MADE_BY else None
     moved = smallest_mm is not None and shift_mm > smallest_mm
     tip = observed.tool_tip
@@ -141,7 +141,7 @@ def _kept_points() -> Array:
 
 
 def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Points of the flange frame where these cameras see what the previous record saw at the kept points."""
+    """Points of the flange frame at which these cameras see the pixels of the kept points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_kept_points())
     left, right = cameras_of(before)

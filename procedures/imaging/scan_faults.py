@@ -168,7 +168,7 @@ def measure_distortion(markers: Sequence[Marker], radius_mm: float) -> Distortio
     if len(shapes) < FEWEST:
         return None
     along, down, across = np.array(shapes)[:, 0].T
-    # the terms are free of a trace: what is longer than wide by a share has 2/3 of that along its axis
+    # the terms have no trace: a body that is longer than wide by a share has 2/3 of that along its axis
     scale, shears = -1.5 * along, 2.0 * np.stack((down, across))
     return Distortion(
         markers=len(shapes),

@@ -287,7 +287,7 @@ def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
 
 
 def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
-    """Read the pattern from what a rod without streaks leaves of the usable voxels (n,) along its shaft."""
+    """Read the pattern from the usable voxels (n,) along the shaft, less a rod without streaks."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
         return no_streaks(slices, rod)

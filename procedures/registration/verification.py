@@ -32,7 +32,7 @@ class Instrument(StrEnum):
 
 
 class CtToRoomRow(Strict):
-    """One sphere of the CT and what was measured of it in the room; None if nothing was."""
+    """One sphere of the CT and its measurements in the room; None where there is none."""
 
     fiducial: int = Field(description="Index in the CT.")
     ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")

@@ -135,7 +135,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
         return None
     if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
-        return None  # what is in the image besides the ball is not a streak
+        return None  # something else than streaks is in the image
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = stretched_ball(points_mm, unknowns, derivatives)
