@@ -108,7 +108,7 @@ def fit_bundle(
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
     values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)
-    found = _adjusted(looks, cameras, values, FIRST_ARM_ERROR_MM)
+    found = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
     arm_error = found.arm_error
     if arm_error > ARM_ERROR_LIMIT_MM:
         raise DoesNotFit(
@@ -120,7 +120,7 @@ def fit_bundle(
         columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([found.values, np.zeros(columns.shape[2])])
-        found = _adjusted(looks, cameras, values, arm_error)
+        found = _adjust(looks, cameras, values, arm_error)
     _require_fit(found.used, found.gaps, looks)
     normal = _normal_matrix(looks, cameras, found.values, found.arm_error, found.image_scale, found.used)
     return BundleFit(
@@ -148,7 +148,7 @@ class _Found:
     used: NDArray[np.bool_]
 
 
-def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
+def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
     """Alternate between adjusting all values and estimating the error sizes; outlying views are dropped."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)

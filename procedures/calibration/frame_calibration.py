@@ -134,7 +134,7 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
     _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
     fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
     kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
-    misses, predicted = _validated(fit, kept)
+    misses, predicted = _validate(fit, kept)
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     found = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
     change_mm, change_rad = _change(
@@ -192,7 +192,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
             )
 
 
-def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
+def _validate(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
     """Misses (m, 6) of held-out measurements, and their expected size. Raises CAL-002, CAL-004."""
     require_count(kept.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
     misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)

@@ -130,7 +130,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     _require_plausible(observed)
     kept = set(observed.validation)
     fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))
-    misses, predicted_mm = _validated(
+    misses, predicted_mm = _validate(
         fit, pairs_of(observed, [one for one in observed.readings if one.look in kept])
     )
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
@@ -188,7 +188,7 @@ def _require_plausible(observed: TipLooks) -> None:
         require_plausible(one.dials_mm)
 
 
-def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
+def _validate(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     """Misses (m, 3) of held-out readings, and their expected rms."""
     require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
     misses = tips_of(kept) - fit.tip_mm

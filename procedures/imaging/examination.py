@@ -103,14 +103,14 @@ def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
     """
     edge = sphere.edge
     region = cut_region(volume, sphere.centre_mm, REGION_REACH * edge.radius_mm)
-    judged = sphere.doubted(_doubts(sphere, region))
+    judged = sphere.with_doubts(_doubts(sphere, region))
     if judged.accepted or sphere.cleaned is not None:
         return judged
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     measured = measure_under_streaks(region, edge, radius_mm)
     if measured is None or not measured.evident:
         return judged
-    again = replace(measured, contrast_hu=sphere.contrast_hu).doubted(_doubts(measured, region))
+    again = replace(measured, contrast_hu=sphere.contrast_hu).with_doubts(_doubts(measured, region))
     return again if again.accepted else judged
 
 

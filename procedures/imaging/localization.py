@@ -193,12 +193,12 @@ def judge_together(
     overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
     beside = neighbour_doubts(centres_mm, others_mm, diameter_mm)
-    judged = [sphere.doubted(doubts) for sphere, doubts in zip(found, beside, strict=True)]
+    judged = [sphere.with_doubts(doubts) for sphere, doubts in zip(found, beside, strict=True)]
     sizes = size_doubts(
         np.array([one.radius_mm for one in judged]),
         np.array([one.accepted for one in judged]),
     )
-    return [sphere.doubted((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
+    return [sphere.with_doubts((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
 
 
 def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
@@ -210,7 +210,7 @@ def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
     if last < CLEAR or next_ > UNCLEAR:
         return list(judged)
     unclear = {id(one) for one in accepted[expected:]}
-    return [one.doubted((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
+    return [one.with_doubts((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:

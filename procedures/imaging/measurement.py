@@ -74,7 +74,7 @@ class Sphere:
     doubts: tuple[Doubt, ...] = ()
     picked: bool = False
 
-    def doubted(self, doubts: Iterable[Doubt]) -> Sphere:
+    def with_doubts(self, doubts: Iterable[Doubt]) -> Sphere:
         """Add doubts, which may push the odds below even."""
         return replace(self, doubts=(*self.doubts, *doubts))
 

@@ -97,28 +97,28 @@ def localize_picks(
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     """Measure the sphere at a pick. Without one, refuse it, with a hint if RAS or metres would give one."""
     try:
-        return _measured(volume, number, pick_mm, radius_mm, known)
+        return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
         if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
-            raise _hinted(refused, IN_RAS) from refused
+            raise _with_hint(refused, IN_RAS) from refused
         if _shows_sphere(volume, number, 1e3 * pick_mm, radius_mm):
-            raise _hinted(refused, IN_METRES) from refused
+            raise _with_hint(refused, IN_METRES) from refused
         raise
 
 
-def _hinted(refused: PickRefused, action: str) -> PickRefused:
+def _with_hint(refused: PickRefused, action: str) -> PickRefused:
     return PickRefused(refused.what, expected=refused.expected, action=action)
 
 
 def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
     try:
-        _measured(volume, number, pick_mm, radius_mm, [])
+        _measure_at(volume, number, pick_mm, radius_mm, [])
     except PickRefused:
         return False
     return True
 
 
-def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
+def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
     index = geometry.to_index(pick_mm)

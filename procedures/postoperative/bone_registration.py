@@ -76,13 +76,13 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
             middle = points.mean(axis=0)
             there = _bone_points(moving, spacing_mm)[0].mean(axis=0)
             few = slice(None, None, max(1, len(points) // LEAST_POINTS))
-            tried = [_descended(points[few], values[few], target, start) for start in _starts(middle, there)]
-            found = max(tried, key=lambda one: _judged(points, values, target, one)[0])
-            _require_one_skull(*_judged(points, values, target, found)[:2])
+            tried = [_descend(points[few], values[few], target, start) for start in _starts(middle, there)]
+            found = max(tried, key=lambda one: _judge(points, values, target, one)[0])
+            _require_one_skull(*_judge(points, values, target, found)[:2])
         else:
-            found = _descended(points, values, target, found)
+            found = _descend(points, values, target, found)
     assert found is not None
-    agreement, overlap, residual_hu = _judged(points, values, target, found)
+    agreement, overlap, residual_hu = _judge(points, values, target, found)
     _require_one_skull(agreement, overlap)
     return BoneRegistration(found, agreement, overlap, residual_hu)
 
@@ -150,7 +150,7 @@ def _starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
             yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
-def _descended(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
+def _descend(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
     """Gauss-Newton over six parameters: rotation about the points' centroid, and translation."""
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
@@ -158,7 +158,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
     centre = rotation.apply(middle) + shift
     for _ in range(MOST_STEPS):
         turned = rotation.apply(arms)
-        gradient, there, inside = _sampled(target, turned + centre)
+        gradient, there, inside = _sample(target, turned + centre)
         residuals = (there - values)[inside]
         gradient, lever = gradient[inside], turned[inside]
         scale = robust_sigma(residuals) + 1.0
@@ -173,7 +173,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
     return RigidTransform.from_components(centre - rotation.apply(middle), rotation)
 
 
-def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Gradient (n, 3) in HU per mm, values (n,), and which positions are inside."""
     there, inside = target.at(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
@@ -186,7 +186,7 @@ def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np
     return gradient, there, inside
 
 
-def _judged(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
+def _judge(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
     """Correlation, overlap and robust residual of a pose."""
     there, inside = target.at(pose.apply(points))
     overlap = float(inside.mean())

@@ -78,10 +78,12 @@ def find_holes(
     largest = [1 + int(number) for number in np.argsort(-sizes)[:MOST_PIECES]]
     pieces = [number for number in largest if sizes[number - 1] * STEP_MM**3 >= LEAST_VOLUME_MM3]
     middles = [seen.places_mm[labels == number].mean(axis=0) for number in pieces]
-    return tuple(_fitted(pre, post, there, back, middle) for middle in middles)
+    return tuple(_fit_hole(pre, post, there, back, middle) for middle in middles)
 
 
-def _fitted(pre: Volume, post: Volume, there: PlannedLine, back: RigidTransform, middle: Array) -> FoundHole:
+def _fit_hole(
+    pre: Volume, post: Volume, there: PlannedLine, back: RigidTransform, middle: Array
+) -> FoundHole:
     """Fit a blurred cylinder through the middle of the lost bone to the second scan's voxels."""
     coarse = PlannedLine(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)

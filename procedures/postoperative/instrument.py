@@ -91,7 +91,7 @@ def find_rods(
     pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
     long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
     longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
-    return tuple(_fitted(post, _coarse(there, places)) for places in longest)
+    return tuple(_fit_rod(post, _coarse(there, places)) for places in longest)
 
 
 def _length_mm(places: Array) -> float:
@@ -107,7 +107,7 @@ def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
     return PlannedLine(outer, inner)
 
 
-def _fitted(volume: Volume, coarse: PlannedLine) -> FoundRod:
+def _fit_rod(volume: Volume, coarse: PlannedLine) -> FoundRod:
     """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
@@ -127,7 +127,7 @@ def _fitted(volume: Volume, coarse: PlannedLine) -> FoundRod:
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
     without = no_streaks(slices, _axis(start, outside_mm))
-    shown = _Shown(samples, outside_mm, ceiling, _background(local, values), without)
+    shown = _VoxelModel(samples, outside_mm, ceiling, _background(local, values), without)
     found = shown.fitted(values, start, (low, high), LEAST_SCALE_HU * 3)
     for _ in range(MOST_PASSES):
         placed = found.x[:PLACED]
@@ -158,7 +158,7 @@ def _fitted(volume: Volume, coarse: PlannedLine) -> FoundRod:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
+class _VoxelModel:
     """Model of the voxels around a rod: tissue, the rod and its streaks, clipped as the scanner does."""
 
     samples: Array
@@ -300,7 +300,7 @@ def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[
         return no_streaks(slices, rod)
     everywhere = np.arange(len(slices.voxels))
     columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
-    pattern = _robustly_solved(columns[read], rest_hu[read])
+    pattern = _solve_robustly(columns[read], rest_hu[read])
     partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
     inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
     outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
@@ -326,7 +326,7 @@ def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Nu
     return np.hstack([turns, turns * np.linalg.norm(across, axis=1, keepdims=True)])
 
 
-def _robustly_solved(columns: Array, values: Array) -> Array:
+def _solve_robustly(columns: Array, values: Array) -> Array:
     """Solve least squares with Cauchy weights."""
     weights = np.ones(len(values))
     for _ in range(REWEIGHTED):

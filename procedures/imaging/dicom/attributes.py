@@ -41,7 +41,7 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
             try:
                 found = read(BoundedStream(content, longest))
             except DataSetDeflated as deflated:
-                found = read(BoundedStream(_inflated(content, deflated.begin), longest))
+                found = read(BoundedStream(_inflate(content, deflated.begin), longest))
             if only is not None:
                 found.buffer = None  # the whole file, of each of a thousand slices
             return found
@@ -57,7 +57,7 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
         raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
 
 
-def _inflated(content: bytes, begin: int) -> bytes:
+def _inflate(content: bytes, begin: int) -> bytes:
     """Inflate the file's data set; pydicom would do so without a size limit."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)

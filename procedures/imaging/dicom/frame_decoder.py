@@ -66,7 +66,7 @@ class FrameDecoder:
 
     def decode(self, path: Path) -> NDArray[Any]:
         """Return the stored values of a slice. Raises NotDecoded."""
-        process = self._started()
+        process = self._ensure_started()
         assert process.stdin is not None, "it was started with one"
         deadline_s = time.monotonic() + LIMIT_S
         try:
@@ -85,7 +85,7 @@ class FrameDecoder:
             raise NotDecoded(f"its decoder gave up: {ended}") from problem
         return np.frombuffer(pixels, kind).reshape(shape)
 
-    def _started(self) -> subprocess.Popen[bytes]:
+    def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
             self._answers, theirs = os.pipe()
             self._buffer.clear()

@@ -183,12 +183,12 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
     if prior.bent_hu2 > 0.0:
         noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
         step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
-    step = step.drawn(prior.stiffness(len(start)))
+    step = step.shrunk(prior.stiffness(len(start)))
     settled = step.settle(settled, pull_at)
     if settled is None:
         return None
     prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
-    step = step.drawn(prior.stiffness(len(start)))
+    step = step.shrunk(prior.stiffness(len(start)))
     settled = step.settle(settled, pull_at)
     if settled is None:
         return None

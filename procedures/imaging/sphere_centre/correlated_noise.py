@@ -199,7 +199,7 @@ class WhitenedStep:
             np.zeros(len(smooth)),
         )
 
-    def drawn(self, stiffness: Array) -> WhitenedStep:
+    def shrunk(self, stiffness: Array) -> WhitenedStep:
         """Shrink parameters towards 0."""
         return replace(self, stiffness=stiffness)
 
