@@ -116,8 +116,7 @@ def correspondence(
 
     The thesis method is run both without and with validation of its pairs against the stated errors.
     """
-    from procedures.registration.pairing_validation import REFUSED_SHARE
-    from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
+    from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
     from studies.plugins.trial import select_methods

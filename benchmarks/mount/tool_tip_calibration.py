@@ -19,12 +19,18 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.figures import Figure
 from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell
 from benchmarks.stereo_head.head_looks import TrueHead
-from procedures.calibration.head_model import cameras_of, intersected, pose_record
-from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
-from procedures.calibration.tool_tip.record import calibrate_tip
-from procedures.calibration.tool_tip.tip import tips_of
-from procedures.strategies.orientation import tool_orientation
+from procedures.calibration.head_model import cameras_of, intersect_rays, pose_record
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, turned_about
+from procedures.calibration.tip_calibration import (
+    BallLook,
+    DivotReading,
+    TipLooks,
+    calibrate_tip,
+    held_out_indices,
+    pairs_of,
+    tips_of,
+)
+from procedures.strategies.trajectory import tool_orientation
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
@@ -63,7 +69,7 @@ class TipCell(FrameCell):
         planned = turned_about(reference, ball, round(SPARE * total), tilt_rad=tilt_rad, turn_rad=TURN_RAD)
         reached = {id(one): joints for one in planned if (joints := self._joints(one)) is not None}
         first = [one for one in planned if id(one) in reached][:total]
-        looks = [self._ball(reached[id(one)]) for one in in_short_order(first)]
+        looks = [self._ball(reached[id(one)]) for one in order_by_orientation(first)]
         observed = TipLooks(
             created=datetime.now(UTC),
             arm=self.scene.arm.variant,
@@ -72,7 +78,7 @@ class TipCell(FrameCell):
             arm_record=self.calibrations.arm,
             looks=tuple(looks),
             readings=(),
-            validation=kept_apart(len(looks), validation),
+            validation=held_out_indices(len(looks), validation),
         )
         for number, look in enumerate(looks):
             for _ in range(2):  # the second iteration is close
@@ -96,7 +102,7 @@ class TipCell(FrameCell):
             for camera in (self.scene.left, self.scene.right)
         ]
         left, right = (np.array([one]) for one in pixels)
-        in_flange, _ = intersected(cameras_of(self.calibrations.stereo_head), left, right)
+        in_flange, _ = intersect_rays(cameras_of(self.calibrations.stereo_head), left, right)
         return self.head.inverse().apply(in_flange[0])
 
     def _joints(self, look: PlannedLook) -> JointVector | None:

@@ -18,11 +18,18 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import Figure
 from benchmarks.stereo_head.head_looks import ENDPOINTS
+from procedures.calibration.frame_calibration import (
+    FrameLook,
+    FrameLooks,
+    FrameResult,
+    Use,
+    assign_uses,
+    calibrate_frame,
+    frame_poses,
+    pairs_of,
+)
+from procedures.calibration.hand_eye import solve
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tracker_frame.hand_eye import solve
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, pairs_of, uses_of
-from procedures.calibration.tracker_frame.poses import frame_poses
-from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
 from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.calibration import PoseRecord
@@ -92,7 +99,7 @@ class FrameCell:
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head
         seen: list[FrameLook] = []
-        uses = uses_of(count, validation)
+        uses = assign_uses(count, validation)
         for planned in frame_poses(reference, frame, round(SPARE * len(uses))):
             if len(seen) == len(uses):
                 break

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan.model import Plan, PlannedTrajectory
-from procedures.postoperative.comparison import ProvenTrajectory, compare
+from procedures.postoperative.comparison import FoundTrajectory, compare
 from ronna_hw.errors import RonnaError
 from sim.phantom.postoperative_scan import Instrument, Kind, PostoperativeScan, draw_scan
 from sim.phantom.scan import Planes, plain_scan
@@ -89,7 +89,7 @@ def misplaced(scene: Scene, kind: Kind, seed: int) -> tuple[Instrument, ...]:
     return tuple(found)
 
 
-def errors_of(truth: Instrument, found: ProvenTrajectory) -> tuple[float, float, float]:
+def errors_of(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
     """Distance of the tips (of the axes for a hole), of the axes at the entry, mm; between the axes, deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
     off = np.subtract(found.entry_mm, tip)

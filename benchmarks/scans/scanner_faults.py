@@ -23,8 +23,7 @@ from benchmarks.scans.look_alikes import SAME_SPHERE_MM, WHOLE_SLICES_MM, Painte
 from procedures.imaging import Localization, localize, read_series
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localization import DIAMETER_MM
-from procedures.imaging.slice_motion import jumps, motion_warnings
-from procedures.imaging.stack_distortion import distortion_of
+from procedures.imaging.scan_faults import jumps, measure_distortion, motion_warnings
 from procedures.registration.point_registration import register
 from ronna_hw.errors import RonnaError
 from sim.phantom.case import write_case
@@ -220,7 +219,7 @@ class Quiet:
                 self.told.append(_refusal(error))
             return
         self.told += found.warnings
-        distortion = distortion_of(found.markers, 0.5 * DIAMETER_MM)
+        distortion = measure_distortion(found.markers, 0.5 * DIAMETER_MM)
         if distortion is None:
             return
         self.measured += 1

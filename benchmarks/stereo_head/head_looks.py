@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.head_model import cameras_of, intersected
+from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation, ObservationSet, Outline
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -131,7 +131,7 @@ class TrueHead:
             pixels.append(
                 [ideal * (1.0 + k1 * (ideal @ ideal)) * camera.focal_px + camera.principal_point_px]
             )
-        seen, _ = intersected(cameras_of(record), np.array(pixels[0]), np.array(pixels[1]))
+        seen, _ = intersect_rays(cameras_of(record), np.array(pixels[0]), np.array(pixels[1]))
         return float(np.linalg.norm(seen[0] - matrix_of(self.scene.mount.flange_from_tool_true)[:3, 3]))
 
 

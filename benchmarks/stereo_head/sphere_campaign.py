@@ -21,8 +21,8 @@ from procedures.relocalization import (
     measure_sphere,
     triangulate,
 )
-from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import NoContrast, NoSphere, RaysDoNotMeet, WrongSize
+from procedures.relocalization.triangulation import Camera
 from ronna_hw.frames import Frame
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 

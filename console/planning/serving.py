@@ -37,7 +37,7 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     from console.planning.page import add_planner
     from console.planning.plan_editor import PlanEditor
     from procedures.imaging import read_series
-    from procedures.imaging.pick_files import LARGEST_FILE_BYTES
+    from procedures.imaging.picks import LARGEST_FILE_BYTES
     from procedures.planning.theatre.arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 

@@ -18,7 +18,7 @@ from console.planning.fields import NumberField, small_button
 from console.planning.judging import mark_outdated
 from console.planning.plan_editor import PlanEditor
 from console.planning.slices import PageView
-from procedures.imaging.pick_files import LARGEST_FILE_BYTES
+from procedures.imaging.picks import LARGEST_FILE_BYTES
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
 from procedures.planning.head.structure_check import read_structure
@@ -31,8 +31,8 @@ from procedures.planning.head.structures import (
 )
 from procedures.planning.plan.units import structure_in_another_unit
 from procedures.strategies.trajectory import Point
-from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.errors import RonnaError
+from ronna_hw.mistakes import describe_mistakes
 
 STEP_MM = 1.0  # between two points of a stroke
 USUAL_MARGIN_MM = 3.0  # to a vessel

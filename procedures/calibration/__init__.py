@@ -1,8 +1,10 @@
-"""Calibration of the stereo head with a single ball seen from many poses: cameras, tool frame, self-check."""
+"""Fits of stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
+numerics.
+"""
 
 from procedures.calibration.bundle import BundleFit, fit_bundle
+from procedures.calibration.head_calibration import HeadResult, calibrate_head
 from procedures.calibration.observations import Observation, ObservationSet, Outline
-from procedures.calibration.record import HeadResult, calibrate_head
 from procedures.calibration.self_check import Baseline, CheckResult, compare_with_baseline
 
 __all__ = [

@@ -7,8 +7,9 @@ leaves four pixel residuals per view with the covariance
 
     C = S + s^2 J J^T        S: of both outlines, J: pixels by ball position, s: error of the arm per axis
 
-An error of the arm beyond its repeatability is due to its geometry, the same in all views. The errors of its
-links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms.
+An error of the arm beyond its repeatability is due to its geometry, equal in all views. The errors of its
+links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms. Ignored,
+they would be mistaken for an offset of the tool centre.
 
 The ball's diameter is not needed: the arm provides the scale.
 """
@@ -22,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from procedures.calibration.arm_geometry import UNCALIBRATED_MM, error_columns
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
+from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
-from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import require_consistent, require_count, require_spread
+from ronna_hw.arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
@@ -57,7 +58,7 @@ MOST_OUTLIERS = 0.2
 
 @dataclass(frozen=True)
 class BundleFit:
-    """The adjusted head. Covariance (23, 23) of the ball (3, mm) and two times ten camera parameters.
+    """An adjusted head. Covariance (23, 23) of the ball (3, mm) and two times ten camera parameters.
 
     `arm_error_mm` is the estimated error of the arm per axis including its geometry; `arm_scatter_mm` its
     random part from view to view; `image_sigma_px` the error of an outline's centre; `residuals_px` (n, 4)
@@ -78,7 +79,7 @@ class BundleFit:
 
 @dataclass(frozen=True)
 class _Looks:
-    """The observations as arrays."""
+    """Observations as arrays."""
 
     rotations: Array  # (n, 3, 3) robot <- flange
     translations_mm: Array  # (n, 3)
@@ -103,11 +104,11 @@ def fit_bundle(
     looks = _arrays(observations)
     require_spread(looks.rotations, "the orientations of the poses hardly vary")
     cameras = cameras_of(start)
-    points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
+    points, _ = intersect_rays(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
     values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)
-    found = _adjusted(looks, cameras, values, FIRST_ARM_ERROR_MM)
+    found = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
     arm_error = found.arm_error
     if arm_error > ARM_ERROR_LIMIT_MM:
         raise DoesNotFit(
@@ -119,7 +120,7 @@ def fit_bundle(
         columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
         values = np.concatenate([found.values, np.zeros(columns.shape[2])])
-        found = _adjusted(looks, cameras, values, arm_error)
+        found = _adjust(looks, cameras, values, arm_error)
     _require_fit(found.used, found.gaps, looks)
     normal = _normal_matrix(looks, cameras, found.values, found.arm_error, found.image_scale, found.used)
     return BundleFit(
@@ -147,7 +148,7 @@ class _Found:
     used: NDArray[np.bool_]
 
 
-def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
+def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
     """Alternate between adjusting all values and estimating the error sizes; outlying views are dropped."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
@@ -261,7 +262,7 @@ def _prior(values: Array) -> Array:
 def _split(
     looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
-    """The arm's part of the residuals as shifts (n, 3) mm, and the part no shift explains (n,), in sigmas.
+    """Split residuals into the arm's shifts (n, 3) mm and the part that no shift explains (n,), in sigmas.
 
     Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """

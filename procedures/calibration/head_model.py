@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.relocalization.camera import distorted
+from procedures.relocalization.triangulation import distorted
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -25,7 +25,7 @@ UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
 
 @dataclass(frozen=True)
 class FlangeCamera:
-    """One camera: its pose CAMERA <- FLANGE as rotation matrix and translation (mm), and its lens."""
+    """A camera: its pose CAMERA <- FLANGE as rotation matrix and translation (mm), and its lens."""
 
     rotation: Array
     translation_mm: Array
@@ -35,7 +35,7 @@ class FlangeCamera:
 
     @classmethod
     def of(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
-        """From a record and the tool frame it refers to."""
+        """Build the camera from a record and the tool frame it refers to."""
         pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
         return cls(
             pose.rotation_matrix,
@@ -46,7 +46,7 @@ class FlangeCamera:
         )
 
     def changed(self, increments: Array) -> FlangeCamera:
-        """The camera with its ten parameters changed by these increments."""
+        """Change the ten parameters by these increments."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
         k1, *others = self.distortion
         k2, p1, p2, k3 = others
@@ -59,10 +59,10 @@ class FlangeCamera:
         )
 
     def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
-        """Pixels (n, 2) of points (n, 3) of the flange frame.
+        """Project points (n, 3) of the flange frame to pixels (n, 2).
 
-        Given the semi-minor axis b of a ball's outline, the centre of that outline instead, which is farther
-        out than the ball's centre by the factor 1 + b^2, b in normalised units.
+        Given the semi-minor axis b of a ball's outline, return the centre of that outline instead, which is
+        farther out than the ball's centre by the factor 1 + b^2, b in normalised units.
         """
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         b = np.asarray(semi_minor_px, dtype=float) / np.sqrt(self.focal_px.prod())
@@ -89,7 +89,7 @@ class FlangeCamera:
     def record(
         self, serial: str, sensor_px: tuple[int, int], flange_from_tool: Transform
     ) -> CameraCalibration:
-        """As a record relative to a tool frame."""
+        """Convert to a record relative to a tool frame."""
         pose = Transform.from_matrix(Frame.CAMERA_LEFT, Frame.FLANGE, self._matrix()) @ flange_from_tool
         fx, fy = self.focal_px.tolist()
         cx, cy = self.principal_px.tolist()
@@ -112,12 +112,12 @@ Cameras = tuple[FlangeCamera, FlangeCamera]
 
 
 def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
-    """Left and right camera of a record, on the flange."""
+    """Place left and right camera of a record on the flange."""
     tool = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     return FlangeCamera.of(calibration.left, tool), FlangeCamera.of(calibration.right, tool)
 
 
-def intersected(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
+def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
     """Midpoints (n, 3) between the two lines of sight in the flange frame, and the gaps (n,), mm.
 
     The gap is signed: positive when the right line of sight passes on the side of left x right.
@@ -134,7 +134,7 @@ def intersected(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Arra
 
 
 def pose_record(pose: Transform) -> PoseRecord:
-    """A transform as plain numbers."""
+    """Convert a transform to plain numbers."""
     x, y, z = pose.translation_mm.tolist()
     qw, qx, qy, qz = pose.quaternion_wxyz.tolist()
     return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))

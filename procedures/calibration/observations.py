@@ -1,27 +1,100 @@
-"""Input of a calibration: outlines of one ball at many arm poses, as stored in a file."""
+"""Stored measurements of a calibration, and whether they belong to the theatre whose records they replace."""
 
 from __future__ import annotations
 
+import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 from pydantic import Field, ValidationError
 
-from procedures.calibration.errors import BadObservations
-from procedures.calibration.same_theatre import Measurements
-from procedures.relocalization.sphere_image import SphereImage
+from procedures.calibration.errors import BadObservations, OfAnotherTheatre
+from procedures.relocalization.outline import SphereImage
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Dated, PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
+from ronna_hw.config import Calibrations
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import counted
+
+SAME = 1e-6  # in any unit: more than writing a number changes, far below the error of any calibration
+NOT_MEASURED = {"created", "expires", "made_by"}
 
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]
 Pixels = tuple[float, float]
 Joints = tuple[float, float, float, float, float, float]  # from the base outwards
 S = TypeVar("S", bound=Strict)
+
+
+class Measurements(Strict, ABC):
+    """Base of all stored measurements of a calibration."""
+
+    created: datetime = Field(description="When it was measured.")
+
+    @property
+    @abstractmethod
+    def records(self) -> Mapping[str, Dated | None]:
+        """Calibration records in use, by their names in the theatre file; None if there was none."""
+
+
+def require_same_theatre(
+    measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
+) -> None:
+    """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
+
+    A calibration says where something is relative to what its records say of the rest: with another head, or
+    another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record
+    passes if by its name it may be such a result.
+    """
+    for name, then in measured.records.items():
+        now = getattr(theatre, name)
+        if now is None and then is None:
+            continue
+        if _alike(_content(now), _content(then)):
+            continue
+        if found is None:
+            may_be_found = now is not None and (
+                now.identifier.endswith(stamp(measured.created)) or now.identifier == _named(then)
+            )
+        else:
+            may_be_found = _alike(_content(now), _measured(found.get(name)))
+        if not may_be_found:
+            raise OfAnotherTheatre(
+                f"the measurements were made with another [calibration.{name}] than the theatre file's",
+                expected=_named(now),
+                got=_named(then) if _named(then) != _named(now) else f"{_named(then)} with other numbers",
+            )
+
+
+def stamp(created: datetime) -> str:
+    """End the identifier of every record that is computed from measurements of this time."""
+    return f"-{created:%Y%m%dT%H%M%S}"
+
+
+def _named(record: Dated | None) -> str:
+    return "none" if record is None else record.identifier
+
+
+def _content(record: Dated | None) -> Any:
+    return None if record is None else _measured(record.model_dump())
+
+
+def _measured(plain: Any) -> Any:
+    return {key: value for key, value in plain.items() if key not in NOT_MEASURED} if plain else None
+
+
+def _alike(one: Any, other: Any) -> bool:
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+    if isinstance(one, list | tuple) and isinstance(other, list | tuple):
+        return len(one) == len(other) and all(map(_alike, one, other))
+    if isinstance(one, float) and isinstance(other, float):
+        return math.isclose(one, other, rel_tol=0.0, abs_tol=SAME)
+    return bool(one == other)
 
 
 class Outline(Strict):
@@ -37,7 +110,7 @@ class Outline(Strict):
 
     @classmethod
     def of(cls, sphere: SphereImage) -> Self:
-        """From a measurement; only reliable ones are stored."""
+        """Convert a measurement; only reliable ones are stored."""
         return cls(**{name: getattr(sphere, name) for name in cls.model_fields})
 
 
@@ -57,7 +130,7 @@ class Observation(Strict):
 
     @property
     def flange_pose(self) -> Transform:
-        """ROBOT <- FLANGE."""
+        """Pose ROBOT <- FLANGE."""
         return self.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
 
 
@@ -73,12 +146,12 @@ class ObservationSet(Measurements):
 
     @property
     def records(self) -> Mapping[str, Dated | None]:
-        """As `Measurements.records`."""
+        """Calibration records in use."""
         return {"stereo_head": self.start, "tool_tip": self.tool_tip}
 
 
 def read_strict(kind: type[S], path: Path) -> S:
-    """Read one strict record from JSON; raises CAL-005 listing every error in it."""
+    """Read one strict record from JSON. Raises CAL-005 listing every error in it."""
     try:
         return kind.model_validate_json(read_json_bytes(path))
     except OSError as error:

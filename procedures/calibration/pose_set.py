@@ -1,4 +1,4 @@
-"""Where to view the ball from: tool poses in many evenly spread orientations, deterministic.
+"""Views of a ball for a calibration: evenly spread tool poses, deterministic; and whether they suffice.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
@@ -6,6 +6,7 @@ a different position in the field each time, nearer or farther, so that the lens
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,7 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import beyond
 
 Array = NDArray[np.float64]
 
@@ -32,6 +35,8 @@ CHECK_VARIANTS = ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (-0.5, 1.0), (-1.0, 1.0), 
 _RATIO = 1.1127756842787055
 _STEPS = np.array([_RATIO ** -(k + 1) for k in range(6)])
 
+LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies least
+
 
 @dataclass(frozen=True)
 class PlannedLook:
@@ -46,7 +51,7 @@ class PlannedLook:
 
 
 def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
-    """Views of a ball (3,) in the robot frame, spread around the orientation robot <- tool."""
+    """Spread views of a ball (3,) in the robot frame around the orientation robot <- tool."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
@@ -55,13 +60,15 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
         )
         offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
         looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), offset))
-    return tuple(in_short_order(looks))
+    return tuple(order_by_orientation(looks))
 
 
 def centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """Views with the sphere at the tool centre, where lens and field do not matter; from `first` on."""
+    """List views from number `first` on with the sphere at the tool centre; lens and field do not matter
+    there.
+    """
     return turned_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
     )
@@ -77,10 +84,10 @@ def turned_about(
     turn_rad: float,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[PlannedLook, ...]:
-    """Poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
+    """List poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
 
-    Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way;
-    from number `first` on.
+    Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way; from number `first`
+    on.
     """
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
     point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
@@ -100,7 +107,7 @@ def turned_about(
 
 
 def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """One orientation of the self-check, and alternatives if it is not reachable."""
+    """List one orientation of the self-check, and alternatives if it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -115,8 +122,8 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
     )
 
 
-def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """The views in an order in which each is nearest in orientation to the previous one."""
+def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
+    """Order views so that each is nearest in orientation to the previous one."""
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
@@ -130,7 +137,7 @@ def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
 
 
 def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
-    """The same view for a ball at another position."""
+    """Move a view to a ball at another position."""
     return _look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),
@@ -152,3 +159,37 @@ def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int |
     )
     x, y, z = offset_mm.tolist()
     return PlannedLook(pose, (x, y, z), number)
+
+
+def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
+    """Raise CAL-002, naming `what`, below the minimum count."""
+    if count < least:
+        raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
+
+
+def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
+    """Raise CAL-003, naming `what`, if rotations (n, 3, 3) hardly vary in one direction."""
+    if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
+        raise DegeneratePoses(
+            what,
+            limit=f"{LEAST_SPREAD_DEG:g} deg rms about every axis",
+            got=f"{beyond(math.degrees(math.asin(spread)), LEAST_SPREAD_DEG, 1)} deg",
+            action=action,
+        )
+
+
+def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str) -> None:
+    """Raise CAL-004 if more than this fraction of `what` are outliers; `used` marks the inliers."""
+    if (outliers := float(np.mean(~used))) > most_outliers:
+        raise DoesNotFit(
+            f"too many {what} disagree with the others",
+            limit=f"{most_outliers:.0%}",
+            got=f"{beyond(100 * outliers, 100 * most_outliers, 0)}%",
+        )
+
+
+def orientation_spread(rotations: NDArray[np.float64]) -> float:
+    """Rms variation of rotations (n, 3, 3) in the direction that varies least; 0 about a single axis."""
+    apart = rotations - rotations.mean(axis=0)
+    scatter = np.einsum("nki,nkj->ij", apart, apart) / len(rotations)
+    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))

@@ -1,4 +1,4 @@
-"""The self-check: does the head see the ball where it did at calibration, from the same eight poses?
+"""Self-check: does the head see the ball where it did at calibration, from the same eight poses?
 
 Since calibration the ball may have been put down elsewhere (b, robot frame); the arm repeats to some
 micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
@@ -26,7 +26,7 @@ from pydantic import Field
 from scipy.special import chdtri
 
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
-from procedures.calibration.head_model import cameras_of, intersected
+from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
@@ -58,14 +58,14 @@ class Baseline(Strict):
 
     @property
     def orientations(self) -> tuple[int, ...]:
-        """Their numbers, sorted."""
+        """Numbers of the orientations, sorted."""
         return tuple(sorted({look.orientation for look in self.looks if look.orientation is not None}))
 
     @property
     def ball_mm(self) -> Array:
         """Position of the ball, (3,) in the robot frame, accurate to a tenth of a millimetre."""
         centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
-        points, _ = intersected(cameras_of(self.stereo_head), *centres)
+        points, _ = intersect_rays(cameras_of(self.stereo_head), *centres)
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
         return np.asarray(np.mean(in_robot, axis=0))
 
@@ -80,7 +80,7 @@ class Baseline(Strict):
 
 @dataclass(frozen=True)
 class Sign:
-    """One sign: its value, its standard deviation, its chi-square statistic and the limit."""
+    """A sign that the head has changed: value, standard deviation, chi-square statistic and limit."""
 
     name: str
     unit: str
@@ -111,7 +111,7 @@ class CheckResult:
 
     @property
     def signs(self) -> tuple[Sign, ...]:
-        """All three."""
+        """All three signs."""
         return self.shift, self.gap, self.size
 
     @property
@@ -137,7 +137,7 @@ class CheckResult:
 
 @dataclass(frozen=True)
 class _Seen:
-    """Per orientation: ball in the tool frame (m, 3), gap (m,), relative size (m,), rotation, visits (m,)."""
+    """Means per orientation: ball in the tool frame (m, 3), gap (m,), size (m,), rotation, visits (m,)."""
 
     points_mm: Array
     gaps_mm: Array
@@ -239,7 +239,7 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
     cameras = cameras_of(head)
     tool = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     centres = np.array([[_centre(look, side) for side in (0, 1)] for look in run])
-    in_flange, gaps = intersected(cameras, centres[:, 0], centres[:, 1])
+    in_flange, gaps = intersect_rays(cameras, centres[:, 0], centres[:, 1])
     points = tool.inverse().apply(in_flange)
     sizes = np.zeros(len(run))
     for side, camera in enumerate(cameras):
@@ -271,5 +271,5 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
 
 
 def _centre(look: Observation, side: int) -> tuple[float, float]:
-    """Centre of the outline. Its perspective bias is the same in both runs and cancels."""
+    """Centre of the outline; its perspective bias is equal in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

@@ -24,7 +24,7 @@ DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated re
 
 
 def options_of(theatre_file: Path) -> str:
-    """The options that give those commands a theatre file, and that file the record."""
+    """Options that give those commands a theatre file, and that file the record."""
     file = shlex.quote(str(theatre_file))
     return f"--config {file} --write {file}"
 
@@ -34,8 +34,8 @@ def require_valid(
 ) -> None:
     """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
-    `options` are the options that select this theatre for those commands; `starts` may have expired. Raises
-    CAL-020 and CAL-021 as `require_together`.
+    `options` select this theatre for those commands; the records in `starts` may have expired. Raises CAL-020
+    and CAL-021 like `require_together`.
     """
     if "arm" not in starts:
         require_together(calibrations, options)

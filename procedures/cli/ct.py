@@ -220,8 +220,8 @@ def view(
     self-contained, needs no network and does not name the patient. A series without markers also gets a page.
     """
     import procedures.imaging as imaging
+    from procedures.imaging.ct_page import ct_page
     from procedures.imaging.errors import MarkerCountWrong
-    from procedures.imaging.page.ct_page import ct_page
     from ronna_hw.records import write_whole
 
     require_folder_of(out)

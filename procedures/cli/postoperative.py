@@ -66,7 +66,7 @@ def postoperative(
     for sentence in found.warnings:
         terminal.tell(f"warning: {sentence}")
     if out is not None or run is not None:
-        from procedures.postoperative.pictures import trajectory_picture
+        from procedures.postoperative.summary import trajectory_picture
         from procedures.reporting.files import PostoperativeResult
 
         pose = proof.registration.post_from_pre
@@ -87,7 +87,7 @@ def postoperative(
 
 def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
     """Warnings when it cannot be told; raises POST-005."""
-    from procedures.imaging.dicom.patient_identity import patient_identifier
+    from procedures.imaging.dicom.slice_headers import patient_identifier
     from procedures.postoperative.errors import OtherPatient
 
     before, after = patient_identifier(pre_dir), patient_identifier(post_dir)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration.shift import LEAST_POINTS, NEAR_MM, shift_of
+from procedures.registration.movement import LEAST_POINTS, NEAR_MM, shift_of
 from ronna_hw.devices.readings import TrackerFrame, Validity
 
 Array = NDArray[np.float64]

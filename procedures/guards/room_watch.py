@@ -16,12 +16,8 @@ from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
-from procedures.guards.stability import (
-    BASE_NOTICEABLE_MM,
-    CAREFUL_FRAMES,
-    HEAD_NOTICEABLE_MM,
-)
-from procedures.registration.shift import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
+from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
+from procedures.registration.movement import NEAR_MM, PointShift, lone_displacement_mm, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 from ronna_hw.text import beyond, counted
 
@@ -220,7 +216,7 @@ class RoomWatch:
             same = base is not None and base.exact
             if base is None or not same or not tracker_alone:
                 apart = base is not None and (same or float(np.linalg.norm(head_mm)) >= base.limit_mm)
-                alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
+                alone_mm = lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
                 if alone_mm is not None:
                     raise _screw_moved(head, alone_mm, limit_mm)
                 raise _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)

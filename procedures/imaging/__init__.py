@@ -1,4 +1,4 @@
-"""DICOM volumes and the localization of spheres in them. Pure numerics: no engine, no devices.
+"""DICOM volumes, and the localization of spheres in them. Pure numerics.
 
 Names load on first use: the process that decodes compressed slices needs none of the numerics.
 """
@@ -9,13 +9,12 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from procedures.imaging.dicom.patient_identity import PatientIdentity, read_identity
+    from procedures.imaging.dicom.slice_headers import PatientIdentity, read_identity
     from procedures.imaging.localization import localize
     from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
-    from procedures.imaging.pick_files import read_picks
-    from procedures.imaging.picks import localize_picks
+    from procedures.imaging.picks import localize_picks, read_picks
     from procedures.imaging.series import read_series
-    from procedures.imaging.thesis.localization import ThesisFit, localize_as_thesis
+    from procedures.imaging.thesis_localizer import ThesisFit, localize_as_thesis
     from procedures.imaging.volume import Volume, VoxelGeometry
 
 __all__ = [
@@ -38,12 +37,11 @@ __all__ = [
 _MODULES = (
     "markers",
     "volume",
-    "dicom.patient_identity",
+    "dicom.slice_headers",
     "series",
-    "pick_files",
     "picks",
     "localization",
-    "thesis.localization",
+    "thesis_localizer",
 )
 
 

@@ -1,31 +1,264 @@
-"""Reasons to doubt that something is a marker, and the resulting odds."""
+"""Doubts that a fitted sphere is a marker: its shape, its neighbours, its size.
+
+A fitted sphere rests on the part of a surface that fits; an egg, a rod with a round end or a cap also have
+such a part. Here every ray counts. Rays into metal carry no information. Rays that end in something denser
+than the surroundings must cross an edge at the sphere's radius, as under skin or a bandage; a post is too
+narrow to matter. All other rays must leave the sphere where it ends.
+
+Neighbours count, too: two whole spheres do not overlap, markers are not lined up like beads, and the markers
+of one scan are one product of one size.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from functools import cache
+from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 
-STEEPNESS = 4.0  # at twice a limit the odds are 1 to 16
-EVEN = 0.5
-WORTH_TELLING = 0.5  # of a limit
+from procedures.imaging.markers import Doubt
+from procedures.imaging.sphere_centre.ball_model import Stretch
+from procedures.imaging.sphere_centre.ball_voxels import METAL_HU
+from procedures.imaging.sphere_centre.radial_edge import (
+    INLIER,
+    OUTSIDE_FROM,
+    SAME_LEVEL,
+    STEP_INSIDE,
+    STEP_OUTSIDE,
+    RadialEdge,
+    ray_directions,
+)
+from procedures.imaging.volume import Region
+
+Array = NDArray[np.float64]
+Rays = NDArray[np.bool_]
+Span = tuple[float, float]
+
+# radii as multiples of the fitted one
+OUTERMOST, STEPS = 1.6, 65
+CORE, INNER_CORE = 0.72, 0.5  # a post ends at 0.74
+MIDDLE, BEFORE_SURFACE = (0.2, 0.5), (0.65, 0.85)
+METAL_FROM = 0.6
+
+NEIGHBOURS = 16  # rays, as many as hit a rod of 2.8 mm radius: fewer than half of them hit a post
+RIM_COSINE = np.cos(0.3)  # rays this close to a cover or to metal show its rim
+EXTENT_CLIP = 0.2  # of the radius: an edge farther away does not count towards the extent
+EXTENT_PRIOR = 2.0  # rays by which the extents are shrunk towards equality when few are visible
+
+# Limits at even odds. Markers of the tuning families stay below half of each; objects of `rounded` and
+# `joined` exceed at least one by half.
+AMISS_SHARE = 0.04  # of the surface, that is off the sphere
+AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
+BORDER_HU = 20.0  # fall at the surface, where it is smallest; to a moist bandage it is 40 HU
+NARROW_SHARE = 0.15  # of the surface: air around a narrow cover increases the fall next to it
+NARROW_BORDER_HU = 50.0
+LEAST_BORDER_HU = 5.0  # stands for none
+EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest semi-axis, measured by rays
+STRETCH = 0.023  # the same, measured by voxels: 0.13 mm; a capsule 0.28 mm longer than wide reaches it
+STRETCH_DEVIATIONS = 5.0  # plus this many standard deviations of the noise
+MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anything attached raises it by half
+NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
+HOLLOW_SHARE = 0.08  # of the core; 0.02 in markers under strong streaks
+METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
+EARLY_FALL_HU = 16.0  # under a cover, before the surface: domes on skin show 36 and more, markers 8 at most
+
+OVERLAP = 0.95  # of the diameter: the centres of two spheres cannot be closer
+IN_A_ROW = 1.5  # of the diameter: bodies farther apart do not form a row
+STRAIGHT_COSINE = -np.cos(np.radians(15.0))  # between the directions to the two neighbours
+EVEN_SPACING = 0.15  # of the spacing
+FEWEST_ALIKE = 3  # markers needed to establish the usual size
+RADIUS_DIFFERENCE = 0.035  # of the radius, at even odds: 0.2 mm
+CERTAIN = 3.0  # excess of an impossibility
 
 
-@dataclass(frozen=True)
-class Doubt:
-    """Why something may not be a marker; at an `excess` of 1 that alone makes the odds even."""
+def shape_doubts(
+    region: Region,
+    centre_mm: Array,
+    edge: RadialEdge,
+    stretch: Stretch | None,
+    *,
+    cleaned: Region | None = None,
+) -> tuple[Doubt, ...]:
+    """Quantify every way in which a body may fail to be a whole sphere.
 
-    reason: str
-    excess: float
+    `edge` is a sphere fitted to its surface; `centre_mm` grid mm. `stretch` comes from the voxels if they
+    determine it; otherwise rays do, which streaks and covers disturb more. `cleaned` is the region without
+    its streaks: they bend a surface and darken a core, but neither attach anything to a sphere nor cut it
+    off.
+    """
+    if cleaned is None:
+        return _doubts(region, centre_mm, edge, stretch)
+    without, with_them = (_doubts(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region))
+    graver = [max(pair, key=lambda doubt: doubt.excess) for pair in zip(without, with_them, strict=True)]
+    return tuple(graver[k] if k in NOT_BY_STREAKS else without[k] for k in range(len(without)))
 
 
-def odds(doubts: Iterable[Doubt]) -> float:
-    """Odds [0..1] of a marker given all doubts: a score, with each limit at even odds."""
-    return float(np.prod([1.0 / (1.0 + doubt.excess**STEEPNESS) for doubt in doubts]))
+def _doubts(
+    region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
+) -> tuple[Doubt, ...]:
+    """Judge one region; if it is `streaked`, each ray's edge is halfway between its own levels."""
+    shares = np.linspace(0.0, OUTERMOST, STEPS)
+    ways = ray_directions()
+    profiles = region.sample(
+        centre_mm + edge.radius_mm * shares[None, :, None] * ways[:, None, :], smooth=True
+    )
+    scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
+    profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
+    metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
+    informative = np.asarray(scanned & ~metal)
+    levels_hu = np.full(len(ways), 0.5 * (edge.inside_hu + edge.outside_hu))
+    if streaked:
+        levels_hu += _own_levels_hu(profiles, shares, edge)
+    place, left = _first_fall(profiles, shares, levels_hu)
+    opens = informative & left
+    covered = informative & ~left
+    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), informative)
+    early_hu = 0.0
+    if covered.sum() > NEIGHBOURS:  # more than a post
+        early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
+    limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
+    joined = covered & (border_hu < limit_hu)
+    # at the rim of a cover or of metal the edge belongs to that
+    clear = opens & ~_beside(ways, (covered & ~joined) | metal)
+    amiss = clear & (np.abs(place - 1.0) > INLIER)
+    if stretch is None:
+        difference_mm = edge.radius_mm * _extent_difference(ways[clear], place[clear] - 1.0)
+        longer = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
+    else:
+        difference_mm = stretch.difference_mm
+        limit_mm = np.hypot(STRETCH * edge.radius_mm, STRETCH_DEVIATIONS * stretch.deviation_mm)
+        longer = difference_mm / float(limit_mm)
+    odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
+    core, inner = shares < CORE, shares < INNER_CORE
+    volume = shares[core] ** 2
+    hollow = (
+        float((odd[informative][:, core] @ volume).sum() / (informative.sum() * volume.sum()))
+        if informative.any()
+        else 1.0
+    )
+    metal_core = float((profiles[:, inner] > METAL_HU).mean())
+    return (
+        Doubt(
+            f"{amiss.mean():.0%} of its surface is off a sphere",
+            amiss.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
+        ),
+        Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
+        Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
+        Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", longer),
+        Doubt(f"{hollow:.0%} of its core is a different material", hollow / HOLLOW_SHARE),
+        Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
+    )
 
 
-def reasons(doubts: Iterable[Doubt]) -> str:
-    """The significant ones in words, most serious first."""
-    gravest = sorted(doubts, key=lambda doubt: -doubt.excess)
-    return ", ".join(doubt.reason for doubt in gravest if doubt.excess > WORTH_TELLING)
+def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
+    """Shift (rays,) of each ray above the usual levels on both sides of the edge, within limits."""
+    near, far = (
+        profiles[:, (shares > low) & (shares < high)].mean(axis=1)
+        for low, high in (STEP_INSIDE, STEP_OUTSIDE)
+    )
+    most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
+    return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
+
+
+def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
+    """Radius at which each ray first falls below its level, in sphere radii, and whether it falls at all.
+
+    The edge of a ray that is below its level throughout is at the core.
+    """
+    looked = (shares >= CORE) & (shares <= OUTSIDE_FROM)
+    values, places = profiles[:, looked], shares[looked]
+    above = values >= levels_hu[:, None]
+    falls = above[:, :-1] & ~above[:, 1:]
+    first, rows = falls.argmax(axis=1), np.arange(len(values))
+    before, after = values[rows, first], values[rows, first + 1]
+    drop = np.where(before > after, before - after, 1.0)
+    place = places[first] + np.clip((before - levels_hu) / drop, 0.0, 1.0) * (places[1] - places[0])
+    return np.where(falls.any(axis=1), place, CORE), np.asarray(~above.all(axis=1))
+
+
+def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
+    """Fall in intensity of each ray from one span of radii to another."""
+    near, far = (profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in (inner, outer))
+    return np.asarray(near - far)
+
+
+def _around(values: Array, informative: Rays) -> Array:
+    """Median over the rays around each, (rays,); infinite where half of those are uninformative."""
+    return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
+
+
+@cache
+def _neighbours() -> NDArray[np.intp]:
+    """Nearest rays to each, including itself, (rays, NEIGHBOURS)."""
+    ways = ray_directions()
+    return np.argpartition(-(ways @ ways.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+
+
+def _beside(ways: Array, rays: Rays) -> Rays:
+    """Rays adjacent to `rays`."""
+    if not rays.any():
+        return np.zeros(len(ways), dtype=bool)
+    return np.asarray((ways @ ways[rays].T > RIM_COSINE).any(axis=1))
+
+
+def _extent_difference(ways: Array, offsets: Array) -> float:
+    """Longest minus shortest semi-axis of the surface, in radii, from offsets (n,) along rays (n, 3).
+
+    The offsets are modelled as those of a shifted, scaled and stretched sphere. If few rays are visible, the
+    stretch is shrunk towards zero.
+    """
+    usable = np.abs(offsets) < EXTENT_CLIP
+    x, y, z = ways[usable].T
+    stretch = (x * x - z * z, y * y - z * z, x * y, x * z, y * z)
+    design = np.column_stack([np.ones(len(x)), x, y, z, *stretch])
+    drawn = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
+    a, b, c, d, e = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:].tolist()
+    matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
+    values = np.linalg.eigvalsh(matrix)
+    return float(np.ptp(values))
+
+
+def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
+    """Doubts about spheres at `centres_mm` (n, 3), raised by bodies of their size at `others_mm` (m, 3)."""
+    bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
+    ways = bodies[None] - bodies[:, None]
+    distances = np.linalg.norm(ways, axis=2)
+    np.fill_diagonal(distances, np.inf)
+    beads = _in_rows(ways, distances, diameter_mm)
+    doubts: list[tuple[Doubt, ...]] = []
+    for number in range(len(centres_mm)):
+        found = []
+        if distances[number].min(initial=np.inf) < OVERLAP * diameter_mm:
+            found.append(Doubt("overlaps another body of its size", CERTAIN))
+        if number in beads:
+            found.append(Doubt("is one of a row", CERTAIN))
+        doubts.append(tuple(found))
+    return doubts
+
+
+def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
+    """Doubts about each radius (n,), by its difference from the usual one among those that are clear."""
+    if clear.sum() < FEWEST_ALIKE:
+        return [Doubt("", 0.0)] * len(radii_mm)
+    usual_mm = float(np.median(radii_mm[clear]))
+    return [
+        Doubt(
+            f"has radius {radius_mm:.2f} mm, the others {usual_mm:.2f}",
+            abs(radius_mm - usual_mm) / (RADIUS_DIFFERENCE * usual_mm),
+        )
+        for radius_mm in radii_mm.tolist()
+    ]
+
+
+def _in_rows(ways: Array, distances: Array, diameter_mm: float) -> set[int]:
+    """Bodies that form three in a line, close together and evenly spaced."""
+    near = distances < IN_A_ROW * diameter_mm
+    beads: set[int] = set()
+    for middle in np.flatnonzero(near.sum(axis=1) >= 2).tolist():
+        for one, other in permutations(np.flatnonzero(near[middle]).tolist(), 2):
+            lengths = distances[middle, [one, other]]
+            straight = ways[middle, one] @ ways[middle, other] < STRAIGHT_COSINE * lengths.prod()
+            if straight and np.ptp(lengths) < EVEN_SPACING * lengths.max():
+                beads |= {one, middle, other}
+    return beads

@@ -1,27 +1,43 @@
-"""Finds every marker sphere in a volume, with its centre and covariance.
+"""Find every marker sphere in a volume, with its centre and covariance.
 
-Detection scans the whole volume; each candidate must then show the surface of a sphere of the right size, and
-be a whole sphere. Doubtful ones are listed separately, with reasons and odds. Two estimators with different
-failure modes measure the centre; a marker on which they differ by more than 0.06 mm is flagged. Where they
-are combined, the difference enlarges the covariance; where streaks were fitted together with the sphere, or
-its edges alone count, it does not.
+A matched filter on a coarse grid detects candidates: the volume is resampled to about a millimetre, clipped
+so that bone and metal do not outshine a polymer sphere, and correlated with a kernel that compares the mean
+inside a ball with that of a surrounding shell. The response is a contrast in HU.
+
+Each candidate must then show the surface of a sphere of the right size, and be a whole sphere; doubtful ones
+are listed apart, with reasons and odds. Two estimators with different failure modes measure the centre. A
+marker on which they differ by more than 0.06 mm is flagged. Where they are combined, the difference enlarges
+the covariance; where streaks were fitted together with the sphere, or its edges alone count, it does not.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
+from scipy import fft
 
-from procedures.imaging.company import company_doubts, size_doubts
-from procedures.imaging.detection import find_peaks
-from procedures.imaging.doubts import Doubt
+from procedures.imaging.doubts import neighbour_doubts, size_doubts
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import OVERLAPS, Sphere, as_marker, examine, with_shape
-from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Localization, Marker
-from procedures.imaging.stack_distortion import distortion_warnings
+from procedures.imaging.examination import OVERLAPS, as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Doubt, Localization, Marker
+from procedures.imaging.measurement import Sphere
+from procedures.imaging.scan_faults import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
+
+Array = NDArray[np.float64]
+
+VOXELS_PER_RADIUS = 5.75  # a 1 mm grid for the usual 11.5 mm sphere
+CLIP_HU = (-1000.0, 300.0)  # air to dense polymer
+BALL_TO = 0.90  # of the radius: safely inside despite blur
+SHELL_FROM, SHELL_TO = 1.15, 1.53  # of the radius
+MIN_CONTRAST_HU = 450.0  # a polymer sphere in air shows about 1000, one touching skin half of that
+SEPARATION = 1.2  # of the radius: weaker peaks closer to a stronger one are the same object
+MAX_PEAKS = 200
 
 Progress = Callable[[float], None]
 
@@ -54,19 +70,19 @@ def localize(
     report(DETECTION_SHARE)
     found: list[Sphere] = []
     refused: list[Candidate] = []
-    for number, peak in enumerate(peaks):
-        outcome = examine(volume, peak, radius_mm, found)
+    for number, (place_mm, contrast_hu) in enumerate(peaks):
+        outcome = examine(volume, place_mm, contrast_hu, radius_mm, found)
         if isinstance(outcome, Sphere):
-            found.append(with_shape(outcome, volume, radius_mm))
+            found.append(judge_shape(outcome, volume, radius_mm))
         elif not any(_same_object(outcome, other) for other in refused):
             refused.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     report(1.0)
-    judged = judged_together(found, refused, volume.geometry, diameter_mm)
+    judged = judge_together(found, refused, volume.geometry, diameter_mm)
     if expected is not None:
         judged = _clear_ones(judged, expected)
-    spheres = [one for one in judged if one.candidate.accepted]
-    candidates = (*(one.candidate for one in judged), *refused)
+    spheres = [one for one in judged if one.accepted]
+    candidates = (*(as_candidate(one, volume) for one in judged), *refused)
     require_count(len(spheres), expected, candidates)
     overlaps = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     markers = sorted(
@@ -83,38 +99,122 @@ def localize(
     )
 
 
-def judged_together(
+def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
+    """Local maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
+    coarse, step_mm = _resample(volume, radius_mm / VOXELS_PER_RADIUS)
+    response = _correlate(coarse, _kernel(radius_mm, step_mm))
+    places = np.argwhere(response > MIN_CONTRAST_HU)
+    strengths = response[tuple(places.T)]
+    order = np.argsort(-strengths, kind="stable")
+    places_mm = places[order] * step_mm
+    strengths = strengths[order]
+    peaks: list[tuple[Array, float]] = []
+    free = np.ones(len(places_mm), dtype=bool)
+    while free.any() and len(peaks) < MAX_PEAKS:
+        best = int(np.argmax(free))
+        # offset between voxel centres of the coarse grid and of the volume
+        offset_mm = 0.5 * (step_mm - volume.geometry.spacing_mm)
+        peaks.append((places_mm[best] + offset_mm, float(strengths[best])))
+        free &= np.linalg.norm(places_mm - places_mm[best], axis=1) > SEPARATION * radius_mm
+    return peaks
+
+
+def _resample(volume: Volume, step_mm: float) -> tuple[NDArray[np.float32], Array]:
+    """Return HU above air on a coarse grid of about `step_mm`, and its exact spacing (3,) mm."""
+    slices, rows, columns = volume.geometry.shape
+    counts = np.maximum(np.rint(volume.extent_mm / step_mm).astype(int), 1)
+    planes = np.empty((slices, counts[1], counts[2]), dtype=np.float32)
+    smaller = counts[1] <= rows and counts[2] <= columns
+    for number, plane in enumerate(volume.voxels):
+        clipped = np.clip(plane, int(CLIP_HU[0]), int(CLIP_HU[1])).astype(np.float32)
+        cv2.resize(
+            clipped,
+            (int(counts[2]), int(counts[1])),
+            dst=planes[number],
+            interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR,
+        )
+    planes -= CLIP_HU[0]
+    if counts[0] != slices:
+        flat = planes.reshape(slices, -1)
+        resized = _average_slices(flat, counts[0]) if counts[0] < slices else _between_slices(flat, counts[0])
+        planes = resized.reshape(counts)
+    return planes, volume.extent_mm / counts
+
+
+def _between_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    place = np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1)
+    below = np.minimum(place.astype(int), max(len(flat) - 2, 0))
+    share = (place - below).astype(np.float32)[:, None]
+    above = np.minimum(below + 1, len(flat) - 1)
+    return np.asarray(flat[below] * (1 - share) + flat[above] * share)
+
+
+def _average_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+    edges = np.arange(count + 1) * len(flat) / count
+    result = np.empty((count, flat.shape[1]), dtype=np.float32)
+    for number, (low, high) in enumerate(pairwise(edges.tolist())):
+        cells = np.arange(int(low), min(int(np.ceil(high)), len(flat)))
+        cover = np.minimum(cells + 1, high) - np.maximum(cells, low)
+        np.dot((cover / cover.sum()).astype(np.float32), flat[cells[0] : cells[-1] + 1], out=result[number])
+    return result
+
+
+def _kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
+    half_sides = np.ceil(SHELL_TO * radius_mm / step_mm).astype(int)
+    grid = np.meshgrid(
+        *(np.arange(-r, r + 1) * step for r, step in zip(half_sides, step_mm, strict=True)), indexing="ij"
+    )
+    distance = np.linalg.norm(grid, axis=0) / radius_mm
+    ball = distance < BALL_TO
+    shell = (distance > SHELL_FROM) & (distance < SHELL_TO)
+    return np.asarray(ball / ball.sum() - shell / shell.sum(), dtype=np.float32)
+
+
+def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
+    # outside the volume counts as air; the kernel is symmetric, so convolution equals correlation
+    middle = [k // 2 for k in kernel.shape]
+    shape = [fft.next_fast_len(n + k, real=True) for n, k in zip(values.shape, middle, strict=True)]
+    # axis by axis: lines on which the small kernel is still zero are not transformed
+    spectrum = fft.rfft(kernel, n=shape[2], axis=2)
+    for axis in (1, 0):
+        spectrum = fft.fft(spectrum, n=shape[axis], axis=axis, overwrite_x=True)
+    spectrum *= fft.rfftn(values, s=shape)
+    response = fft.irfftn(spectrum, s=shape, overwrite_x=True)
+    return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])
+
+
+def judge_together(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
-    """The spheres with the doubts that the others raise about each."""
+    """Add the doubts that spheres and rejected candidates raise about each other."""
     if not found:
         return []
-    centres_mm = np.array([one.combined.centre_mm for one in found])
+    centres_mm = np.array([one.centre_mm for one in found])
     overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
-    beside = company_doubts(centres_mm, others_mm, diameter_mm)
-    judged = [sphere.doubted(doubts) for sphere, doubts in zip(found, beside, strict=True)]
+    beside = neighbour_doubts(centres_mm, others_mm, diameter_mm)
+    judged = [sphere.with_doubts(doubts) for sphere, doubts in zip(found, beside, strict=True)]
     sizes = size_doubts(
-        np.array([one.combined.radius_mm for one in judged]),
-        np.array([one.candidate.accepted for one in judged]),
+        np.array([one.radius_mm for one in judged]),
+        np.array([one.accepted for one in judged]),
     )
-    return [sphere.doubted((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
+    return [sphere.with_doubts((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
 
 
 def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
-    """If more markers than expected: the clear ones if exactly that many stand out; else all, unchanged."""
-    accepted = sorted((one for one in judged if one.candidate.accepted), key=lambda one: -one.candidate.odds)
+    """Keep only the clear markers if exactly as many as expected stand out; else keep all."""
+    accepted = sorted((one for one in judged if one.accepted), key=lambda one: -one.odds)
     if not 0 < expected < len(accepted):
         return list(judged)
-    last, next_ = accepted[expected - 1].candidate.odds, accepted[expected].candidate.odds
+    last, next_ = accepted[expected - 1].odds, accepted[expected].odds
     if last < CLEAR or next_ > UNCLEAR:
         return list(judged)
     unclear = {id(one) for one in accepted[expected:]}
-    return [one.doubted((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
+    return [one.with_doubts((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
-    """Raise CT-016 if the count is not as expected, or is zero with no expectation given."""
+    """Raise CT-016 if the count is not as expected, or zero with none expected."""
     if expected is None and found == 0:
         raise MarkerCountWrong("no marker found", candidates=candidates)
     if expected is not None and found != expected:
@@ -147,7 +247,7 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
 
 
 def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm: float) -> Marker:
-    """The marker, flagged if something rejected overlaps it."""
+    """Flag the marker if a rejected candidate overlaps it."""
     close = any(float(np.linalg.norm(marker.centre_mm - other)) < diameter_mm for other in overlaps)
     if not close or NEAR_ANOTHER in marker.flags:
         return marker
@@ -155,17 +255,17 @@ def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm:
 
 
 def _same_object(one: Candidate, other: Candidate) -> bool:
-    """Two peaks on one large object lead to the same fitted sphere."""
+    """Whether two peaks on one large object led to the same fitted sphere."""
     if one.radius_mm is None or other.radius_mm is None or other.accepted:
         return False
     return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm
 
 
 def head_to_foot(marker: Marker) -> tuple[float, ...]:
-    """Sorting key: from superior to inferior."""
+    """Sort key from superior to inferior."""
     x, y, z = marker.centre_mm.tolist()
     return -z, x, y
 
 
 def _silent(share: float) -> None:
-    """Ignores progress."""
+    """Ignore progress."""

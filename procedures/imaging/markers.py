@@ -1,4 +1,4 @@
-"""Results of the localizer: markers and the candidates examined."""
+"""Results of the localizer: markers, candidates, and the doubts that decide between them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.doubts import EVEN
+STEEPNESS = 4.0  # at twice a limit the odds are 1 to 16
+EVEN = 0.5
+WORTH_TELLING = 0.5  # of a limit
 
 Array = NDArray[np.float64]
 
@@ -23,42 +25,6 @@ STREAKED = (
     "streaked"  # metal streaks distort the image so much that they were fitted together with the sphere
 )
 PICKED = "picked"  # a person indicated where to search
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """A place that looked like a marker at first sight, and the verdict on it.
-
-    `centre_mm` is LPS. `accepted` candidates are the markers; for the others, and for one that a person
-    picked although it is doubtful, `reason` says why not.
-    `surface_share` [0..1] is the part of the sphere's surface found where it should be, `radius_mm` the
-    fitted radius; both are None if no surface was found. `odds` [0..1] of a marker are 0 if no sphere of the
-    size was found, and below even if it may not be a whole one.
-    """
-
-    centre_mm: tuple[float, float, float]
-    accepted: bool
-    reason: str
-    contrast_hu: float
-    surface_share: float | None = None
-    radius_mm: float | None = None
-    odds: float = 0.0
-
-    @property
-    def doubtful(self) -> bool:
-        """Whether a sphere of the right size was fitted that may not be a whole one."""
-        return 0.0 < self.odds < EVEN
-
-    def describe(self) -> str:
-        """One phrase for messages: centre in LPS mm, reason, and the odds if doubtful."""
-        x, y, z = self.centre_mm
-        odds = f" (odds {self.odds:.2f})" if self.doubtful else ""
-        return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}{odds}"
-
-
-def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Accepted ones, then doubtful ones by odds, then the rest by the surface found."""
-    return sorted(candidates, key=lambda one: (not one.accepted, -one.odds, -(one.surface_share or 0.0)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +53,7 @@ class Marker:
     shape_mm: Array | None = None
 
     def document(self) -> dict[str, Any]:
-        """As plain data for JSON."""
+        """Return plain data for JSON."""
         return {
             "centre_mm": self.centre_mm.tolist(),
             "covariance_mm2": self.covariance_mm2.tolist(),
@@ -100,9 +66,9 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """The markers of one volume, from superior to inferior, and every candidate.
+    """Markers of one volume, from superior to inferior, and every candidate.
 
-    `warnings` are sentences on what the markers together say of the scan.
+    `warnings` are sentences on what the markers together reveal about the scan.
     """
 
     markers: tuple[Marker, ...]
@@ -126,3 +92,57 @@ class Localization:
     def covariances_mm2(self) -> Array:
         """All covariances, (n, 3, 3) LPS mm²."""
         return np.array([marker.covariance_mm2 for marker in self.markers]).reshape(-1, 3, 3)
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A place that looked like a marker at first sight, and the verdict on it.
+
+    `centre_mm` is LPS. `accepted` candidates are the markers; for the others, and for a doubtful one that a
+    person picked, `reason` says why not. `surface_share` [0..1] is the part of the sphere's surface found
+    where it should be, `radius_mm` the fitted radius; both are None if no surface was found. `odds` [0..1] of
+    a marker are 0 if no sphere of the size was found, and below even if it may not be a whole one.
+    """
+
+    centre_mm: tuple[float, float, float]
+    accepted: bool
+    reason: str
+    contrast_hu: float
+    surface_share: float | None = None
+    radius_mm: float | None = None
+    odds: float = 0.0
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether a sphere of the right size was fitted that may not be a whole one."""
+        return 0.0 < self.odds < EVEN
+
+    def describe(self) -> str:
+        """Describe the candidate in one phrase: centre in LPS mm, reason, and the odds if doubtful."""
+        x, y, z = self.centre_mm
+        odds = f" (odds {self.odds:.2f})" if self.doubtful else ""
+        return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}{odds}"
+
+
+def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Sort candidates: accepted ones, then doubtful ones by odds, then the rest by the surface found."""
+    return sorted(candidates, key=lambda one: (not one.accepted, -one.odds, -(one.surface_share or 0.0)))
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Reason why something may not be a marker; an `excess` of 1 alone makes the odds even."""
+
+    reason: str
+    excess: float
+
+
+def odds(doubts: Iterable[Doubt]) -> float:
+    """Combine doubts into odds [0..1] of a marker: a score, with each limit at even odds."""
+    return float(np.prod([1.0 / (1.0 + doubt.excess**STEEPNESS) for doubt in doubts]))
+
+
+def reasons(doubts: Iterable[Doubt]) -> str:
+    """List the significant doubts in words, most serious first."""
+    gravest = sorted(doubts, key=lambda doubt: -doubt.excess)
+    return ", ".join(doubt.reason for doubt in gravest if doubt.excess > WORTH_TELLING)

@@ -1,34 +1,47 @@
 """Manual fallback: a person picks the spheres roughly, the estimators measure them.
 
 A pick replaces detection, and a marker at a pick may show less of its surface than a detected one, or be
-doubtful. It never replaces the measurement: where no sphere shows, the pick is refused with the reason.
+doubtful. It never replaces the measurement: a pick without a sphere is refused with the reason. Picks come
+from CSV rows, a JSON list, output of `ronna-ct`, or a 3D Slicer point list (`.mrk.json`).
 """
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.imaging.detection import Peak, find_peaks
-from procedures.imaging.errors import PickRefused
-from procedures.imaging.examination import Sphere, as_marker, examine, with_shape
+from procedures.imaging.errors import PickRefused, PicksUnreadable
+from procedures.imaging.examination import as_candidate, as_marker, examine, judge_shape
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
+    find_peaks,
     head_to_foot,
-    judged_together,
+    judge_together,
     require_count,
 )
 from procedures.imaging.markers import PICKED, Candidate, Localization
-from procedures.imaging.pick_files import LPS_FROM_RAS
-from procedures.imaging.stack_distortion import distortion_warnings
+from procedures.imaging.measurement import Sphere
+from procedures.imaging.scan_faults import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
+from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
+from ronna_hw.plausible import FARTHEST_MM
 
 Array = NDArray[np.float64]
+
+LARGEST_FILE_BYTES = 1_000_000  # a 3D Slicer point list takes a kilobyte per point
+COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
+OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
+LONGEST_QUOTE = 60  # characters quoted from a rejected line
+EXPECTED = "a list of points, or the point lists of 3D Slicer"
+LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
 PICK_TOLERANCE = 1.0  # of the radius: a sphere's centre may be this far from its pick
 CROP = 3.2  # of the radius: the neighbourhood that is searched
@@ -49,10 +62,10 @@ def localize_picks(
     expected: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Localization:
-    """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; every marker is flagged `picked`.
+    """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; flag every marker `picked`.
 
-    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016,
-    CT-017 and CT-024 as in `localize`.
+    Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016, CT-017
+    and CT-024 like `localize`.
     """
     picks = np.asarray(picks_mm, dtype=float)
     check_request(volume, diameter_mm, expected)
@@ -61,10 +74,12 @@ def localize_picks(
     radius_mm = 0.5 * diameter_mm
     found: list[Sphere] = []
     for number, pick_mm in enumerate(picks, start=1):
-        found.append(with_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
+        found.append(judge_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
         progress(number / len(picks))
-    found = [sphere.picked() for sphere in judged_together(found, (), volume.geometry, diameter_mm)]
-    candidates = tuple(sphere.candidate for sphere in found)
+    found = [
+        replace(sphere, picked=True) for sphere in judge_together(found, (), volume.geometry, diameter_mm)
+    ]
+    candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)
     markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]
     return Localization(
@@ -80,30 +95,30 @@ def localize_picks(
 
 
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
-    """The sphere at a pick; refused if there is none, with a hint if there would be one in RAS or metres."""
+    """Measure the sphere at a pick. Without one, refuse it, with a hint if RAS or metres would give one."""
     try:
-        return _measured(volume, number, pick_mm, radius_mm, known)
+        return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
         if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
-            raise _hinted(refused, IN_RAS) from refused
+            raise _with_hint(refused, IN_RAS) from refused
         if _shows_sphere(volume, number, 1e3 * pick_mm, radius_mm):
-            raise _hinted(refused, IN_METRES) from refused
+            raise _with_hint(refused, IN_METRES) from refused
         raise
 
 
-def _hinted(refused: PickRefused, action: str) -> PickRefused:
+def _with_hint(refused: PickRefused, action: str) -> PickRefused:
     return PickRefused(refused.what, expected=refused.expected, action=action)
 
 
 def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
     try:
-        _measured(volume, number, pick_mm, radius_mm, [])
+        _measure_at(volume, number, pick_mm, radius_mm, [])
     except PickRefused:
         return False
     return True
 
 
-def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
+def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
     index = geometry.to_index(pick_mm)
@@ -111,11 +126,13 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
         raise PickRefused(f"{place} is outside the scanned volume", expected=_extent(geometry))
     grid_mm = index * geometry.spacing_mm
     refused: list[Candidate] = []
-    for peak in _starts(volume, grid_mm, radius_mm):
-        outcome = examine(volume, peak, radius_mm, known, min_surface_share=MIN_SURFACE_SHARE)
+    for place_mm, contrast_hu in _starts(volume, grid_mm, radius_mm):
+        outcome = examine(
+            volume, place_mm, contrast_hu, radius_mm, known, min_surface_share=MIN_SURFACE_SHARE
+        )
         if not isinstance(outcome, Sphere):
             refused.append(outcome)
-        elif np.linalg.norm(outcome.combined.centre_mm - grid_mm) <= PICK_TOLERANCE * radius_mm:
+        elif np.linalg.norm(outcome.centre_mm - grid_mm) <= PICK_TOLERANCE * radius_mm:
             return outcome
     reason = "no sphere within reach"
     if refused:
@@ -124,23 +141,23 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
 
 
 def _extent(geometry: VoxelGeometry) -> str:
-    """The scanned range along the patient's axes."""
+    """Describe the scanned range along the patient's axes."""
     corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
     places_mm = geometry.to_patient_mm(corners)
     ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
     return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends) + " mm"
 
 
-def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[Peak]:
-    """Starting points: peaks of the sphere filter near the pick, then the pick and points around it."""
+def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:
+    """List starting points: peaks of the sphere filter near the pick, then the pick and points around it."""
     part, offset_mm = _crop(volume, grid_mm, CROP * radius_mm)
     peaks = [
-        Peak(peak.position_mm + offset_mm, peak.contrast_hu)
-        for peak in find_peaks(part, radius_mm)
-        if np.linalg.norm(peak.position_mm + offset_mm - grid_mm) <= PICK_TOLERANCE * radius_mm
+        (place_mm + offset_mm, contrast_hu)
+        for place_mm, contrast_hu in find_peaks(part, radius_mm)
+        if np.linalg.norm(place_mm + offset_mm - grid_mm) <= PICK_TOLERANCE * radius_mm
     ]
     shifts = sorted(product((0.0, -1.0, 1.0), repeat=3), key=lambda shift: sum(map(abs, shift)))
-    around = [Peak(grid_mm + START_STEP * radius_mm * np.array(shift), 0.0) for shift in shifts]
+    around = [(grid_mm + START_STEP * radius_mm * np.array(shift), 0.0) for shift in shifts]
     return peaks + around
 
 
@@ -155,3 +172,83 @@ def _crop(volume: Volume, grid_mm: Array, half_width_mm: float) -> tuple[Volume,
     part = VoxelGeometry(size, origin_mm, geometry.axes, geometry.spacing_mm)
     cropped = replace(volume, voxels=volume.voxels[z, y, x], geometry=part)
     return cropped, low * geometry.spacing_mm
+
+
+def read_picks(path: Path) -> Array:
+    """Read picks (n, 3) LPS mm from a .csv or .json file. Raises CT-018."""
+    try:
+        content = read_bounded(path, LARGEST_FILE_BYTES)
+    except OSError as error:
+        raise PicksUnreadable(f"cannot read {path.name}: {error.strerror}") from error
+    except InputRefused as error:
+        raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
+    return parse_points(content, path.name)
+
+
+def parse_points(content: bytes, name: str) -> Array:
+    """Parse the content of a file with this name into points (n, 3) LPS mm, n > 0. Raises CT-018."""
+    try:
+        is_json = name.lower().endswith(".json")
+        rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), name)
+        points = np.array(rows, dtype=float)
+    except PicksUnreadable:
+        raise
+    except InputRefused as error:
+        raise PicksUnreadable(f"{name} is refused: {error.summary}") from error
+    except LookupError as error:
+        raise PicksUnreadable(f"{name} has no points: it has no {error}") from error
+    except (TypeError, AttributeError) as error:  # values of other kinds, in other places
+        raise PicksUnreadable(f"{name} has no points where they belong", expected=EXPECTED) from error
+    except (ValueError, csv.Error) as error:
+        raise PicksUnreadable(f"{name} has no points: {error}") from error
+    if points.ndim != 2 or points.shape[1] != 3 or not (np.abs(points) <= FARTHEST_MM).all():
+        expected = f"three finite numbers for each, of at most {FARTHEST_MM:g} mm"
+        raise PicksUnreadable(f"{name} has no points", expected=expected)
+    return points
+
+
+def _from_csv(text: str, name: str) -> list[list[float]]:
+    """Read three columns, or those named L_mm, P_mm, S_mm if there is a header, separated by , or ;
+
+    Any other header is refused: it may mean other axes.
+    """
+    lines = text.splitlines()
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    reader = csv.reader(lines, delimiter=";" if ";" in first else ",")
+    places: list[int] | None = None
+    picks: list[list[float]] = []
+    for row in reader:
+        if not row or row[0].startswith("#"):
+            continue
+        cells = [cell.strip() for cell in row]
+        if places is None and not picks and set(COLUMNS) <= set(cells):
+            places = [cells.index(column) for column in COLUMNS]
+            continue
+        try:
+            left_mm, posterior_mm, superior_mm = cells if places is None else [cells[at] for at in places]
+            picks.append([float(left_mm), float(posterior_mm), float(superior_mm)])
+        except (ValueError, IndexError):
+            raise PicksUnreadable(
+                f"{name}, line {reader.line_num} is not a point",
+                expected=f"three numbers with , or ; between them, or first a header {','.join(COLUMNS)}",
+                got=repr(" ".join(row)[:LONGEST_QUOTE]),
+            ) from None
+    return picks
+
+
+def _from_json(content: Any) -> list[Any]:
+    if isinstance(content, list):
+        return content
+    for name in OWN_LISTS:
+        if name in content:
+            return [one["centre_mm"] for one in content[name]]
+    picks: list[Any] = []
+    for markup in content["markups"]:
+        system = str(markup.get("coordinateSystem", "LPS")).upper()
+        if system not in ("LPS", "RAS"):
+            raise ValueError(f"unknown coordinate system {system}")
+        turn = LPS_FROM_RAS if system == "RAS" else np.ones(3)
+        picks += [
+            (turn * np.array(point["position"], dtype=float)).tolist() for point in markup["controlPoints"]
+        ]
+    return picks

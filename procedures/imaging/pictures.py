@@ -1,4 +1,4 @@
-"""Images of a marker: three planes through its centre with the fitted sphere drawn in."""
+"""Draw a marker: three planes through its centre with the fitted sphere."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Candidate, Localization, Marker
-from procedures.imaging.region import cut_region
-from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.imaging.volume import Volume, VoxelGeometry, cut_region
 
 Array = NDArray[np.float64]
 
@@ -35,7 +34,7 @@ _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 
 
 def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
-    """A PNG for every marker, in the order of `localization.markers`.
+    """Draw a PNG for every marker, in the order of `localization.markers`.
 
     Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
     patient's sides; blue is outside the scan.
@@ -47,7 +46,7 @@ def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, 
 
 
 def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
-    """One PNG with three planes through a marker, HU window -1000 to 600."""
+    """Draw one PNG with three planes through a marker, HU window -1000 to 600."""
     sigma_mm = float(np.sqrt(marker.covariance_mm2.trace()))
     heading = (
         f"{title}   LPS {_place(marker.centre_mm)} mm\n"
@@ -59,7 +58,7 @@ def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
 
 
 def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
-    """The same for candidates, in order, with the verdict on each; a ring where a surface was found."""
+    """Draw a PNG for every candidate, in order, with the verdict; a ring where a surface was found."""
     return tuple(
         _picture(
             volume,
@@ -118,7 +117,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
 
 
 def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
-    """HU of the three planes, (n, n) each: rows along the down axis, columns along the across axis.
+    """Sample the three planes, (n, n) HU each: rows along the down axis, columns along the across axis.
 
     NaN outside the scan.
     """
@@ -134,7 +133,7 @@ def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
 
 
 def _plane_name(geometry: VoxelGeometry, through: int) -> str:
-    """The clinical name of the plane across a grid axis."""
+    """Clinical name of the plane across a grid axis."""
     name = _NAMES[geometry.orientation[2 - through]]
     along = float(np.abs(geometry.axes[:, through]).max())
     oblique = along < np.cos(np.radians(STRAIGHT_DEG))

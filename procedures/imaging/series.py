@@ -1,18 +1,34 @@
-"""Reads a DICOM CT series from a folder and validates its geometry."""
+"""Read a DICOM CT series from a folder: geometry checked, pixels in HU."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.dicom.frame_decoder import FrameDecoder
-from procedures.imaging.dicom.slice_headers import Progress, read_headers
-from procedures.imaging.dicom.slice_pixels import read_pixels_into
+from procedures.imaging.dicom.attributes import optional_number, read_dicom, text, value
+from procedures.imaging.dicom.frame_decoder import FrameDecoder, check_frame
+from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
-from procedures.imaging.slice_motion import motion_warnings
+from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
+from procedures.imaging.scan_faults import motion_warnings
 from procedures.imaging.volume import Volume
+from ronna_hw.bounded_input import InputRefused
+
+if TYPE_CHECKING:
+    from pydicom.dataset import FileDataset
+    from pydicom.uid import UID
+
+
+HU_LIMITS = (-32768, 32767)
+
+UNSIGNED, SIGNED = 0, 1  # PS3.3 C.7.6.3.1, Pixel Representation
+_LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
+    {"1.2.840.10008.1.2", "1.2.840.10008.1.2.1", "1.2.840.10008.1.2.1.99"}  # the last is deflated as a whole
+)
 
 HEADER_SHARE = 0.4  # of the reading time
 AIR_BELOW_HU = -500  # every head is surrounded by air
@@ -21,9 +37,9 @@ AIR_BELOW_HU = -500  # every head is surrounded by air
 def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     """Read the CT series whose files lie directly in `directory`.
 
-    Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called
-    with the fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot
-    be trusted; nothing is guessed.
+    Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called with the
+    fraction done. Raises CT-001 to CT-015, CT-020, CT-021, CT-023 for a series that cannot be trusted;
+    nothing is guessed.
     """
     directory = Path(directory)
     headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
@@ -47,6 +63,122 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
             *motion_warnings(voxels, geometry),
         ),
     )
+
+
+def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
+    """Fill `target` (rows, columns) with the HU of one slice.
+
+    Raises CT-005 (truncated), CT-013 (unsupported compression), CT-014 (not a CT slice).
+    """
+    data = read_dicom(header.path)
+    name = header.path.name
+    for keyword, what in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
+        if (count := _whole(header, data, keyword, 1)) != 1:
+            raise PixelsUnusable(f"{name} {what}", expected=f"{keyword} of 1", got=str(count))
+    if (photometry := text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2") != "MONOCHROME2":
+        raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
+    if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
+        raise PixelsUnusable(f"{name} has floating-point pixels", expected="integers")
+    if "PixelData" not in data:
+        raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
+    syntax = text(header.path, data.file_meta, "TransferSyntaxUID")
+    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _whole(header, data, "BitsAllocated", 0) == 16:
+        stored = _stored_16_bit(data, header, target.shape)
+    else:
+        stored = _stored_by_library(data, header.path, syntax, target.shape, decoder)
+    _rescale_into(target, stored, header)
+
+
+def _whole(header: SliceHeader, data: FileDataset, keyword: str, missing: int) -> int:
+    number = optional_number(header.path, data, keyword)
+    return missing if number is None else int(number)
+
+
+def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
+    name = header.path.name
+    representation = _whole(header, data, "PixelRepresentation", 0)
+    if representation not in (UNSIGNED, SIGNED):
+        raise PixelsUnusable(f"{name} has pixel representation {representation}", expected="0 or 1")
+    pixels = value(header.path, data, "PixelData")
+    needed = 2 * shape[0] * shape[1]
+    if not isinstance(pixels, bytes) or len(pixels) < needed:
+        got = f"{len(pixels)}" if isinstance(pixels, bytes) else "none"
+        raise FileDamaged(f"{name} is truncated", expected=f"{needed} bytes of pixels", got=got)
+    if len(pixels) > needed:
+        raise FileDamaged(
+            f"{name} has more pixels than its header says",
+            expected=f"{needed} bytes",
+            got=f"{len(pixels)}",
+        )
+    stored = np.frombuffer(
+        pixels, dtype="<i2" if representation == SIGNED else "<u2", count=needed // 2
+    ).reshape(shape)
+    bits = _whole(header, data, "BitsStored", 16)
+    high = _whole(header, data, "HighBit", bits - 1)
+    if not 1 <= bits <= high + 1 <= 16:
+        raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
+    if bits == 16:
+        return stored
+    # bits above the high bit are not part of the value; shifting back extends the sign
+    return (stored << (15 - high)) >> (16 - bits)
+
+
+def _stored_by_library(
+    data: FileDataset, path: Path, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
+) -> NDArray[np.integer]:
+    from pydicom import config
+    from pydicom.encaps import get_frame
+    from pydicom.uid import UID
+
+    name, syntax = path.name, UID(stated, validation_mode=config.IGNORE)
+    try:
+        if syntax.is_encapsulated:
+            # An Extended Offset Table can lead the decoder to another frame than the one that is checked.
+            if "ExtendedOffsetTable" in data:
+                raise InputRefused("one frame, with an Extended Offset Table", expected="none")
+            check_frame(
+                stated, get_frame(data.PixelData, 0, number_of_frames=1), shape, data.BitsAllocated // 8
+            )
+            stored = decoder.decode(path)
+        else:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                stored = np.asarray(data.pixel_array)
+    except InputRefused as problem:
+        raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
+    except MemoryError:
+        raise
+    except Exception as problem:
+        if not _can_decode(syntax):
+            raise CompressionUnknown(f"{name} is compressed with {syntax.name}") from problem
+        raise FileDamaged(f"{name}: its pixel data cannot be decoded ({problem})") from problem
+    if stored.shape != shape or stored.dtype.kind not in "iu":
+        raise PixelsUnusable(f"{name} decodes to shape {stored.shape} of {stored.dtype}")
+    return stored
+
+
+def _can_decode(syntax: UID) -> bool:
+    from pydicom.pixels.decoders.base import get_decoder
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # about an invalid identifier
+            return bool(get_decoder(syntax).is_available)
+    except NotImplementedError:
+        return False
+
+
+def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header: SliceHeader) -> None:
+    offset = round(header.intercept)
+    if header.slope == 1 and header.intercept == offset:
+        low, high = int(stored.min()) + offset, int(stored.max()) + offset
+        if low >= HU_LIMITS[0] and high <= HU_LIMITS[1] and abs(offset) <= HU_LIMITS[1]:
+            # may wrap modulo 2^16 in between, but the result fits and is correct
+            np.add(stored.astype(np.int16, copy=False), np.int16(offset), out=target)
+            return
+    values = stored * header.slope + header.intercept
+    np.clip(np.rint(values), *HU_LIMITS, out=values)
+    target[...] = values
 
 
 def _intensity_warnings(voxels: NDArray[np.int16]) -> tuple[str, ...]:

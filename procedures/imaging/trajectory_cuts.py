@@ -28,22 +28,22 @@ PLANES = (
     ("coronal", (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), ("R", "L", "S", "I")),
     ("sagittal", (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), ("A", "P", "S", "I")),
 )
-Way = tuple[Array, Array]  # entry and target, LPS mm
+Line = tuple[Array, Array]  # entry and target, LPS mm
 
 
-def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes:
-    """PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
+def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str) -> bytes:
+    """Draw a PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
 
-    `ways` are entry and target, LPS mm, by name; each fades with its distance from the plane.
+    `lines` are entry and target, LPS mm, by name; each fades with its distance from the plane.
     """
     import cv2
 
     gap = np.zeros((2 * round(HALF_WIDTH_MM / STEP_MM) + 1, GAP_PX, 3), np.uint8)
     parts: list[Picture] = []
     for title, right, down, letters in PLANES:
-        picture = _plane(volume, ways[name][1], np.array(right), np.array(down))
-        for other, way in sorted(ways.items(), key=lambda one: one[0] == name):  # own trajectory on top
-            _draw_way(picture, way, ways[name][1], np.array([right, down]), own=other == name)
+        picture = _plane(volume, lines[name][1], np.array(right), np.array(down))
+        for other, line in sorted(lines.items(), key=lambda one: one[0] == name):  # own trajectory on top
+            _draw_line(picture, line, lines[name][1], np.array([right, down]), own=other == name)
         _write(picture, f"{name} {title}", letters)
         parts += [gap, picture]
     _, content = cv2.imencode(".png", np.hstack(parts[1:]))
@@ -51,7 +51,7 @@ def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes
 
 
 def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
-    """Grey values (n, n, 3) around a point."""
+    """Sample grey values (n, n, 3) around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
     index = np.moveaxis(volume.geometry.to_index(places), -1, 0)
@@ -61,11 +61,11 @@ def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Pictu
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
-def _draw_way(picture: Picture, way: Way, middle_mm: Array, axes: Array, *, own: bool) -> None:
+def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, own: bool) -> None:
     """Draw a trajectory from entry to target, piece by piece."""
     import cv2
 
-    entry, target = way
+    entry, target = line
     across = np.cross(*axes)
     shares = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
     places = entry + shares * (target - entry) - middle_mm

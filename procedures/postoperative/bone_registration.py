@@ -1,4 +1,4 @@
-"""Registers two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
+"""Register two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
 
 Only bone is compared: HU are clipped at soft tissue and at compact bone, so that swollen skin, air and metal
 have little weight; remaining outliers are down-weighted (Cauchy).
@@ -36,11 +36,11 @@ LEAST_OVERLAP = 0.6  # share of the bone that both scans show
 
 @dataclass(frozen=True, eq=False)
 class BoneRegistration:
-    """The pose post <- pre of the head, patient coordinates in mm.
+    """Pose post <- pre of the head, patient coordinates in mm.
 
-    `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of
-    the first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the
-    remaining difference.
+    `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of the
+    first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the remaining
+    difference.
     """
 
     post_from_pre: RigidTransform
@@ -65,7 +65,7 @@ class _Level:
 
 
 def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
-    """The pose of one scan's head in the other. Raises POST-001 (no bone), POST-002 (a different head)."""
+    """Find the pose of one scan's head in the other. Raises POST-001, POST-002."""
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
@@ -76,13 +76,13 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
             middle = points.mean(axis=0)
             there = _bone_points(moving, spacing_mm)[0].mean(axis=0)
             few = slice(None, None, max(1, len(points) // LEAST_POINTS))
-            tried = [_descended(points[few], values[few], target, start) for start in _starts(middle, there)]
-            found = max(tried, key=lambda one: _judged(points, values, target, one)[0])
-            _require_one_skull(*_judged(points, values, target, found)[:2])
+            tried = [_descend(points[few], values[few], target, start) for start in _starts(middle, there)]
+            found = max(tried, key=lambda one: _judge(points, values, target, one)[0])
+            _require_one_skull(*_judge(points, values, target, found)[:2])
         else:
-            found = _descended(points, values, target, found)
+            found = _descend(points, values, target, found)
     assert found is not None
-    agreement, overlap, residual_hu = _judged(points, values, target, found)
+    agreement, overlap, residual_hu = _judge(points, values, target, found)
     _require_one_skull(agreement, overlap)
     return BoneRegistration(found, agreement, overlap, residual_hu)
 
@@ -105,8 +105,8 @@ def bone_at(volume: Volume, places_mm: Array) -> Array:
     return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU), dtype=float)
 
 
-def finely_at(volume: Volume, places_mm: Array) -> Array:
-    """The same by cubic splines, for a few positions (n, 3) close together, within the scan."""
+def bone_spline_at(volume: Volume, places_mm: Array) -> Array:
+    """HU at a few positions (n, 3) close together and within the scan, by cubic splines, clipped to bone."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)
     high = np.ceil(index.max(axis=0)).astype(int) + SPLINE_REACH + 1
@@ -116,7 +116,7 @@ def finely_at(volume: Volume, places_mm: Array) -> Array:
 
 
 def _level(volume: Volume, spacing_mm: float) -> _Level:
-    """Clipped to bone, blurred by half the spacing, and subsampled to about that spacing."""
+    """Clip to bone, blur by half the spacing, and subsample to about that spacing."""
     geometry = volume.geometry
     strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
     values = np.clip(volume.voxels, SOFT_HU, COMPACT_HU).astype(np.float32)
@@ -150,7 +150,7 @@ def _starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
             yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
-def _descended(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
+def _descend(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
     """Gauss-Newton over six parameters: rotation about the points' centroid, and translation."""
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
@@ -158,7 +158,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
     centre = rotation.apply(middle) + shift
     for _ in range(MOST_STEPS):
         turned = rotation.apply(arms)
-        gradient, there, inside = _sampled(target, turned + centre)
+        gradient, there, inside = _sample(target, turned + centre)
         residuals = (there - values)[inside]
         gradient, lever = gradient[inside], turned[inside]
         scale = robust_sigma(residuals) + 1.0
@@ -173,7 +173,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
     return RigidTransform.from_components(centre - rotation.apply(middle), rotation)
 
 
-def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Gradient (n, 3) in HU per mm, values (n,), and which positions are inside."""
     there, inside = target.at(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
@@ -186,7 +186,7 @@ def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np
     return gradient, there, inside
 
 
-def _judged(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
+def _judge(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
     """Correlation, overlap and robust residual of a pose."""
     there, inside = target.at(pose.apply(points))
     overlap = float(inside.mean())

@@ -1,17 +1,22 @@
-"""Compares the plan with what the postoperative CT shows, trajectory by trajectory."""
+"""Compare the plan with what the postoperative CT shows, trajectory by trajectory.
+
+Instruments and holes found near the trajectories are assigned to them, at most one each.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from scipy.optimize import linear_sum_assignment
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.planning.plan.model import Plan
-from procedures.postoperative.assignment import Candidate, FoundKind, assigned
+from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes
 from procedures.postoperative.errors import (
@@ -21,45 +26,56 @@ from procedures.postoperative.errors import (
     OneSeriesTwice,
     SeriesSwapped,
 )
-from procedures.postoperative.fit_quality import FitQuality, Usual
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
-from procedures.postoperative.way import Way
+from procedures.postoperative.planned_line import SEARCH_MM, ExpectedFit, FitQuality, PlannedLine
+from ronna_hw.calibration import Numbers3, Strict
 
 Array = NDArray[np.float64]
+
+ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
+INSTEAD_MM = 10.0 * SEARCH_MM  # a hole counts only if no instrument is left, a failed fit only after both
+NOTHING_MM = 1e6  # and none only if nothing is left
+
 Point = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class ProvenTrajectory:
-    """One trajectory as carried out; points in the planned CT's LPS, mm.
+class FoundKind(StrEnum):
+    """Kind of object found along a trajectory."""
 
-    `entry_error_mm`: distance between the axis and the planned entry, in the plane perpendicular to the
-    planned trajectory. `axis_at_target_mm`: the tip, or the point of a hole's axis at the depth of the
-    target. `target_error_mm`: from the planned target to the tip; `lateral_mm` is its part across the planned
-    trajectory and `depth_error_mm` along it, positive when too deep. A hole has no tip, so these are None,
-    except `lateral_mm`, which is then that of its axis. `angle_deg` is between the two axes. `doubts` lists
-    what is wrong with the fit.
+    INSTRUMENT = "instrument"  # an electrode or a needle: a rod of metal
+    DRILL_HOLE = "drill hole"
+
+
+class FoundTrajectory(Strict):
+    """One trajectory as planned and as carried out; points in LPS mm of the planned CT.
+
+    A hole has no tip: `tip_mm`, `target_error_mm` and `depth_error_mm` are None; `lateral_mm` is that of its
+    axis.
     """
 
-    identifier: str
-    kind: FoundKind
-    entry_mm: Point
-    axis_at_target_mm: Point
-    tip_mm: Point | None
-    entry_error_mm: float
-    target_error_mm: float | None
-    lateral_mm: float
-    depth_error_mm: float | None
-    angle_deg: float
-    doubts: tuple[str, ...] = ()
+    id: str = Field(description="Its name in the plan.")
+    kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
+    planned_entry_mm: Numbers3 = Field(description="Planned point.")
+    planned_target_mm: Numbers3 = Field(description="Planned point.")
+    entry_mm: Numbers3 = Field(description="Point of the found axis at the planned entry.")
+    axis_at_target_mm: Numbers3 = Field(description="The tip, or the point of a hole's axis at the target.")
+    tip_mm: Numbers3 | None = Field(description="Tip of the instrument.")
+    entry_error_mm: float = Field(
+        description="From the planned entry to the axis, across the planned trajectory."
+    )
+    target_error_mm: float | None = Field(description="From the planned target to the tip.")
+    lateral_mm: float = Field(description="At the target, across the planned trajectory.")
+    depth_error_mm: float | None = Field(description="Along the planned trajectory; positive is too deep.")
+    angle_deg: float = Field(description="Between the planned and the found axis.")
+    doubts: tuple[str, ...] = Field(default=(), description="Reasons, from its fit, why it may be wrong.")
 
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """The registration of both scans and every requested trajectory."""
+    """Registration of both scans, and every requested trajectory."""
 
     registration: BoneRegistration
-    trajectories: tuple[ProvenTrajectory, ...]
+    trajectories: tuple[FoundTrajectory, ...]
 
 
 def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
@@ -68,21 +84,21 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
     require_series(plan, pre, post)
-    return proof_by(register_on_bone(pre, post), plan, pre, post, only)
+    return compare_registered(register_on_bone(pre, post), plan, pre, post, only)
 
 
-def proof_by(
+def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> Proof:
-    """The same with a known registration. Raises POST-006, POST-007, POST-009."""
+    """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
     asked = [one for one in plan.trajectories if not only or one.id in only]
-    ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
-    candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
-    found, lost_to = assigned(ways, candidates)
+    lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
+    candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}
+    found, lost_to = assign(lines, candidates)
     if lost_to:
         pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
         raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
-    if missing := [name for name in ways if name not in found]:
+    if missing := [name for name in lines if name not in found]:
         raise InstrumentMissing(
             f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
             expected=f"one along each of {len(asked)}",
@@ -93,7 +109,7 @@ def proof_by(
             "no straight rod or round hole could be fitted to the object along "
             + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
         )
-    return Proof(registration, tuple(proven(name, way, found[name]) for name, way in ways.items()))
+    return Proof(registration, tuple(_errors_along(one, lines[one.id], found[one.id]) for one in asked))
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -111,13 +127,15 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
     )
 
 
-def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
-    """Rods and holes near a planned trajectory, in coordinates of the planned CT."""
+def _candidates(
+    line: PlannedLine, pre: Volume, post: Volume, registration: BoneRegistration
+) -> tuple[Candidate, ...]:
+    """Find rods and holes near a planned trajectory, in coordinates of the planned CT."""
     pose = registration.post_from_pre
     back = pose.inv()
 
     def planned(
-        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: Usual
+        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: ExpectedFit
     ) -> Candidate:
         inwards = -back.rotation.apply(outwards)
         return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
@@ -125,33 +143,35 @@ def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistrat
     return (
         *(
             planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
-            for rod in find_rods(pre, post, way, pose)
+            for rod in find_rods(pre, post, line, pose)
         ),
         *(
             planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
-            for hole in find_holes(pre, post, way, pose)
+            for hole in find_holes(pre, post, line, pose)
         ),
     )
 
 
-def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
+def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
     """The errors of an instrument or a hole against its planned trajectory."""
-    along, point_mm, inwards = way.inwards, found.point_mm, found.inwards
-    entry = point_mm + inwards * (float((way.entry_mm - point_mm) @ along) / float(inwards @ along))
+    along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
+    entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm
     if found.kind is FoundKind.DRILL_HOLE:
-        at_target = point_mm + inwards * (float((way.target_mm - point_mm) @ along) / float(inwards @ along))
-    off = at_target - way.target_mm
+        at_target = point_mm + inwards * (float((line.target_mm - point_mm) @ along) / float(inwards @ along))
+    off = at_target - line.target_mm
     depth_mm = float(off @ along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
     has_tip = found.kind is FoundKind.INSTRUMENT
-    return ProvenTrajectory(
-        identifier=identifier,
+    return FoundTrajectory(
+        id=planned.id,
         kind=found.kind,
+        planned_entry_mm=planned.entry_mm,
+        planned_target_mm=planned.target_mm,
         entry_mm=_point(entry),
         axis_at_target_mm=_point(at_target),
         tip_mm=_point(point_mm) if has_tip else None,
-        entry_error_mm=float(np.linalg.norm(entry - way.entry_mm)),
+        entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
         lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
         depth_error_mm=depth_mm if has_tip else None,
@@ -163,3 +183,67 @@ def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
 def _point(values: Array) -> Point:
     x, y, z = (float(value) for value in values)
     return x, y, z
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A rod or hole in coordinates of the planned CT: its tip, or a point in the bone, (3,) mm, and its axis.
+
+    `failures` are reasons why it cannot be used at all, `doubts` why it may be wrong.
+    """
+
+    kind: FoundKind
+    point_mm: Array
+    inwards: Array
+    failures: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+    def passes_mm(self, point_mm: Array) -> float:
+        """Distance of its axis from a point (3,)."""
+        return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
+
+    def is_also(self, other: Candidate) -> bool:
+        """Whether both are one instrument, one hole, or an instrument in its hole."""
+        if self.kind is other.kind is FoundKind.DRILL_HOLE:
+            return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
+        near = (  # a hole's direction is too uncertain to extrapolate to a tip
+            one.passes_mm(another.point_mm) < ONE_INSTRUMENT_MM
+            for one, another in ((self, other), (other, self))
+            if one.kind is FoundKind.INSTRUMENT
+        )
+        return all(near)
+
+
+def assign(
+    lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
+) -> tuple[dict[str, Candidate], dict[str, str]]:
+    """Assign candidates to trajectories by least total distance; also tell who took another's candidate.
+
+    `lines` are the planned ones, `candidates` those found along each; both by name.
+    """
+    names = list(lines)
+    things: list[Candidate] = []
+    nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and candidate
+    for row, name in enumerate(names):
+        for one in candidates[name]:
+            number = next((k for k, thing in enumerate(things) if thing.is_also(one)), len(things))
+            if number == len(things):
+                things.append(one)
+            cost_mm = _beside_mm(lines[name], one)
+            if cost_mm < nearest.get((row, number), (NOTHING_MM, one))[0]:
+                nearest[row, number] = cost_mm, one
+    costs_mm = np.full((len(names), len(things) + len(names)), NOTHING_MM)
+    for place, (cost_mm, _) in nearest.items():
+        costs_mm[place] = cost_mm
+    pairs = zip(*(indices.tolist() for indices in linear_sum_assignment(costs_mm)), strict=True)
+    taken = {number: row for row, number in pairs if (row, number) in nearest}
+    found = {names[row]: nearest[row, number][1] for number, row in taken.items()}
+    lost_to = {names[row]: names[taken[number]] for row, number in nearest if names[row] not in found}
+    return found, lost_to
+
+
+def _beside_mm(line: PlannedLine, one: Candidate) -> float:
+    """Mean distance of a candidate's axis from entry and target, plus a penalty for holes and failed fits."""
+    beside_mm = 0.5 * (one.passes_mm(line.entry_mm) + one.passes_mm(line.target_mm))
+    last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
+    return beside_mm + last_of_all * INSTEAD_MM

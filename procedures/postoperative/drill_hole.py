@@ -1,4 +1,4 @@
-"""Finds a drilled hole near a planned trajectory: bone that the first scan shows and the second does not.
+"""Find a drilled hole near a planned trajectory: bone that the first scan shows and the second does not.
 
 A blurred cylinder is fitted where bone was lost. A hole has an entry and a direction, but no tip.
 """
@@ -20,10 +20,17 @@ from procedures.postoperative.bone_registration import (
     COMPACT_HU,
     SOFT_HU,
     bone_at,
-    finely_at,
+    bone_spline_at,
 )
-from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
-from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
+from procedures.postoperative.planned_line import (
+    STEP_MM,
+    ExpectedFit,
+    FitQuality,
+    PlannedLine,
+    at_bound,
+    sample_along,
+    voxels_around,
+)
 from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
@@ -42,7 +49,7 @@ PLACED = 5  # number of parameters that give the position; the filling may be da
 LOW = np.array([-3.0, -3.0, -0.5, -0.5, 0.4, SOFT_HU - 1.0, 0.2])
 HIGH = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
 # noise of both scans and bone edges left by the registration; from the thinnest to the thickest drill
-USUAL_HOLE = Usual(residual_hu=150.0, radius_mm=(0.5, 4.0))
+USUAL_HOLE = ExpectedFit(residual_hu=150.0, radius_mm=(0.5, 4.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,11 +61,16 @@ class FoundHole:
     quality: FitQuality
 
 
-def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundHole, ...]:
-    """Holes near a planned trajectory of the first scan, in the second scan's coordinates; largest first."""
+def find_holes(
+    pre: Volume, post: Volume, line: PlannedLine, post_from_pre: RigidTransform
+) -> tuple[FoundHole, ...]:
+    """Find holes near a planned trajectory of the first scan, largest first.
+
+    Positions are in the second scan's coordinates.
+    """
     back = post_from_pre.inv()
-    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
-    seen = look_along(post, there, -BEFORE_MM, BEHIND_MM)
+    there = PlannedLine(post_from_pre.apply(line.entry_mm), post_from_pre.apply(line.target_mm))
+    seen = sample_along(post, there, -BEFORE_MM, BEHIND_MM)
     before = bone_at(pre, back.apply(there.to_patient_mm(seen.places_mm)))
     lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
     labels, count = ndimage.label(lost)
@@ -66,14 +78,16 @@ def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransfor
     largest = [1 + int(number) for number in np.argsort(-sizes)[:MOST_PIECES]]
     pieces = [number for number in largest if sizes[number - 1] * STEP_MM**3 >= LEAST_VOLUME_MM3]
     middles = [seen.places_mm[labels == number].mean(axis=0) for number in pieces]
-    return tuple(_fitted(pre, post, there, back, middle) for middle in middles)
+    return tuple(_fit_hole(pre, post, there, back, middle) for middle in middles)
 
 
-def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole:
-    """A blurred cylinder through the middle of the lost bone, fitted to the second scan's voxels."""
-    coarse = Way(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
+def _fit_hole(
+    pre: Volume, post: Volume, there: PlannedLine, back: RigidTransform, middle: Array
+) -> FoundHole:
+    """Fit a blurred cylinder through the middle of the lost bone to the second scan's voxels."""
+    coarse = PlannedLine(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
-    before = finely_at(pre, back.apply(coarse.to_patient_mm(local)))
+    before = bone_spline_at(pre, back.apply(coarse.to_patient_mm(local)))
     bone = before > BONE_HU
     local, before = local[bone], before[bone]
     after = np.clip(values[bone], SOFT_HU, COMPACT_HU)

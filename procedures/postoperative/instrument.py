@@ -1,13 +1,18 @@
-"""Finds the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
+"""Find the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
 
 A coarse pass takes the longest bright piece along the trajectory; then a blurred rod is fitted to the voxels
-around it, and then again with its streaks. Scanners clip stored values, so the rod's own intensity is fitted
-and clipped the same way.
+around it, and then again with its streaks, which would otherwise shift the depth of the tip by tenths of a
+millimetre. Scanners clip stored values, so the rod's own intensity is fitted and clipped alike.
+
+Metal throws rays into the plane of each slice. A straight rod crosses the slices alike, so they show the same
+rays about it: the pattern is read along the shaft. Where the tip fills a slice only in part, the pattern's
+strength and its origin along the rod are unknown, two numbers for each such slice.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +23,30 @@ from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
 from procedures.postoperative.bone_registration import bone_at
-from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound
-from procedures.postoperative.streaks import Line, Slices, Streaks, no_streaks, streaks_along
-from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
+from procedures.postoperative.planned_line import (
+    SLAB_MM,
+    ExpectedFit,
+    FitQuality,
+    PlannedLine,
+    at_bound,
+    sample_along,
+    voxels_around,
+)
 from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
+Numbers = NDArray[np.int64]
+
+HARMONICS = 8  # of the angle about the rod: up to so many bright rays
+COLUMNS = 2 * 2 * HARMONICS  # sine and cosine, constant and linear in the distance from the rod
+LEAST_VOXELS = 5 * COLUMNS  # to determine them
+LEAST_STEEP = 0.3  # sine of the angle between rod and slices: a flatter rod crosses too few
+PART_MM = 0.5  # beyond the slice itself, along the rod: so far metal is blurred into it
+HALF_STRENGTH = 0.5
+ALONG_MM = 1.5  # by which the place that the streaks of a slice come from is uncertain, either way
+MOST_STRENGTH = 1.5
+REWEIGHTED = 3
+CAUCHY = 2.385
 
 METAL_HU = 1000.0  # by which metal is brighter than the tissue before, compact bone included
 OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: the search range
@@ -42,7 +65,7 @@ PLACED, ROD = 5, 8  # numbers of fitted parameters that give the position, and o
 MOST_PASSES = 10  # with streaks: tip and streaks are each read better with the other known
 STILL_MM = 0.005  # a smaller change by a pass says that they agree
 # streaks that are not fitted, and clipping, leave up to 300 HU; from the thinnest lead to the thickest needle
-USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
+USUAL_ROD = ExpectedFit(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
 @dataclass(frozen=True)
@@ -54,33 +77,38 @@ class FoundRod:
     quality: FitQuality
 
 
-def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
-    """Rods near a planned trajectory of the first scan, in the second scan's coordinates; longest first."""
-    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
-    seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
+def find_rods(
+    pre: Volume, post: Volume, line: PlannedLine, post_from_pre: RigidTransform
+) -> tuple[FoundRod, ...]:
+    """Find rods near a planned trajectory of the first scan, longest first.
+
+    Positions are in the second scan's coordinates.
+    """
+    there = PlannedLine(post_from_pre.apply(line.entry_mm), post_from_pre.apply(line.target_mm))
+    seen = sample_along(post, there, -OUTSIDE_MM, line.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
     labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
     pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
     long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
     longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
-    return tuple(_fitted(post, _coarse(there, places)) for places in longest)
+    return tuple(_fit_rod(post, _coarse(there, places)) for places in longest)
 
 
 def _length_mm(places: Array) -> float:
     return float(np.ptp(places[:, 0]))
 
 
-def _coarse(way: Way, places: Array) -> Way:
-    """The line through a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
+def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
+    """Fit a line to a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
-    line = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
-    outer, inner = way.to_patient_mm(line)
-    return Way(outer, inner)
+    rod = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
+    outer, inner = line.to_patient_mm(rod)
+    return PlannedLine(outer, inner)
 
 
-def _fitted(volume: Volume, coarse: Way) -> FoundRod:
-    """A blurred rod fitted to the voxels themselves, from a coarse line whose target is the tip."""
+def _fit_rod(volume: Volume, coarse: PlannedLine) -> FoundRod:
+    """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
@@ -99,7 +127,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
     without = no_streaks(slices, _axis(start, outside_mm))
-    shown = _Shown(samples, outside_mm, ceiling, _background(local, values), without)
+    shown = _VoxelModel(samples, outside_mm, ceiling, _background(local, values), without)
     found = shown.fitted(values, start, (low, high), LEAST_SCALE_HU * 3)
     for _ in range(MOST_PASSES):
         placed = found.x[:PLACED]
@@ -130,8 +158,8 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
 
 
 @dataclass(frozen=True, eq=False)
-class _Shown:
-    """What the voxels around a rod show: tissue, the rod and its streaks, clipped as the scanner does."""
+class _VoxelModel:
+    """Model of the voxels around a rod: tissue, the rod and its streaks, clipped as the scanner does."""
 
     samples: Array
     length_mm: float
@@ -145,23 +173,23 @@ class _Shown:
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
-        """All of it; the streaks' unknowns follow those of the rod."""
+        """HU of tissue, rod and streaks, clipped; the streaks' unknowns follow those of the rod."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
     def fitted(
         self, values: Array, start: Array, bounds: tuple[Array, Array], scale_hu: float
     ) -> OptimizeResult:
-        """The unknowns that come closest to the voxels' HU."""
+        """Fit the unknowns to the voxels' HU."""
         return least_squares(
             lambda unknown: self.hu(unknown) - values, start, bounds=bounds, loss="soft_l1", f_scale=scale_hu
         )
 
 
-def _axis(unknown: Array, length_mm: float) -> Line:
-    """The rod's axis, measured outwards from the coarse tip."""
+def _axis(unknown: Array, length_mm: float) -> RodAxis:
+    """Axis of the rod, measured outwards from the coarse tip."""
     tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
     outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
-    return Line(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
+    return RodAxis(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
 
 
 def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
@@ -177,12 +205,12 @@ def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
     return np.asarray(across * 0.5 * erfc((local[..., 0] - depth_mm) / (np.sqrt(2.0) * spread_mm)))
 
 
-def _within_voxel(volume: Volume, way: Way) -> Array:
+def _within_voxel(volume: Volume, line: PlannedLine) -> Array:
     """Sample positions (n, 3) within a voxel relative to its centre, along and across the trajectory, mm."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ way.axes)
+    return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ line.axes)
 
 
 def _background(local: Array, values: Array) -> Array:
@@ -195,3 +223,115 @@ def _background(local: Array, values: Array) -> Array:
     for number in np.unique(slab[ring]):
         levels[number] = np.median(values[ring & (slab == number)])
     return np.asarray(levels[slab])
+
+
+@dataclass(frozen=True, eq=False)
+class Slices:
+    """Voxels (n, 3) mm and their slices: `normal` (3,) and `plane` (3, 2) unit vectors."""
+
+    voxels: Array
+    normal: Array
+    plane: Array
+    slice_mm: float
+
+    @cached_property
+    def numbers(self) -> Numbers:
+        """Slice number of each voxel, from 0."""
+        heights = self.voxels @ self.normal
+        return np.asarray(np.rint((heights - heights.min()) / self.slice_mm), dtype=np.int64)
+
+    @cached_property
+    def heights_mm(self) -> Array:
+        """Height of each slice along the normal."""
+        lowest = float((self.voxels @ self.normal).min())
+        return lowest + self.slice_mm * np.arange(self.numbers.max() + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class RodAxis:
+    """Axis of a rod: a point (3,) mm, its direction outwards (3,) per mm, and how far along it the tip is."""
+
+    point_mm: Array
+    outwards: Array
+    tip_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class Streaks:
+    """HU that streaks add to each voxel: known in the slices of the shaft, unknown in those of the tip.
+
+    `parts` are the voxels of the latter, slice by slice; each has two unknowns, with `start` and bounds.
+    """
+
+    shaft_hu: Array
+    pattern: Array
+    rod: RodAxis
+    slices: Slices
+    parts: tuple[Numbers, ...]
+    start: Array
+    low: Array
+    high: Array
+
+    def hu(self, unknown: Array) -> Array:
+        """Streak HU at each voxel, given strength and origin along the rod, mm, for each slice of the tip."""
+        found = self.shaft_hu.copy()
+        for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
+            found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
+        return found
+
+
+def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
+    """Return streaks of zero everywhere."""
+    nothing = np.zeros(0)
+    return Streaks(np.zeros(len(slices.voxels)), nothing, rod, slices, (), nothing, nothing, nothing)
+
+
+def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+    """Read the pattern from the usable voxels (n,) along the shaft, less a rod without streaks."""
+    steep = float(rod.outwards @ slices.normal)
+    if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
+        return no_streaks(slices, rod)
+    middles_mm = (slices.heights_mm - float(rod.point_mm @ slices.normal)) / steep  # along the rod
+    half_mm = 0.5 * slices.slice_mm / abs(steep)
+    whole = middles_mm - half_mm > rod.tip_mm + PART_MM
+    of_shaft = whole[slices.numbers]
+    read = np.flatnonzero(of_shaft & usable)
+    if len(read) < LEAST_VOXELS:
+        return no_streaks(slices, rod)
+    everywhere = np.arange(len(slices.voxels))
+    columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
+    pattern = _solve_robustly(columns[read], rest_hu[read])
+    partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
+    inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
+    outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
+    start = np.column_stack([np.full(len(partly), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
+    return Streaks(
+        np.where(of_shaft, columns @ pattern, 0.0),
+        pattern,
+        rod,
+        slices,
+        tuple(np.flatnonzero(slices.numbers == number) for number in partly),
+        start.ravel(),
+        (start * [0.0, 1.0] - [0.0, ALONG_MM]).ravel(),
+        (start * [0.0, 1.0] + [MOST_STRENGTH, ALONG_MM]).ravel(),
+    )
+
+
+def _harmonics(slices: Slices, rod: RodAxis, along_mm: Array | float, voxels: Numbers) -> Array:
+    """Columns (n, COLUMNS) at voxels, about the points of the axis that far along it."""
+    centres = rod.point_mm + np.reshape(along_mm, (-1, 1)) * rod.outwards
+    across = (slices.voxels[voxels] - centres) @ slices.plane
+    angles = np.arctan2(across[:, 1], across[:, 0])[:, None] * np.arange(1, HARMONICS + 1)
+    turns = np.hstack([np.cos(angles), np.sin(angles)])
+    return np.hstack([turns, turns * np.linalg.norm(across, axis=1, keepdims=True)])
+
+
+def _solve_robustly(columns: Array, values: Array) -> Array:
+    """Solve least squares with Cauchy weights."""
+    weights = np.ones(len(values))
+    for _ in range(REWEIGHTED):
+        root = np.sqrt(weights)
+        solved = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
+        left = values - columns @ solved
+        weights = 1.0 / (1.0 + (left / (CAUCHY * (robust_sigma(left) + 1.0))) ** 2)
+    return np.asarray(solved, dtype=float)

@@ -1,37 +1,30 @@
-"""The result of a postoperative check, as stored, printed for scripts, and shown in a report."""
+"""Result of a postoperative check as stored, printed and reported, and a picture of each trajectory."""
 
 from __future__ import annotations
 
+import io
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
+from scipy import ndimage
+from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
 from procedures.planning.plan.model import Plan
-from procedures.postoperative.assignment import FoundKind
-from procedures.postoperative.comparison import Proof
-from ronna_hw.calibration import Numbers3, Numbers4, Strict
+from procedures.postoperative.comparison import FoundTrajectory, Proof
+from procedures.postoperative.planned_line import PlannedLine
+from ronna_hw.calibration import Numbers4, Strict
 from ronna_hw.text import beyond
 
+Array = NDArray[np.float64]
 
-class FoundTrajectory(Strict):
-    """One trajectory as planned and as carried out; points in LPS mm of the planned CT."""
-
-    id: str = Field(description="Its name in the plan.")
-    kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
-    planned_entry_mm: Numbers3 = Field(description="Planned point.")
-    planned_target_mm: Numbers3 = Field(description="Planned point.")
-    entry_mm: Numbers3 = Field(description="Point of the found axis at the planned entry.")
-    axis_at_target_mm: Numbers3 = Field(description="The tip, or the point of a hole's axis at the target.")
-    tip_mm: Numbers3 | None = Field(description="Tip of the instrument.")
-    entry_error_mm: float = Field(
-        description="From the planned entry to the axis, across the planned trajectory."
-    )
-    target_error_mm: float | None = Field(description="From the planned target to the tip.")
-    lateral_mm: float = Field(description="At the target, across the planned trajectory.")
-    depth_error_mm: float | None = Field(description="Along the planned trajectory; positive is too deep.")
-    angle_deg: float = Field(description="Between the planned and the found axis.")
-    doubts: tuple[str, ...] = Field(default=(), description="Reasons, from its fit, why it may be wrong.")
+STEP_MM = 0.25
+HALF_WIDTH_MM = 15.0
+BEFORE_MM, BEHIND_MM = 25.0, 12.0
+WINDOW_HU = (-200.0, 1800.0)
+PLANNED_COLOUR, FOUND_COLOUR = "#58c4dd", "#ff9d5c"
 
 
 class PostoperativeCheck(Strict):
@@ -51,55 +44,78 @@ class PostoperativeCheck(Strict):
     )
 
 
-def _doubts(proof: Proof) -> tuple[str, ...]:
-    return tuple(
-        f"{one.identifier} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts
-    )
-
-
-def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
-    said = []
-    for one in proof.trajectories:
-        margin_mm = plan.trajectory(one.identifier).margin_mm
-        error_mm = one.lateral_mm if one.target_error_mm is None else one.target_error_mm
-        if error_mm > margin_mm:
-            off_mm = beyond(error_mm, margin_mm, 2)
-            said.append(f"{one.identifier} is {off_mm} mm off its target: the plan accepts {margin_mm:g} mm")
-    return tuple(said)
-
-
 def summary_of(
     proof: Proof, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
-    """The comparison as plain values."""
+    """Convert the comparison to plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
-    found = []
-    for one in proof.trajectories:
-        planned = plan.trajectory(one.identifier)
-        found.append(
-            FoundTrajectory(
-                id=one.identifier,
-                kind=one.kind,
-                planned_entry_mm=planned.entry_mm,
-                planned_target_mm=planned.target_mm,
-                entry_mm=one.entry_mm,
-                axis_at_target_mm=one.axis_at_target_mm,
-                tip_mm=one.tip_mm,
-                entry_error_mm=one.entry_error_mm,
-                target_error_mm=one.target_error_mm,
-                lateral_mm=one.lateral_mm,
-                depth_error_mm=one.depth_error_mm,
-                angle_deg=one.angle_deg,
-                doubts=one.doubts,
-            )
-        )
     return PostoperativeCheck(
         pre_series_instance_uid=pre.series_instance_uid,
         post_series_instance_uid=post.series_instance_uid,
         post_from_pre=(first, second, third, last),
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
-        trajectories=tuple(found),
+        trajectories=proof.trajectories,
         warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
     )
+
+
+def _doubts(proof: Proof) -> tuple[str, ...]:
+    return tuple(f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
+
+
+def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
+    said = []
+    for one in proof.trajectories:
+        margin_mm = plan.trajectory(one.id).margin_mm
+        error_mm = one.lateral_mm if one.target_error_mm is None else one.target_error_mm
+        if error_mm > margin_mm:
+            off_mm = beyond(error_mm, margin_mm, 2)
+            said.append(f"{one.id} is {off_mm} mm off its target: the plan accepts {margin_mm:g} mm")
+    return tuple(said)
+
+
+def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
+    """Draw one PNG: the planned trajectory runs down the middle, with the object found drawn over it."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    line = PlannedLine(np.array(found.planned_entry_mm), np.array(found.planned_target_mm))
+    end = np.array(found.axis_at_target_mm)
+    local = line.to_local_mm(np.array([found.entry_mm, end]))
+    across = _largest_offset(local)
+    along = np.arange(-BEFORE_MM, line.length_mm + BEHIND_MM, STEP_MM)
+    side = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM, STEP_MM)
+    grid = along[:, None, None] * np.array([1.0, 0.0, 0.0]) + side[:, None] * across
+    places = post_from_pre.apply(line.to_patient_mm(grid).reshape(-1, 3))
+    index = post.geometry.to_index(places).T
+    values = ndimage.map_coordinates(post.voxels, index, output=np.float32, order=1, cval=-1000)
+    figure = Figure(figsize=(3.2, 6.4), dpi=100)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0.18, 0.08, 0.8, 0.85))
+    extent = (side[0], side[-1], along[-1], along[0])
+    axes.imshow(
+        values.reshape(len(along), len(side)),
+        cmap="gray",
+        vmin=WINDOW_HU[0],
+        vmax=WINDOW_HU[1],
+        extent=extent,
+    )
+    axes.plot([0.0, 0.0], [0.0, line.length_mm], color=PLANNED_COLOUR, linewidth=1.0, label="planned")
+    axes.plot(local @ across, local[:, 0], color=FOUND_COLOUR, linewidth=1.0, linestyle="--", label="found")
+    axes.set_xlabel("across mm", fontsize=7)
+    axes.set_ylabel("from the planned entry mm", fontsize=7)
+    axes.tick_params(labelsize=7)
+    axes.set_title(found.id, fontsize=8)
+    axes.legend(fontsize=6, loc="lower right")
+    picture = io.BytesIO()
+    canvas.print_png(picture)
+    return picture.getvalue()
+
+
+def _largest_offset(local: Array) -> Array:
+    """Direction (3,) across the trajectory in which the object found deviates from it."""
+    off = local[int(np.argmax(np.hypot(local[:, 1], local[:, 2])))] * np.array([0.0, 1.0, 1.0])
+    length = float(np.linalg.norm(off))
+    return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.asarray(off / length)

@@ -13,7 +13,7 @@ from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.recovery.comparison import Comparison
-from procedures.registration.shift import shift_of
+from procedures.registration.movement import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from procedures.registration.cloud_registration import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
-    from procedures.registration.layout import FoundLayout, find_layout
     from procedures.registration.matching import match
     from procedures.registration.point_registration import (
         Caveat,
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
         TargetError,
         register,
     )
-    from procedures.registration.template import match_by_template
+    from procedures.registration.template import FoundLayout, find_layout, match_by_template
     from procedures.registration.verification import (
         RoomPoint,
         TwoWayTable,
@@ -53,7 +52,6 @@ _MODULES = (
     "matching",
     "point_registration",
     "verification",
-    "layout",
     "template",
     "cloud_registration",
 )

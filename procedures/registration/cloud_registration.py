@@ -1,4 +1,4 @@
-"""Registers point clouds without correspondence: principal axes as a start, then iterative closest points.
+"""Register point clouds without correspondence: principal axes as a start, then iterative closest points.
 
 For surfaces and dense scans; fiducials are paired by `match`, which states its certainty. Nearest neighbours
 come from SciPy's k-d tree; every step uses the same rigid fit as the fiducials. Iterative closest points:
@@ -40,7 +40,7 @@ MOST_STEPS = 200
 
 @dataclass(frozen=True)
 class CloudFit:
-    """`transform` physical <- image; `residual_mm` is the rms distance to the nearest physical points.
+    """A fit physical <- image of two clouds, with the rms distance to the nearest physical points.
 
     The residual says how similar the clouds are, not how accurate the registration is.
     """
@@ -130,7 +130,7 @@ def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, 
 
 
 def _axis_starts(image: Array, physical: Array) -> list[Array]:
-    """The four proper rotations that align the principal axes of both clouds."""
+    """Align the principal axes of both clouds: four proper rotations."""
     image_axes, physical_axes = _axes(image, "image"), _axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):
@@ -144,7 +144,7 @@ def _axis_starts(image: Array, physical: Array) -> list[Array]:
 
 
 def _axes(points: Array, name: str) -> Array:
-    """Principal axes as columns, longest first. Raises REG-011 when two are equally long."""
+    """Find the principal axes, longest first, as columns. Raises REG-011 when two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
         raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")

@@ -19,7 +19,7 @@ DEFAULT_PRIOR_TOLERANCE_RAD = math.radians(60.0)  # enough to distinguish supine
 
 
 class MatchStatus(StrEnum):
-    """Only UNIQUE permits motion."""
+    """Certainty of a correspondence; only UNIQUE permits motion."""
 
     UNIQUE = "UNIQUE"
     AMBIGUOUS = "AMBIGUOUS"
@@ -31,7 +31,9 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """Why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if it is not."""
+        """Explain why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if
+        not.
+        """
         ...
 
 
@@ -43,7 +45,7 @@ class Prior:
     tolerance_rad: float = DEFAULT_PRIOR_TOLERANCE_RAD
 
     def __post_init__(self) -> None:
-        """Raises REG-007."""
+        """Raise REG-007 for anything but one rotation and an angle up to pi."""
         if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
             raise BadParameter(
                 "a prior needs one SciPy Rotation physical <- image",
@@ -59,7 +61,7 @@ class Prior:
             )
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """The rotation's excess over the tolerance; empty if it is within."""
+        """State the rotation's excess over the tolerance; empty if it is within."""
         turned_rad = turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation)
         if turned_rad <= self.tolerance_rad:
             return ""
@@ -86,7 +88,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class Match:
-    """The result of `match`.
+    """Result of `match`.
 
     UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform` physical <-
     image; `runner_up` is the best contradicting hypothesis, if one came close. AMBIGUOUS: the best hypothesis
@@ -105,7 +107,7 @@ class Match:
     unmatched_physical: tuple[int, ...]
 
     def require_unique(self) -> RigidTransform:
-        """The transform; raises REG-008 with the nearest miss unless the correspondence is unique."""
+        """Return the transform; raise REG-008 with the nearest miss unless the correspondence is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
             nearest = [_shown(self.pairs)] if len(self.pairs) else []
             nearest += [_shown(self.runner_up.pairs)] if self.runner_up else []
@@ -116,5 +118,5 @@ class Match:
 
 
 def _shown(pairs: NDArray[np.intp]) -> str:
-    """Pairs as shown to a person, counting from 1."""
+    """Format pairs for a person, counting from 1."""
     return "image-physical " + " ".join(f"{i + 1}-{j + 1}" for i, j in pairs.tolist())

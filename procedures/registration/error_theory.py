@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtri
 
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.weighted_rigid_fit import pose_jacobian
+from procedures.registration.rigid_fit import pose_jacobian
 from ronna_hw.text import side_by_side
 
 Array = NDArray[np.float64]
@@ -43,7 +43,7 @@ def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
 def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
     """FLE of each of two spaces with equal FLE, from the FREs of several registrations, eq. 37 and 38.
 
-    The squares are averaged over the registrations and halved between the two equal spaces. Raises REG-002,
+    The squares are averaged over the registrations and halved between the two spaces. Raises REG-002,
     REG-007.
     """
     degrees_of_freedom(pairs)
@@ -54,7 +54,7 @@ def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
 
 
 def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> float:
-    """The FRE that a valid registration exceeds with probability 1 - confidence.
+    """FRE that a valid registration exceeds with probability 1 - confidence.
 
     3 n FRE^2 FLE^2 is chi-square with 3n - 6 degrees of freedom if FLE is isotropic and equal.
     """
@@ -65,12 +65,16 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
 
 
 def chi_square_limit(freedom: int, confidence: float) -> float:
-    """The chi-square value that is exceeded with probability 1 - confidence."""
+    """Chi-square value that is exceeded with probability 1 - confidence. Raises REG-007."""
+    _require_confidence(confidence)
+    return float(chdtri(freedom, 1.0 - confidence))
+
+
+def _require_confidence(confidence: float) -> None:
     if not 0.0 < confidence < 1.0:
         raise BadParameter(
             "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
         )
-    return float(chdtri(freedom, 1.0 - confidence))
 
 
 @dataclass(frozen=True)
@@ -89,13 +93,13 @@ class FreGate:
 
     @property
     def limit_mm(self) -> float:
-        """The FRE at which this registration would just pass."""
+        """FRE at which this registration would just pass."""
         if self.chi_square == 0.0:
             return math.inf
         return self.fre_mm * math.sqrt(self.chi_square_limit / self.chi_square)
 
     def require(self) -> None:
-        """Raises REG-010 when the residual is too large."""
+        """Raise REG-010 when the residual is too large."""
         if not self.passed:
             fre, limit = side_by_side(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
@@ -114,7 +118,7 @@ def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAU
 
 
 def require_size(name: str, size_mm: float) -> None:
-    """Raises REG-007 if an error size is negative or not finite."""
+    """Raise REG-007 if an error size is negative or not finite."""
     if not (math.isfinite(size_mm) and size_mm >= 0.0):
         raise BadParameter(f"{name} must be finite and not negative", got=f"{size_mm} mm")
 
@@ -137,8 +141,8 @@ def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) 
 def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:
     """Covariance (6, 6) of the fitted pose about the fiducials' centre: rad^2, rad mm and mm^2.
 
-    `weighted` says whether the fit used the inverse covariances (then it is the inverse normal matrix) or
-    plain least squares (then the sandwich form, valid for any fiducial error).
+    If the fit was `weighted` with the inverse covariances, this is the inverse normal matrix; for plain least
+    squares, the sandwich form, valid for any fiducial error.
     """
     jacobian = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0))
     transposed = np.swapaxes(jacobian, -1, -2)
@@ -161,10 +165,7 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     variance. `freedom` is given when the size of the error was itself estimated from that many residual
     degrees of freedom; the limit then widens according to the F distribution.
     """
-    if not 0.0 < confidence < 1.0:
-        raise BadParameter(
-            "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
-        )
+    _require_confidence(confidence)
     variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
     total = variances.sum(axis=-1)
     squares = np.square(variances).sum(axis=-1)

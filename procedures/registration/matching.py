@@ -1,12 +1,14 @@
-"""Correspondence of two unordered point sets with outliers in both, or the reason why none was found.
+"""Pair two unordered point sets with outliers in both, or explain why none of the pairings is certain.
 
-The largest sets of pairs with matching distances are fitted and scored; the best must be 10,000 times more
-likely than any contradicting one, or the answer is AMBIGUOUS.
+The largest sets of pairs with matching distances are fitted and scored, each also with single pairs removed.
+The best must be 10,000 times more likely than any that contradicts it, or the answer is AMBIGUOUS.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +16,29 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior, Prior
-from procedures.registration.correspondence_search import CorrespondenceSearch
 from procedures.registration.errors import BadParameter, BadPoints
-from procedures.registration.hypotheses import Evidence
+from procedures.registration.pairings import (
+    CLIQUE_SLACK,
+    Candidate,
+    CliqueSearch,
+    Evidence,
+    as_hypothesis,
+    bits,
+    consistency_graph,
+    evaluate,
+    gate,
+    leave_one_out,
+)
 from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
+
+Array = NDArray[np.float64]
+
+# Wide, because 8 fiducials have 28 distances, and one wrongly excluded splits the set into two that
+# contradict each other. Five sigmas lose 2 runs of 1,000 when the length of an error is normal rather than
+# each axis; the fit decides.
+DISTANCE_GATE_SIGMAS = 7.0
+UNIQUE_MARGIN_NATS = math.log(1e4)
+DROPS_TRIED = 2  # a pairing that fails the gate is also judged with up to this many pairs removed
 
 MOST_POINTS = 40  # a head carries up to ten; the graph grows with the product of both counts squared
 
@@ -55,12 +76,12 @@ def match(
 
 
 def checked_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
-    """The prior as given to `match`, a bare rotation with the default tolerance. Raises REG-007."""
+    """Return the prior, a bare rotation with the default tolerance. Raises REG-007."""
     return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
 def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
-    """The weight of evidence for these standard deviations, given as to `match`. Raises REG-007."""
+    """Weigh the evidence for standard deviations as given to `match`. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter(
@@ -96,3 +117,211 @@ def _check_expected(expected: Any) -> None:
             got=f"{expected}",
             action="Give the number of markers on the patient, or omit it.",
         )
+
+
+@dataclass
+class CorrespondenceSearch:
+    """One search over two checked point sets in mm: cliques, fits, leave-one-out subsets, decision."""
+
+    image: Array
+    physical: Array
+    evidence: Evidence
+    expected: int | None
+    prior: PosePrior | None
+
+    def answer(self) -> Match:
+        """Search near the largest cliques first; consider all of them only if none passes."""
+        tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
+        graph = consistency_graph(self.image, self.physical, tolerance_mm)
+        nearest: list[Candidate] = []
+        outside_prior = False
+        for slack in (CLIQUE_SLACK, len(graph)):
+            search = CliqueSearch(graph, FEWEST_PAIRS, slack)
+            cliques = search.run()
+            if not cliques:
+                break
+            held, failed = self._evaluate(cliques)
+            allowed = [one for one in held if not self._objection(one)]
+            outside_prior = outside_prior or len(allowed) < len(held)
+            nearest = held if outside_prior else failed or held
+            ranked = sorted(allowed, key=_by_score)
+            if search.exhausted:
+                return self._too_noisy(ranked)
+            best = min(held, key=_by_score, default=None)
+            if ranked and best and best.score_nats > ranked[0].score_nats + UNIQUE_MARGIN_NATS:
+                return self._explain([best], True)  # some chance pairing is always allowed
+            smallest_seen = max(FEWEST_PAIRS, search.largest - slack)
+            unseen_nats = self.evidence.most_nats(smallest_seen - 1)
+            if ranked and (
+                smallest_seen == FEWEST_PAIRS or ranked[0].score_nats - UNIQUE_MARGIN_NATS > unseen_nats
+            ):
+                return self._judge(ranked, failed)
+            if smallest_seen == FEWEST_PAIRS:
+                break
+        if not nearest:
+            return self.no_match(
+                MatchStatus.INCONSISTENT,
+                f"no three points have matching distances within {tolerance_mm:.1f} mm",
+            )
+        return self._explain(nearest, outside_prior)
+
+    def too_few(self, counts: str) -> Match:
+        """Answer without pairs for fewer points than expected, but tell what agrees among them."""
+        found = self.answer()
+        nothing = self.no_match(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
+        return replace(nothing, runner_up=found.runner_up)
+
+    def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
+        """Sort candidates by whether they pass the gate; drop those with too little evidence."""
+        waiting: dict[int, list[int]] = {}
+        for clique in cliques:
+            waiting.setdefault(clique.bit_count(), []).append(clique)
+        held: list[Candidate] = []
+        failed: list[Candidate] = []
+        best = -math.inf
+        drops = dict.fromkeys(cliques, 0)
+        for size in range(max(waiting), FEWEST_PAIRS - 1, -1):
+            if self.evidence.most_nats(size) < best - UNIQUE_MARGIN_NATS:
+                break
+            masks = list(dict.fromkeys(waiting.get(size, ())))
+            again: list[int] = []
+            for one in evaluate(masks, self.image, self.physical, self.evidence):
+                over_full = self.expected is not None and size == self.expected + 1
+                if one.passed:
+                    held.append(one)
+                    if not over_full and not self._objection(one):
+                        best = max(best, one.score_nats)
+                else:
+                    failed.append(one)
+                tries = 1 if best > -math.inf else DROPS_TRIED
+                doubtful = not one.passed or self._carries_a_bad_pair(one)
+                if over_full or (doubtful and drops[one.nodes] < tries):
+                    again.append(one.nodes)
+            for parent in again if size > FEWEST_PAIRS else ():
+                for child in leave_one_out([parent]):
+                    waiting.setdefault(size - 1, []).append(child)
+                    drops[child] = max(drops.get(child, 0), drops[parent] + 1)
+        return held, failed
+
+    def _objection(self, one: Candidate) -> str:
+        """Explain why the prior excludes a candidate; empty if it does not."""
+        if self.prior is None:
+            return ""
+        paired = [node % len(self.physical) for node in bits(one.nodes)]
+        return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
+
+    def _carries_a_bad_pair(self, one: Candidate) -> bool:
+        """Whether some pair may cost more than it earns, so that the set without it must be examined.
+
+        Up to the planned number of pairs none is doubted: they are known to exist.
+        """
+        planned = self.expected is not None and one.size <= self.expected
+        return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
+
+    def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
+        """Answer UNIQUE if the best beats everything that contradicts it, else give the reason why not."""
+        larger = [
+            one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
+        ]
+        if not larger and ranked[0].mirror_excess > 2.0 * UNIQUE_MARGIN_NATS:
+            larger = ranked[:1]
+        if larger:
+            # Any three points of a mirrored set still fit; the whole set shows left and right swapped.
+            return self.no_match(MatchStatus.INCONSISTENT, _mirror_reason(larger[0]), larger[0])
+        if self.expected is not None:
+            # One pair too many is left to the leave-one-out subsets: one of them must clearly win.
+            over_full = max(ranked, key=lambda one: one.size)
+            if over_full.size > self.expected + 1:
+                return self.no_match(
+                    MatchStatus.INCONSISTENT,
+                    f"{over_full.size} pairs agree, {self.expected} expected",
+                    over_full,
+                )
+            ranked = [one for one in ranked if one.size <= self.expected]
+            if not ranked or ranked[0].size < self.expected:
+                found = ranked[0] if ranked else over_full
+                return self.no_match(
+                    MatchStatus.INCONSISTENT,
+                    f"{found.size} pairs agree, {self.expected} expected",
+                    found,
+                )
+        best = ranked[0]
+        rivals = [one for one in ranked[1:] if one.nodes & ~best.nodes]
+        if not rivals:
+            # All smaller ones were skipped unseen; none of them can score more than this.
+            unseen = self.evidence.most_nats(best.size - 1)
+            return self._found(best, None, max(best.score_nats - unseen, UNIQUE_MARGIN_NATS))
+        margin = best.score_nats - rivals[0].score_nats
+        if margin < UNIQUE_MARGIN_NATS:
+            reason = f"two pairings of {best.size} and {rivals[0].size} points fit nearly as well"
+            return self._result(MatchStatus.AMBIGUOUS, reason, best, rivals[0], margin)
+        return self._found(best, rivals[0], margin)
+
+    def _found(self, best: Candidate, rival: Candidate | None, margin: float) -> Match:
+        reason = f"{best.size} pairs agree, odds against any other pairing at least e^{margin:.0f}"
+        return self._result(MatchStatus.UNIQUE, reason, best, rival, margin)
+
+    def _too_noisy(self, ranked: list[Candidate]) -> Match:
+        reason = "too many pairings agree within this noise; give a smaller sigma or fewer points"
+        if not ranked:
+            return self.no_match(MatchStatus.AMBIGUOUS, reason)
+        rivals = [one for one in ranked[1:] if one.nodes & ~ranked[0].nodes]
+        rival = rivals[0] if rivals else None
+        margin = ranked[0].score_nats - rival.score_nats if rival else 0.0
+        return self._result(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
+
+    def _explain(self, nearest: list[Candidate], outside_prior: bool) -> Match:
+        """Explain why no pairing passes, with the nearest miss."""
+        excluded = [one for one in nearest if outside_prior and self._objection(one)]
+        miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
+        if outside_prior:
+            reason = (
+                f"the points agree only in an orientation that the prior excludes: {self._objection(miss)}"
+            )
+        elif any(one.passed_mirrored for one in nearest if one.size == miss.size):
+            reason = _mirror_reason(miss)
+        elif miss.on_a_line:
+            reason = f"the {miss.size} agreeing points are collinear and do not determine the rotation"
+        else:
+            reason = (
+                f"{miss.size} pairs have matching distances but residuals beyond the noise"
+                f" (chi-square {miss.chi_square:.0f}, limit {gate(miss.size):.0f})"
+            )
+        return self.no_match(MatchStatus.INCONSISTENT, reason, miss)
+
+    def no_match(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
+        """Answer without pairs."""
+        return Match(
+            status,
+            np.zeros((0, 2), dtype=np.intp),
+            None,
+            reason,
+            as_hypothesis(miss, len(self.physical)) if miss else None,
+            0.0,
+            tuple(range(len(self.image))),
+            tuple(range(len(self.physical))),
+        )
+
+    def _result(
+        self, status: MatchStatus, reason: str, best: Candidate, rival: Candidate | None, margin: float
+    ) -> Match:
+        shown = as_hypothesis(best, len(self.physical))
+        used_image, used_physical = set(shown.pairs[:, 0].tolist()), set(shown.pairs[:, 1].tolist())
+        return Match(
+            status,
+            shown.pairs,
+            shown.transform,
+            reason,
+            as_hypothesis(rival, len(self.physical)) if rival else None,
+            margin,
+            tuple(index for index in range(len(self.image)) if index not in used_image),
+            tuple(index for index in range(len(self.physical)) if index not in used_physical),
+        )
+
+
+def _mirror_reason(one: Candidate) -> str:
+    return f"{one.size} pairs agree only as a mirror image: check left and right of the series"
+
+
+def _by_score(one: Candidate) -> float:
+    return -one.score_nats

@@ -1,4 +1,4 @@
-"""Registers paired points: transform, residuals, and the predicted error at a target."""
+"""Register paired points: transform, residuals, and the predicted error at a target."""
 
 from __future__ import annotations
 
@@ -26,8 +26,7 @@ from procedures.registration.error_theory import (
 )
 from procedures.registration.errors import BadParameter, CollinearPoints, UnsoundRegistration
 from procedures.registration.points import FEWEST_PAIRS, checked_covariances, checked_pairs, checked_targets
-from procedures.registration.rigid_fit import fit_rigid
-from procedures.registration.weighted_rigid_fit import fit_weighted
+from procedures.registration.rigid_fit import fit_rigid, fit_weighted
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
@@ -80,15 +79,15 @@ class Registration:
 
     @property
     def pairs(self) -> int:
-        """Number of pairs that were used."""
+        """Number of pairs used."""
         return len(self.image_mm)
 
     @cached_property
     def leave_one_out_mm(self) -> tuple[float | None, ...]:
-        """Per pair, the distance between the measured position and the one that the other pairs predict.
+        """Distance of each measured position from the one that the other pairs predict.
 
-        None if the others do not determine a transform. Raises REG-006 if their fit does not converge. It
-        costs as many fits as there are pairs, when it is first read.
+        None if the others do not determine a transform. Raises REG-006 if their fit does not converge. Costs
+        as many fits as there are pairs, when it is first read.
         """
         return _leave_one_out(self.image_mm, self.physical_mm, self.covariance_mm2)
 
@@ -100,17 +99,17 @@ class Registration:
         return fle_from_fre_mm(self.fre_mm, self.pairs)
 
     def between(self, target: Frame, source: Frame) -> Transform:
-        """The transform with named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
+        """Return the transform with named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
         return Transform(target, source, self.transform)
 
     def require_sound(self) -> None:
-        """Raises REG-009 when the fit is mirrored or ill-posed; such a transform must not be used."""
+        """Raise REG-009 when the fit is mirrored or ill-posed; such a transform must not be used."""
         bad = [caveat for caveat in self.caveats if caveat is not Caveat.NEARLY_COLLINEAR]
         if bad:
             raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
 
     def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
-        """Chi-square gate on the residual: for a known FLE (mm), or by default for the stated covariances.
+        """Gate the residual by chi-square: for a known FLE (mm), or by default for the stated covariances.
 
         An FLE estimated from the same FRE cannot judge it: raises REG-007 when neither is given.
         """
@@ -125,13 +124,13 @@ class Registration:
         return FreGate(self.fre_mm, self.chi_square, limit, confidence)
 
     def predict_tre_mm(self, points: ArrayLike, *, fle_mm: float | None = None) -> Array:
-        """Predicted rms error (m,) mm at image points (m, 3) or (3,) mm; see `predict_tre`."""
+        """Predict the rms error (m,) mm at image points (m, 3) or (3,) mm; see `predict_tre`."""
         return self.predict_tre(points, fle_mm=fle_mm).rms_mm
 
     def predict_tre(
         self, points: ArrayLike, *, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
     ) -> TargetError:
-        """Predicted error at image points (m, 3) or (3,) in mm, with its confidence.
+        """Predict the error at image points (m, 3) or (3,) in mm, with its confidence.
 
         With covariances: their propagation through the weighted fit. Without: eq. 39 with `fle_mm` (3-D rms
         of both spaces together), or with the FLE that eq. 36 estimates from FRE; the limit then also carries
@@ -165,11 +164,11 @@ class Registration:
 def register(
     image_mm: ArrayLike, physical_mm: ArrayLike, *, covariance_mm2: ArrayLike | None = None
 ) -> Registration:
-    """Rigid registration physical <- image of paired points (n, 3) in mm, n >= 3.
+    """Register paired points (n, 3) in mm, n >= 3, rigidly: physical <- image.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame; with it the fit is
-    weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than
-    three, collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
+    weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than three,
+    collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
     """
     image, physical = checked_pairs(image_mm, physical_mm)
     covariance = None if covariance_mm2 is None else checked_covariances(covariance_mm2, len(image))

@@ -19,7 +19,7 @@ REAL_KINDS = "iuf"  # of a NumPy type: signed, unsigned, floating
 
 
 def checked_points(points_mm: ArrayLike, name: str) -> Array:
-    """The points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
+    """Return the points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
     values = _real_numbers(points_mm, f"the {name} points", BadPoints)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
@@ -39,7 +39,7 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
 
 
 def checked_targets(points_mm: ArrayLike) -> Array:
-    """Targets as (m, 3); one point (3,) becomes (1, 3). Raises REG-001."""
+    """Return targets as (m, 3); one point (3,) becomes (1, 3). Raises REG-001."""
     try:
         single = np.shape(points_mm) == (3,)
     except ValueError:
@@ -48,7 +48,7 @@ def checked_targets(points_mm: ArrayLike) -> Array:
 
 
 def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
-    """Two sets with matching rows, at least three, no repeats. Raises REG-001, 002, 004."""
+    """Return two sets with matching rows, at least three, no repeats. Raises REG-001, 002, 004."""
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
@@ -60,7 +60,7 @@ def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, A
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
-    """Raises REG-004 when two points of a set are closer than two spheres can be."""
+    """Raise REG-004 when two points of a set are closer than two spheres can be."""
     distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
     np.fill_diagonal(distances, np.inf)
     if distances.min() < NEAREST_SPHERES_MM:
@@ -76,7 +76,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
 
 
 def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
-    """Covariances (count, 3, 3) in mm2, exactly symmetric. Raises REG-005."""
+    """Return covariances (count, 3, 3) in mm2, made exactly symmetric. Raises REG-005."""
     values = _real_numbers(covariance_mm2, "the covariances", BadCovariance)
     if values.shape != (count, 3, 3):
         raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
@@ -97,7 +97,7 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
 
 
 def _real_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
-    """A new float array; complex numbers, booleans, strings and objects are refused."""
+    """Return a new float array; refuse complex numbers, booleans, strings and objects."""
     try:
         given = np.asarray(numbers)
     except (TypeError, ValueError) as error:

@@ -1,7 +1,12 @@
-"""Least-squares rigid transform between two point sets, by singular value decomposition.
+"""Rigid transform between two point sets: least squares, or weighted by each pair's error ellipsoid.
 
-Works on stacks of point sets, because a correspondence search fits hundreds of candidates. Arun, Huang,
-Blostein 1987 with the determinant guard of Umeyama 1991: never a reflection.
+The closed form (singular value decomposition) works on stacks of point sets, because a correspondence search
+fits hundreds of candidates. Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a
+reflection.
+
+Unequal, anisotropic errors have no closed-form solution, so that solution starts a Gauss-Newton iteration on
+the rotation vector and the translation (in the spirit of Balachandran and Fitzpatrick 2009): six normal
+equations with the inverse covariances, five to eight steps.
 """
 
 from __future__ import annotations
@@ -10,9 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.errors import NotConverged
 
 Array = NDArray[np.float64]
+
+MOST_STEPS = 50  # ordinary data converge in five to eight
+MOST_HALVINGS = 30  # a step halved this often is zero
+SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far below any instrument
 
 
 @dataclass(frozen=True)
@@ -31,7 +42,7 @@ class RigidFit:
 
 
 def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
-    """Least squares fit physical <- image of points (..., n, 3) in mm."""
+    """Fit physical <- image to points (..., n, 3) in mm by least squares."""
     image_centre = image_mm.mean(axis=-2, keepdims=True)
     physical_centre = physical_mm.mean(axis=-2, keepdims=True)
     cross = np.swapaxes(physical_mm - physical_centre, -1, -2) @ (image_mm - image_centre)
@@ -46,7 +57,7 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """The transform of one fit, (3, 3) and (3,), not normalized: a product of singular vectors is orthogonal.
+    """Convert one fit, (3, 3) and (3,), without normalizing: a product of singular vectors is orthogonal.
 
     Normalizing would cost as much as the fit.
     """
@@ -68,3 +79,62 @@ def mirrored_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
     """
     change = np.where(fit.mirrored, -4.0, 4.0) * fit.spread_mm2[..., 2]
     return np.asarray(np.maximum(squared_sum_mm2 + change, 0.0))
+
+
+def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
+    """Derivative of points (..., 3) by a small rotation about `centre_mm` and a translation: (..., 3, 6).
+
+    The first three columns are per radian about x, y, z of the physical frame, the last three per mm.
+    """
+    arm = points_mm - centre_mm
+    zero = np.zeros(arm.shape[:-1])
+    x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
+    turning = np.stack(
+        [
+            np.stack([zero, z, -y], axis=-1),
+            np.stack([-z, zero, x], axis=-1),
+            np.stack([y, -x, zero], axis=-1),
+        ],
+        axis=-2,
+    )
+    shifting = np.broadcast_to(np.eye(3), turning.shape)
+    return np.concatenate([turning, shifting], axis=-1)
+
+
+def fit_weighted(
+    image_mm: Array, physical_mm: Array, covariance_mm2: Array, rotation: Array, translation_mm: Array
+) -> tuple[Array, Array]:
+    """Find the maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a nearby start.
+
+    `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame. Raises REG-006.
+    """
+    weights: Array = np.asarray(np.linalg.inv(covariance_mm2), dtype=float)
+    scale_mm = float(np.abs(physical_mm).max())
+    cost = _cost(image_mm, physical_mm, weights, rotation, translation_mm)
+    for _ in range(MOST_STEPS):
+        mapped = image_mm @ rotation.T + translation_mm
+        centre = mapped.mean(axis=0)
+        jacobian = pose_jacobian(mapped, centre)
+        projected = np.swapaxes(jacobian, -1, -2) @ weights
+        normal = (projected @ jacobian).sum(axis=0)
+        slope = (projected @ (physical_mm - mapped)[..., None]).sum(axis=0)[:, 0]
+        step: Array = np.linalg.solve(normal, slope)
+        for _ in range(MOST_HALVINGS):
+            turn = np.asarray(Rotation.from_rotvec(step[:3]).as_matrix(), dtype=float)
+            next_rotation = turn @ rotation
+            next_translation = turn @ (translation_mm - centre) + centre + step[3:]
+            next_cost = _cost(image_mm, physical_mm, weights, next_rotation, next_translation)
+            if next_cost <= cost * (1.0 + SETTLED) + np.finfo(float).tiny:
+                break
+            step = 0.5 * step
+        rotation, translation_mm, cost = next_rotation, next_translation, next_cost
+        if np.abs(step[:3]).max() < SETTLED and np.abs(step[3:]).max() < SETTLED * scale_mm:
+            return rotation, translation_mm
+    raise NotConverged(
+        f"the weighted fit did not converge in {MOST_STEPS} steps", got=f"{np.abs(step).max():.3g}"
+    )
+
+
+def _cost(image: Array, physical: Array, weights: Array, rotation: Array, translation: Array) -> float:
+    residual = physical - image @ rotation.T - translation
+    return float(np.einsum("ni,nij,nj->", residual, weights, residual))

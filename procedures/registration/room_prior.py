@@ -1,16 +1,20 @@
 """Evidence of the room about a pose physical <- image: gravity, the patient's body, the line of sight.
 
 Distances do not change when an image is mirrored. The fit of a mirrored flat set is the true head reflected
-in the plane of the spheres: on the wrong side of them. Image coordinates are LPS.
+in the plane of the spheres: on the wrong side of them. Where the room does not exclude a mirrored image, a
+landmark of the head that a person touches tells both apart. Image coordinates are LPS.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import permutations, product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 Array = NDArray[np.float64]
 
@@ -22,6 +26,31 @@ MIRROR = np.array([-1.0, 1.0, 1.0])  # left and right; any other mirror image is
 SOLID_SHARE = 0.75
 LYING_SHARE = 0.5  # of the head's axis that is horizontal; below it the patient sits over the floor
 COS_BODY = math.cos(math.radians(30.0))  # seen from above, the body is within this angle of the head's axis
+
+# The 24 ways in which a stored image becomes a mirror image: its axes exchanged or reversed. Those first that
+# leave the slices' axis alone, as columns, rows or slices reversed and rows and columns swapped.
+MIRRORS = sorted(
+    (
+        np.eye(3)[list(order)] * signs
+        for order in permutations(range(3))
+        for signs in product((1.0, -1.0), repeat=3)
+        if np.linalg.det(np.eye(3)[list(order)] * signs) < 0.0
+    ),
+    key=lambda one: abs(one[2, 2]),
+    reverse=True,
+)
+WITHIN_SLICES = sum(bool(one[2, 2]) for one in MIRRORS)
+LANDMARKS = {  # points of a head that a person finds and can touch: directions from its centre, LPS
+    "crown of the head": (0.0, 0.0, 1.0),
+    "tip of the nose": (0.0, -1.0, 0.0),
+    "back of the head": (0.0, 1.0, 0.0),
+    "left ear": (1.0, 0.0, 0.0),
+    "right ear": (-1.0, 0.0, 0.0),
+}
+LEAST_APART_MM = 15.0  # between the landmark as matched and as mirrored, for a reading to tell them apart
+# A head is an ellipsoid only roughly. Mirror images that exchange the slices' axis count only beyond this:
+# they are rare, and a viewer shows them.
+READING_LIMIT_MM = 40.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +65,7 @@ class HeadSight:
     eyes_mm: Array
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """How many of the points (k, 3) the head would hide in this pose; empty if none."""
+        """Count the points (k, 3) that the head would hide in this pose; empty if none."""
         eyes, points = (
             ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
             for places in (self.eyes_mm[:, None], physical_mm)
@@ -48,7 +77,7 @@ class HeadSight:
         return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
 
     def mirrored(self) -> HeadSight:
-        """The head of the mirrored image."""
+        """Mirror the head."""
         return replace(self, centre_mm=self.centre_mm * MIRROR)
 
 
@@ -67,13 +96,13 @@ class RoomPrior:
     sight: HeadSight
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """The first evidence against this pose; empty if there is none."""
+        """State the first evidence against this pose; empty if there is none."""
         middle_mm = rotation @ self.sight.centre_mm + translation_mm
         seen = self.sight.objection(rotation, translation_mm, physical_mm)
         return self.against_position(rotation, middle_mm) or seen
 
     def against_position(self, rotation: Array, middle_mm: Array) -> str:
-        """Evidence against how the patient would lie, from the orientation and the middle of the head."""
+        """State evidence against how the patient would lie, from orientation and middle of the head."""
         return self._against_gravity(rotation) or self._in_the_body(rotation, middle_mm)
 
     def _against_gravity(self, rotation: Array) -> str:
@@ -96,3 +125,56 @@ class RoomPrior:
             return ""
         cosine = body @ base / max(np.linalg.norm(body) * np.linalg.norm(base), 1e-9)
         return "the arm would stand where the patient's body is" if cosine > COS_BODY else ""
+
+
+@dataclass(frozen=True, eq=False)
+class Landmark:
+    """A point of the head in the room: its matched position, and those of mirror images (n, 3)."""
+
+    name: str
+    direction: tuple[float, float, float]
+    matched_mm: Array
+    mirrored_mm: Array
+
+    @property
+    def apart_mm(self) -> float:
+        """Distance of the nearest mirror image."""
+        return float(np.linalg.norm(self.mirrored_mm - self.matched_mm, axis=1).min())
+
+    @property
+    def limit_mm(self) -> float:
+        """Largest distance of a reading from the match: beyond half the distance a mirror image is nearer."""
+        return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
+
+
+def choose_landmark(
+    matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior
+) -> Landmark | None:
+    """Choose the landmark that best tells a match from its mirror images; None if no landmark does.
+
+    Landmarks on the patient's underside are left out. `mirrored` are the poses physical <- image * MIRROR
+    that fit the same spheres in view of the tracker; of each, the orientations count that the prior does not
+    exclude.
+    """
+    centre_mm, semi_mm = prior.sight.centre_mm, prior.sight.semi_axes_mm
+    poses: list[tuple[Array, Array, Array, bool]] = []
+    for pose in mirrored:
+        middle_mm = pose.apply(centre_mm * MIRROR)
+        for number, mirror in enumerate(MIRRORS):
+            rotation = pose.rotation.as_matrix() @ np.diag(MIRROR) @ mirror.T
+            if not prior.against_position(rotation, middle_mm):
+                poses.append((rotation, middle_mm, np.abs(mirror) @ semi_mm, number < WITHIN_SLICES))
+    candidates = []
+    for name, direction in LANDMARKS.items():
+        first = matched.apply(centre_mm + semi_mm * direction)
+        others = [(middle + turned @ (semi * direction), usual) for turned, middle, semi, usual in poses]
+        counted = [
+            other for other, usual in others if usual or np.linalg.norm(other - first) > READING_LIMIT_MM
+        ]
+        if counted and prior.lying_up @ direction >= 0.0:
+            candidates.append(Landmark(name, direction, first, np.array(counted)))
+    return max(
+        candidates,
+        key=lambda one: (one.apart_mm >= LEAST_APART_MM, len(one.mirrored_mm), one.apart_mm),
+        default=None,
+    )

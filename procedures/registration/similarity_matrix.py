@@ -1,36 +1,42 @@
-"""The thesis' correspondence by similarity matrix: a baseline for comparison, not for clinical use.
+"""The thesis' correspondence by similarity matrix and its validation: a baseline, not for clinical use.
 
 Cell (i, j) counts the distances from image point i that equal one from physical point j within e. Points
 whose best cell is lowest are dropped one by one until all remaining points agree with each other, or too few
 remain. The thesis leaves open how a cell is matched and what is dropped when: here distances are matched one
 to one in order of length, and the single worst point of the larger set goes first (of both sets, if equally
-large). Dropping all failing points at once fails far more often. For the thesis' validation of the result
-see `pairing_validation`.
+large). Dropping all failing points at once fails far more often.
 
-Many readings with the same number of points are solved at once, because a study repeats
-this millions of times.
+The thesis says that the known errors of both sets validate a successful pairing (5.3), but not how. Here the
+pairs are fitted, and the sum of squared residuals must not exceed what the stated standard deviations
+explain.
+
+Many readings with equally many points are solved at once, because a study repeats this millions of times.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.correspondence import MatchStatus
+from procedures.registration.pairings import gate
 from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.rigid_fit import fit_rigid, residuals
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 THESIS_TOLERANCES_MM = tuple(round(1.0 + 0.1 * step, 1) for step in range(51))  # e from 1 to 6 mm
 
+REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives none
+
 
 @dataclass(frozen=True)
 class SimilarityPairs:
-    """The outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
+    """Outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
 
     status: MatchStatus
     pairs: Indices
@@ -55,10 +61,10 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Matrices (b, n, m) for sorted distances (b, n, k) of image and (b, m, l) of physical points, e (b,).
+    """Fill matrices (b, n, m) from sorted distances of image (b, n, k) and physical (b, m, l) points, e (b,).
 
-    All cells walk along their two sorted rows in parallel; of two distances that differ by more than e,
-    the shorter is skipped.
+    All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
+    shorter is skipped.
     """
     # A trailing infinity stops a walk at the end of its row; infinities of opposite sign never match.
     image = np.pad(within_image_mm, ((0, 0), (0, 0), (0, 1)), constant_values=np.inf)
@@ -86,7 +92,7 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings with the same number of points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with equally many points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
 
     of: Indices
     rows: Indices
@@ -99,7 +105,9 @@ class _Readings:
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Outcomes of the readings that are settled or have too few points; the others lose a point."""
+        """Return the outcomes of settled readings and of those with too few points; drop a point of the
+        others.
+        """
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
@@ -137,7 +145,7 @@ class _Readings:
 
 
 def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
-    """Readings in groups of equal size, largest first, until none waits."""
+    """Yield readings in groups of equal size, largest first, until none waits."""
     batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
     waiting: list[_Readings] = []
     everything = np.arange(batch)
@@ -156,7 +164,7 @@ def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """The row whose best cell is lowest, in a tie the one with the smallest sum; and that best cell."""
+    """Find the row whose best cell is lowest, in a tie the one with the smallest sum, and that cell."""
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
@@ -164,7 +172,7 @@ def _worst(matrix: Indices) -> tuple[Indices, Indices]:
 
 
 def _without(kept: Indices, position: Indices) -> Indices:
-    """Each row of (k, r) without the element at the given position."""
+    """Drop the element at the given position from each row of (k, r)."""
     stays = np.arange(kept.shape[1]) != position[:, None]
     return np.asarray(kept[stays].reshape(len(kept), -1))
 
@@ -182,3 +190,32 @@ def _sorted_rows(distances: Array, kept: Indices) -> Array:
 
 def _no_pairs() -> Indices:
     return np.empty((0, 2), dtype=np.intp)
+
+
+def validate_many(
+    image_mm: Array,
+    physical_mm: Array,
+    found: Sequence[SimilarityPairs],
+    variance_mm2: float,
+    refused_share: float = REFUSED_SHARE,
+) -> tuple[SimilarityPairs, ...]:
+    """Check pairings of image points (b, n, 3) with physical points (b, m, 3), mm, against the stated errors.
+
+    `variance_mm2` is the stated variance per axis of both sets together. A UNIQUE pairing whose residuals
+    are larger than those of all but `refused_share` of the correct ones becomes INCONSISTENT; the others are
+    returned unchanged.
+    """
+    by_size: dict[int, list[int]] = {}
+    for number, one in enumerate(found):
+        if one.status is MatchStatus.UNIQUE:
+            by_size.setdefault(len(one.pairs), []).append(number)
+    judged = list(found)
+    for size, numbers in by_size.items():
+        pairs = np.array([found[number].pairs for number in numbers])
+        image = np.take_along_axis(image_mm[numbers], pairs[:, :, :1], axis=1)
+        physical = np.take_along_axis(physical_mm[numbers], pairs[:, :, 1:], axis=1)
+        left = residuals(fit_rigid(image, physical), image, physical)
+        too_large = np.square(left).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
+        for number in np.array(numbers)[too_large].tolist():
+            judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, np.empty((0, 2), dtype=np.intp))
+    return tuple(judged)

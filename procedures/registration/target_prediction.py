@@ -1,4 +1,4 @@
-"""Predicts the error at a target from errors shared by localizations and target, and from independent ones.
+"""Predict the error at a target from errors shared by localizations and target, and from independent ones.
 
 An error of the arm (a link too long, a wrong tool frame) displaces the tool at every sphere and again at the
 target. The first corrupts what the registration recorded, the second what the arm then reaches; through the
@@ -8,9 +8,13 @@ registration the two subtract:
 
 s: sizes of the shared errors; J: displacement of the tool per shared error at target (t) and sphere (i); e:
 independent errors; W: effect of a recorded sphere on the target through the fit. To first order in all
-errors, like the covariances of Danilchenko and Fitzpatrick 2011.
+errors, like the covariances of Danilchenko and Fitzpatrick 2011. Independent of any arm:
+`procedures.calibration.arm_sources` computes one's displacements.
 
-This module is independent of any arm; `procedures.calibration.arm_sources` computes one's displacements.
+Shared errors do not average out: if the tool's orientation differs between points, an error of the tool frame
+displaces all of them together. Residuals are therefore judged with the full covariance of all coordinates.
+What the pose explains leaves no residual. How far one displaced point puts a target off before the gate
+notices is its external reliability (Baarda 1968, A testing procedure for use in geodetic networks).
 """
 
 from __future__ import annotations
@@ -20,18 +24,28 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
-from procedures.registration.error_theory import DEFAULT_CONFIDENCE, chi_square_limit, error_limit_mm
-from procedures.registration.weighted_rigid_fit import pose_jacobian
+from procedures.registration.error_theory import (
+    DEFAULT_CONFIDENCE,
+    FreGate,
+    chi_square_limit,
+    degrees_of_freedom,
+    error_limit_mm,
+)
+from procedures.registration.rigid_fit import pose_jacobian
 
 Array = NDArray[np.float64]
 
 AXES = 3
 
+DIRECTIONS = 2000  # 3 degrees apart: the worst is missed by 0.1 % at most
+GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
+
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """`k` independent errors of one source that act at all poses, one standard deviation each.
+    """Errors of one source that act at all poses, `k` independent ones of one standard deviation each.
 
     Displacement of the true tool from its assumed position, mm in the frame of the targets.
     """
@@ -76,7 +90,7 @@ class TargetPrediction:
         return float(error_limit_mm(self.covariance_mm2, confidence))
 
     def holds(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> NDArray[np.bool_]:
-        """Which errors (..., 3) are inside the ellipsoid that contains them with this probability."""
+        """Mark the errors (..., 3) inside the ellipsoid that contains them with this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
         return np.asarray((errors * weighted).sum(axis=-1) <= chi_square_limit(AXES, confidence))
@@ -90,8 +104,8 @@ def predict_target_error(
 ) -> TargetPrediction:
     """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, in one frame.
 
-    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None
-    for an unweighted fit.
+    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None for an unweighted
+    fit.
     """
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
@@ -116,3 +130,71 @@ def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike
         projected = projected @ np.asarray(weights, dtype=float)
     pose = np.linalg.solve((projected @ jacobian).sum(axis=0), projected)
     return np.asarray(pose_jacobian(target_mm, centre) @ pose)
+
+
+def chi_square_of_shared(
+    residuals_mm: Array, fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array
+) -> float:
+    """Chi-square, with 3n - 6 degrees of freedom, of the residuals (n, 3) mm of a rigid fit with any weights.
+
+    `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) is the independent part,
+    `shared_mm` (n, 3, k) the displacement of every point by each of k unit errors. What a rigid motion can
+    explain does not count.
+    """
+    residuals = residuals_mm.reshape(-1)
+    return float(residuals @ _information(fiducials_mm, covariance_mm2, shared_mm) @ residuals)
+
+
+@dataclass(frozen=True)
+class UnnoticedPoint:
+    """The point that, displaced alone, puts a target off furthest before the gate notices it."""
+
+    index: int
+    displaced_mm: float
+    at_target_mm: float
+
+
+def unnoticed_point(
+    fiducials_mm: Array,
+    target_mm: Array,
+    covariance_mm2: Array,
+    shared_mm: Array,
+    weights: ArrayLike | None,
+    gate: FreGate,
+    largest_mm: float,
+) -> UnnoticedPoint:
+    """Find the worst single displacement, of at most `largest_mm`, that the gate passes every other time.
+
+    Arguments as in `chi_square_of_shared`; `weights` (n, 3, 3) are those of the fit. The expected chi-square
+    is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
+    """
+    directions = _directions()
+    count = len(fiducials_mm)
+    information = _information(fiducials_mm, covariance_mm2, shared_mm).reshape(count, 3, count, 3)
+    allowed = gate.chi_square_limit - degrees_of_freedom(count)
+    worst = UnnoticedPoint(0, 0.0, 0.0)
+    for index, influence in enumerate(influence_of_spheres(fiducials_mm, target_mm, weights)):
+        seen = np.einsum("ki,ij,kj->k", directions, information[index, :, index], directions)
+        displaced = np.minimum(largest_mm, np.sqrt(allowed / np.maximum(seen, allowed / largest_mm**2)))
+        shift = displaced * np.linalg.norm(directions @ influence.T, axis=1)
+        if shift.max() > worst.at_target_mm:
+            worst = UnnoticedPoint(index, float(displaced[shift.argmax()]), float(shift.max()))
+    return worst
+
+
+def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
+    """Inverse covariance (3n, 3n) of residuals, without the part that a rigid motion explains."""
+    columns = shared_mm.reshape(-1, shared_mm.shape[-1])
+    weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)
+    pose = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0)).reshape(-1, 6)
+    weighted = weight @ pose
+    return np.asarray(weight - weighted @ np.linalg.solve(pose.T @ weighted, weighted.T))
+
+
+def _directions() -> Array:
+    """Directions (k, 3) evenly over a half sphere, by the golden angle."""
+    number = np.arange(DIRECTIONS)
+    height = (number + 0.5) / DIRECTIONS
+    turn = number * GOLDEN_ANGLE_RAD
+    radius = np.sqrt(1.0 - height**2)
+    return np.column_stack([radius * np.cos(turn), radius * np.sin(turn), height])

@@ -1,4 +1,4 @@
-"""Correspondence through a template: a rigid frame of spheres with known distances.
+"""Known layouts of spheres: pairing through a rigid template, and a layout's spheres found in a scan.
 
 Each side is matched to the template separately, so that the template's distances decide rather than those
 between noisy points; points without a counterpart in the template are ignored on both sides.
@@ -11,17 +11,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior
-from procedures.registration.hypotheses import as_hypothesis, evaluate
-from procedures.registration.matching import checked_prior, evidence_of, match
+from procedures.registration.errors import LayoutNotFound
+from procedures.registration.matching import MOST_POINTS, checked_prior, evidence_of, match
+from procedures.registration.pairings import as_hypothesis, evaluate
 from procedures.registration.points import checked_points
 
 Array = NDArray[np.float64]
 Sigma = float | Sequence[float] | NDArray[np.float64]
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
+
+# Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
+SCAN_SIGMA_MM = 0.12
+TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for --pick."
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,7 @@ class _OfTemplate:
     image_from_template: RigidTransform
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """The prior's objection to the pose physical <- image that follows from physical <- template."""
+        """Object on the pose physical <- image that follows from physical <- template."""
         turned = rotation @ self.image_from_template.rotation.as_matrix().T
         moved_mm = translation_mm - turned @ self.image_from_template.translation
         return self.prior.objection(turned, moved_mm, physical_mm)
@@ -116,3 +122,55 @@ def _nothing(reason: str, nearest: Hypothesis | None, image: Array, physical: Ar
 def _others(count: int, used: NDArray[np.intp]) -> tuple[int, ...]:
     taken = set(used.tolist())
     return tuple(index for index in range(count) if index not in taken)
+
+
+@dataclass(frozen=True, eq=False)
+class FoundLayout:
+    """A layout as found: `order` (k,) is, for each of its spheres, the index of the scan's sphere."""
+
+    order: NDArray[np.intp]
+    scan_from_layout: RigidTransform
+    residual_rms_mm: float
+    others: tuple[int, ...]
+
+
+def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
+    """Find a layout (k, 3), k at least 3, among the spheres (n, 3) of a scan, both in mm.
+
+    Every sphere of the layout must be present, in exactly one way, each where the others predict it to within
+    the scanner's accuracy. Raises REG-012, REG-001.
+    """
+    layout, spheres = checked_points(layout_mm, "layout"), checked_points(spheres_mm, "scan")
+    if len(spheres) > MOST_POINTS:
+        raise LayoutNotFound(
+            "the scan shows too many spheres to search it for a layout",
+            expected=f"at most {MOST_POINTS}",
+            got=str(len(spheres)),
+            action=TOO_MANY,
+        )
+    found = match(
+        layout,
+        spheres,
+        sigma_image_mm=TEMPLATE_SIGMA_MM,
+        sigma_physical_mm=SCAN_SIGMA_MM,
+        expected=len(layout),
+    )
+    if found.transform is None or found.status is not MatchStatus.UNIQUE:
+        ambiguous = found.status is MatchStatus.AMBIGUOUS
+        raise LayoutNotFound(
+            "the layout fits the scan in more than one way"
+            if ambiguous
+            else "the scan does not show the whole layout",
+            expected=f"all {len(layout)} spheres of the layout, up to {_width_mm(layout):.1f} mm apart",
+            got=f"{len(spheres)} spheres, up to {_width_mm(spheres):.1f} mm apart",
+        )
+    order = found.pairs[np.argsort(found.pairs[:, 0]), 1]
+    residuals_mm = np.linalg.norm(found.transform.apply(layout) - spheres[order], axis=1)
+    return FoundLayout(
+        order, found.transform, float(np.sqrt(np.mean(np.square(residuals_mm)))), found.unmatched_physical
+    )
+
+
+def _width_mm(points_mm: NDArray[np.float64]) -> float:
+    """Largest distance between two points; a wrong unit shows at a glance."""
+    return float(pdist(points_mm).max(initial=0.0))

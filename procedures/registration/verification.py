@@ -1,4 +1,4 @@
-"""Two-way verification of a registration: CT -> room and room -> CT, one row per fiducial and per reading.
+"""Verify a registration both ways, CT -> room and room -> CT: one row per fiducial and per reading.
 
 Every fiducial of the CT is looked up in the room and every reading of the room in the CT, each with its own
 evidence: agreement of the two CT estimators, tracker residual, stereo residual, leave-one-out residual, and
@@ -25,14 +25,14 @@ Array = NDArray[np.float64]
 
 
 class Instrument(StrEnum):
-    """What measured a point in the room."""
+    """Instrument that measured a point in the room."""
 
     TRACKER = "tracker"
     STEREO = "stereo"
 
 
 class CtToRoomRow(Strict):
-    """One sphere of the CT and what was measured of it in the room; None if nothing was."""
+    """One sphere of the CT and its measurements in the room; None where there is none."""
 
     fiducial: int = Field(description="Index in the CT.")
     ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")

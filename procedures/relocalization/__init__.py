@@ -1,10 +1,20 @@
 """Fine re-localization of spheres with the stereo head: images, triangulation, servoing. Pure numerics."""
 
-from procedures.relocalization.search_pattern import search_offsets_mm, search_pose
-from procedures.relocalization.servo import ServoSettings, ServoState, recorded_point
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
-from procedures.relocalization.sphere_in_pair import AreaImage, Sighting, locate_sphere
-from procedures.relocalization.sphere_measurement import measure_sphere, measure_spheres
+from procedures.relocalization.outline import SphereImage, SphereStatus
+from procedures.relocalization.servo import (
+    ServoSettings,
+    ServoState,
+    recorded_point,
+    search_offsets_mm,
+    search_pose,
+)
+from procedures.relocalization.sphere_measurement import (
+    AreaImage,
+    Sighting,
+    locate_sphere,
+    measure_sphere,
+    measure_spheres,
+)
 from procedures.relocalization.triangulation import StereoPoint, triangulate
 
 __all__ = [

@@ -2,17 +2,30 @@
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
-so the same image always yields the same circles.
+so the same image always yields the same circles. No other module of this room calls OpenCV.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.opencv_edges import EdgePoints
+GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
+
+SMOOTHING_PX = 1.0  # Gaussian on the reduced image, against grain
+GREY_LEVELS = 255.0
+NOISE_SAMPLING = 3  # every third pixel suffices to estimate the noise
+STRONG_PERCENTILE = 99.5
+STRONG_SHARE = 0.2  # an edge has at least this share of the strong gradients ...
+NOISE_FACTOR = 6.0  # ... and this many times the typical gradient, unless that is more than ...
+NOISY_SHARE = 0.5  # ... this share of the strong gradients
+GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: a step of six grey levels
+WEAK_SHARE = 0.5  # Canny's lower threshold relative to the upper
 
 Array = NDArray[np.float64]
 
@@ -43,7 +56,7 @@ class Circle:
 
 
 def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> list[Circle]:
-    """Up to three distinct circles within the radius limits, most visible rim first."""
+    """Find up to three distinct circles within the radius limits, most visible rim first."""
     count = len(edges.position_px)
     if count < LEAST_POINTS:
         return []
@@ -67,8 +80,70 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
     return sorted(found, key=lambda circle: -circle.coverage * circle.radius_px)
 
 
+@dataclass(frozen=True)
+class EdgePoints:
+    """Edge pixels of a reduced image: (n, 2) positions x, y and (n, 2) unit gradients (towards bright)."""
+
+    position_px: NDArray[np.float64]
+    direction: NDArray[np.float64]
+
+
+def halved(image: GreyImage, times: int) -> GreyImage:
+    """Average 2 x 2 pixels, `times` times; drop rows and columns that do not fill a block.
+
+    With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
+    repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
+    """
+    factor = 2**times
+    height, width = (side // factor * factor for side in image.shape)
+    reduced: GreyImage = np.ascontiguousarray(image[:height, :width])  # type: ignore[assignment]
+    with _in_this_thread():
+        for _ in range(times):
+            height, width = height // 2, width // 2
+            reduced = cv2.resize(reduced, (width, height), interpolation=cv2.INTER_AREA)
+    return reduced
+
+
+def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
+    """Find thin edges after stretching the grey values from dark..bright to 0..255."""
+    gain = GREY_LEVELS / max(bright - dark, 1.0)
+    stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
+    with _in_this_thread():
+        smooth = cv2.GaussianBlur(stretched, (0, 0), SMOOTHING_PX)
+        slope_x = cv2.Sobel(smooth, cv2.CV_16S, 1, 0)
+        slope_y = cv2.Sobel(smooth, cv2.CV_16S, 0, 1)
+        upper = _edge_threshold(slope_x, slope_y)
+        edges = cv2.Canny(slope_x, slope_y, WEAK_SHARE * upper, upper, L2gradient=True)
+    places = cv2.findNonZero(edges)  # None if there are none; (n, 2) or (n, 1, 2) depending on the version
+    position = np.asarray([] if places is None else places, dtype=np.intp).reshape(-1, 2)
+    columns, rows = position[:, 0], position[:, 1]
+    gradient = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1).astype(float)
+    length = np.maximum(np.hypot(gradient[:, 0], gradient[:, 1]), 1.0)
+    return EdgePoints(position.astype(float), gradient / length[:, None])
+
+
+@contextmanager
+def _in_this_thread() -> Iterator[None]:
+    """Keep OpenCV to one thread: on images this small its busy-waiting workers cost more than they save."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def _edge_threshold(slope_x: NDArray[np.int16], slope_y: NDArray[np.int16]) -> float:
+    every = slice(None, None, NOISE_SAMPLING)
+    strength = np.hypot(slope_x[every, every].astype(np.float32), slope_y[every, every].astype(np.float32))
+    typical = float(np.median(strength))
+    strong = float(np.percentile(strength, STRONG_PERCENTILE))
+    above_noise = min(NOISE_FACTOR * typical, NOISY_SHARE * strong)  # a busy background hides no sphere
+    return max(above_noise, STRONG_SHARE * strong, GRADIENT_FLOOR)
+
+
 def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
-    """Circles within the limits through point triples: centres (k, 2), radii (k,)."""
+    """Fit circles within the limits through point triples: centres (k, 2), radii (k,)."""
     triples = np.random.default_rng(SEED).integers(0, len(edges.position_px), (TRIPLES, 3))
     centres, radii = np.empty((0, 2)), np.empty(0)
     for portion in np.split(triples, PORTIONS):
@@ -82,7 +157,7 @@ def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tup
 def _circles_through(
     edges: EdgePoints, triples: NDArray[np.int64], smallest_px: float, largest_px: float
 ) -> tuple[Array, Array]:
-    """Circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
+    """Fit circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
     a, b, c = (edges.position_px[triples[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a
     doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
@@ -104,7 +179,7 @@ def _circles_through(
 
 
 def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
-    """Number of edge points on each circle that face its centre."""
+    """Count the edge points on each circle that face its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
     direction = edges.direction[::step].astype(np.float32)
@@ -117,7 +192,7 @@ def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Least-squares circle through the points on it; None when too little rim remains."""
+    """Fit a least-squares circle to the points on it; None when too little rim remains."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
@@ -138,7 +213,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Which of the circles (k,) are the same as this one."""
+    """Mark the circles (k,) that are the same as `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

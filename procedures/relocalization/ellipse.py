@@ -66,7 +66,7 @@ class EllipseFit:
 
 
 def circle(centre_px: tuple[float, float], radius_px: float) -> Ellipse:
-    """A circle as a starting ellipse."""
+    """Convert a circle to a starting ellipse."""
     return Ellipse(centre_px, (1.0 / radius_px, 0.0, 1.0 / radius_px))
 
 
@@ -123,7 +123,7 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
 
 
 def _agreeing(points_px: Array) -> NDArray[np.bool_]:
-    """The points near the three-point circle with the largest consensus."""
+    """Mark the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from procedures.relocalization.circle_search import GreyImage
 from procedures.relocalization.ellipse import Ellipse
-from procedures.relocalization.opencv_edges import GreyImage
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class RimEdges:
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:
-    """Grey values every pixel along `rays` rays, from `half_width_px` inside the rim to as far outside."""
+    """Sample grey values every pixel along `rays` rays, from `half_width_px` inside the rim to outside it."""
     angle: Array = np.arange(rays, dtype=float) * (2.0 * np.pi / rays)
     base = ellipse.radius_at(angle)
     offset = np.arange(-np.ceil(half_width_px), np.ceil(half_width_px) + 1.0)
@@ -73,7 +73,7 @@ def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
 
 
 def steepest_falls(profiles: Profiles) -> RimEdges:
-    """The steepest fall from bright to dark on each ray, refined by a parabola's vertex."""
+    """Find the steepest fall from bright to dark on each ray, refined by a parabola's vertex."""
     fall = np.zeros_like(profiles.grey)
     fall[:, 1:-1] = 0.5 * (profiles.grey[:, :-2] - profiles.grey[:, 2:])
     rays = np.arange(len(fall))
@@ -137,7 +137,7 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
 
 
 def _interpolate(image: GreyImage, x: Array, y: Array) -> Array:
-    """Linear interpolation; positions outside use the nearest border pixel."""
+    """Interpolate linearly; positions outside use the nearest border pixel."""
     height, width = image.shape
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     column = np.minimum(x.astype(np.intp), width - 2)

@@ -1,7 +1,8 @@
-"""The control law that brings the tool centre point onto a sphere: from a measured residual to the next pose.
+"""Control law that brings the tool centre point onto a sphere, and the pattern to search for one.
 
-The residual is the sphere's centre in the tool frame. The loop that moves the arm and takes the images is
-elsewhere; it keeps a `ServoState` and queries it after each measurement.
+The residual is the sphere's centre in the tool frame; the law leads from a measured residual to the next
+pose. The loop that moves the arm and takes the images is in the workcell; it keeps a `ServoState` and queries
+it after each measurement.
 """
 
 from __future__ import annotations
@@ -12,15 +13,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.relocalization.errors import BadMeasurement, ServoDiverges, ServoExhausted
+from procedures.relocalization.errors import BadMeasurement, ServoDiverges, ServoExhausted, SphereNotInView
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 Array = NDArray[np.float64]
 
+RINGS = 3
+RING_STEP_MM = 5.0
+SEARCH_RADIUS_MM = RINGS * RING_STEP_MM
+LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so that looks stay about 5 mm apart
+
 
 @dataclass(frozen=True)
 class ServoSettings:
-    """`tolerance_mm` is the end condition (thesis: 0.03 mm).
+    """Settings of the servo. `tolerance_mm` is the end condition (thesis: 0.03 mm).
 
     A measurement of the sphere is wrong by the arm's repeatability and by a share of the remaining distance:
     head and arm are slightly rotated and scaled against their calibration records.
@@ -38,7 +44,7 @@ class ServoSettings:
 
 @dataclass(frozen=True)
 class ServoState:
-    """The measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
+    """Measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
 
     settings: ServoSettings = ServoSettings()
     residuals_mm: tuple[float, ...] = field(default=())
@@ -55,7 +61,7 @@ class ServoState:
         return max(0, len(self.residuals_mm) - 1)
 
     def measured(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
-        """The state after one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
+        """Add one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
@@ -77,8 +83,7 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """The pose ROBOT <- TOOL to move to: the tool centre on the mean of all
-        measurements, orientation kept.
+        """Return the next pose ROBOT <- TOOL: tool centre on the mean of all measurements, orientation kept.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.
@@ -113,7 +118,7 @@ class ServoState:
 
 
 def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
-    """The sphere's centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
+    """Sphere centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
 
     Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
@@ -131,3 +136,35 @@ def _vector(residual_mm: ArrayLike) -> Array:
 def _require_tool_pose(pose: Transform) -> None:
     if (pose.target, pose.source) != (Frame.ROBOT, Frame.TOOL):
         raise FrameMismatch(f"a tool pose is robot <- tool, not {pose.target} <- {pose.source}")
+
+
+def search_offsets_mm() -> Array:
+    """Offsets (n, 3) mm of the search pattern in the tool frame: rings across the tool axis, near to far.
+
+    The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
+    spiral.
+    """
+    offsets = []
+    first = 0.0
+    for ring in range(1, RINGS + 1):
+        looks = LOOKS_PER_RING * ring
+        angles = first + np.arange(looks) * (2.0 * np.pi / looks)
+        radius = ring * RING_STEP_MM
+        offsets += [(radius * np.cos(angle), radius * np.sin(angle), 0.0) for angle in angles]
+        first = float(angles[-1])
+    return np.array(offsets).reshape(-1, 3)
+
+
+def search_pose(start: Transform, look: int) -> Transform:
+    """Return pose number `look` (from 0), oriented like `start`. Raises STE-009 when none is left."""
+    offsets = search_offsets_mm()
+    if look >= len(offsets):
+        raise SphereNotInView(
+            f"no sphere in {len(offsets)} image pairs", limit=f"{SEARCH_RADIUS_MM:g} mm around the pose"
+        )
+    return Transform.of(
+        start.target,
+        start.source,
+        translation_mm=start.apply(offsets[look]),
+        quaternion_wxyz=start.quaternion_wxyz,
+    )

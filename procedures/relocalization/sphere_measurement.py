@@ -1,22 +1,34 @@
-"""Measures a retro-reflective sphere in one image: centre, semi-axes, quality.
+"""Measure a retro-reflective sphere in one image or in both images of a pair: centre, semi-axes, quality.
 
-Reduces the image, guesses circles from edges, then refines and judges them on the full image, best first.
+The image is reduced, circles are guessed from edges, then refined and judged on the full image, best first.
+Glare or a second sphere can look like the sphere in one image. The lines of sight to two different objects do
+not meet, or meet at a distance that makes the size wrong; then the other round shapes are tried.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
 from typing import NoReturn
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.circle_search import Circle, find_circles
-from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
-from procedures.relocalization.opencv_edges import GreyImage, find_edges, halved
-from procedures.relocalization.outline import refined
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.circle_search import Circle, GreyImage, find_circles, find_edges, halved
+from procedures.relocalization.errors import (
+    BadImage,
+    NoContrast,
+    NoSphere,
+    RaysDoNotMeet,
+    Saturated,
+    WrongSize,
+)
+from procedures.relocalization.outline import SphereImage, SphereStatus, fit_outline
+from procedures.relocalization.triangulation import SPHERE_DIAMETER_MM, Camera, StereoPoint, triangulate
+from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.errors import DataError
 
 REDUCED_PIXELS = 150_000  # at most, of the image in which circles are sought: a quarter of the sensor's sides
 SMALLEST_SIDE_PX = 48
@@ -27,13 +39,16 @@ BRIGHT_PERCENTILE = 99.8
 CONTRAST_FLOOR = 0.02  # of the grey range; with less it is noise or a uniform field
 SATURATED_LEVEL, DARK_LEVEL = 0.95, 0.15  # of the grey range, of an image without contrast
 
+SIDES = ("left", "right")
+RADIUS_TOLERANCE = 0.25  # of the radius in the image at the tool centre point: far beyond the depth of field
+
 
 def measure_sphere(
     image: NDArray[np.uint8] | NDArray[np.uint16],
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> SphereImage:
-    """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left unmodified.
+    """Measure the bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image.
 
     Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
     Raises STE-001 for any other input, STE-002 without contrast, STE-011 when fully saturated, STE-003 when
@@ -63,17 +78,14 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Every distinct disc in the image that may be a sphere, most visible rim first.
-
-    Like `measure_sphere`, except that finding none is not an error.
-    """
+    """Measure every disc that may be a sphere, most visible rim first; empty if there is none."""
     return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
 
 
 def _spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Each round shape, measured lazily; None if it is not a disc."""
+    """Yield each round shape, measured lazily; None if it is not a disc."""
     grey = _checked(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halved(grey, halvings)
@@ -86,7 +98,7 @@ def _spheres(
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
     for guess in guesses:  # most visible rim first
-        sphere = refined(grey, _enlarged(guess, factor), factor)
+        sphere = fit_outline(grey, _enlarged(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
 
@@ -121,3 +133,113 @@ def _checked(image: object) -> GreyImage:
 def _enlarged(guess: Circle, factor: int) -> Circle:
     x, y = (factor * (value + 0.5) - 0.5 for value in guess.centre_px)
     return Circle((x, y), factor * guess.radius_px, guess.coverage)
+
+
+@dataclass(frozen=True)
+class AreaImage:
+    """An image and the position of its top-left pixel on the sensor."""
+
+    pixels: GreyImage
+    offset_x_px: int = 0
+    offset_y_px: int = 0
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Outlines in both images, in full-sensor pixels; the point if both are reliable."""
+
+    left: SphereImage
+    right: SphereImage
+    point: StereoPoint | None
+
+    @property
+    def doubt(self) -> str:
+        """Reason, per camera, why there is no point; empty if there is one."""
+        sides = zip(SIDES, (self.left, self.right), strict=True)
+        return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
+
+
+def locate_sphere(
+    left: AreaImage,
+    right: AreaImage,
+    calibration: StereoHeadCalibration,
+    *,
+    sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
+) -> Sighting:
+    """Locate the sphere seen by both cameras; without a point if one of them sees too little of it.
+
+    Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no two round
+    shapes match.
+    """
+    images = (left, right)
+    ranges = tuple(
+        radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)
+    )
+    first = _outlines(images, ranges)
+    if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
+        return Sighting(first[0], first[1], None)
+    try:
+        point = triangulate(first[0], first[1], calibration, sphere_diameter_mm=sphere_diameter_mm)
+    except (RaysDoNotMeet, WrongSize):
+        sighting = _agreeing(images, ranges, calibration, sphere_diameter_mm)
+        if sighting is None:
+            raise
+        return sighting
+    return Sighting(first[0], first[1], point)
+
+
+def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
+    """Smallest and largest radius, px, of a sphere near the tool centre point in the image."""
+    distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
+    radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
+    return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
+
+
+def _outlines(
+    images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
+) -> list[SphereImage]:
+    """Measure the best outline in each image, full-sensor pixels."""
+    found: list[SphereImage] = []
+    problems: dict[str, DataError] = {}
+    for side, image, limits in zip(SIDES, images, ranges, strict=True):
+        try:
+            outline = measure_sphere(image.pixels, radius_range_px=limits)
+        except DataError as problem:
+            problems[f"{side} camera"] = problem
+        else:
+            found.append(outline.shifted(image.offset_x_px, image.offset_y_px))
+    if problems:
+        raise _named(problems)
+    return found
+
+
+def _named(problems: dict[str, DataError]) -> DataError:
+    """Combine the errors of one or both cameras; saturation takes precedence."""
+    worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
+    words = {one.what for one in problems.values()}
+    if len(problems) == len(SIDES) and len(words) == 1:
+        problems = {"both cameras": worst}
+    what = "; ".join(f"{camera}: {one.what}" for camera, one in problems.items())
+    return type(worst)(what, expected=worst.expected, limit=worst.limit, got=worst.got)
+
+
+def _agreeing(
+    images: tuple[AreaImage, AreaImage],
+    ranges: tuple[tuple[float, float], ...],
+    calibration: StereoHeadCalibration,
+    sphere_diameter_mm: float,
+) -> Sighting | None:
+    """Find the reliable outlines with the smallest gap between lines of sight; None if there are none."""
+    found: list[list[SphereImage]] = []
+    for image, limits in zip(images, ranges, strict=True):
+        shapes = measure_spheres(image.pixels, radius_range_px=limits)
+        reliable = [shape for shape in shapes if shape.status is SphereStatus.OK]
+        found.append([shape.shifted(image.offset_x_px, image.offset_y_px) for shape in reliable])
+    sightings: list[tuple[float, Sighting]] = []
+    for left, right in product(*found):
+        try:
+            point = triangulate(left, right, calibration, sphere_diameter_mm=sphere_diameter_mm)
+        except (RaysDoNotMeet, WrongSize):
+            continue
+        sightings.append((point.ray_gap_mm, Sighting(left, right, point)))
+    return min(sightings, key=lambda each: each[0], default=(0.0, None))[1]

@@ -1,21 +1,29 @@
-"""The sphere's centre in the tool frame from its outlines in both images."""
+"""Triangulate the sphere's centre in the tool frame from both outlines; check the head's cameras.
+
+Pixels are those of the full sensor, with (0, 0) at the centre of the top-left one. Distortion follows
+OpenCV's five-coefficient model, k1 k2 p1 p2 k3, in normalised coordinates.
+"""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from procedures.relocalization.camera import Camera
-from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
-from procedures.relocalization.sphere_image import SphereImage
+from procedures.relocalization.errors import BadMeasurement, HeadTurned, RaysDoNotMeet, WrongCamera, WrongSize
+from procedures.relocalization.outline import SphereImage
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
-from ronna_hw.text import beyond
+from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
+
+UNDISTORT_ITERATIONS = 20
+UNDISTORT_END = 1e-14  # normalised units, 1e-10 px
 
 SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
 RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different objects
@@ -23,6 +31,98 @@ SIZE_TOLERANCE = 0.04  # of the radius: more than film and lens cause, less than
 LIKENESS_TOLERANCE = 0.015  # between the radii in both images, for the same sphere
 ITERATIONS = 5
 STEP_END_MM = 1e-9
+
+# Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
+# to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
+LARGEST_UNLIKENESS = 0.0009
+# Mean radius over the expected. The same focal lengths scatter it by 1.1e-4 (at most 2.2e-4 over 21 heads).
+LARGEST_SIZE_ERROR = 0.0005
+# Over the stated error of a point, to which cameras that are off by as much at random open a gap; those of a
+# calibration leave 0.001 mm.
+LARGEST_GAP_OVER_STATED = 5.0
+LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
+
+
+class Camera:
+    """A camera calibration prepared for computation; `tool` coordinates in mm."""
+
+    def __init__(self, calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> None:
+        self._focal = np.array(calibration.focal_px)
+        self._principal = np.array(calibration.principal_point_px)
+        self._distortion = calibration.distortion
+        pose = calibration.camera_from_tool.transform(frame, Frame.TOOL)
+        self.rotation = pose.rotation_matrix  # camera <- tool
+        self.translation_mm = pose.translation_mm
+        self.centre_mm = pose.inverse().translation_mm  # centre of projection, in tool coordinates
+
+    def project(self, point_mm: ArrayLike) -> tuple[Array, Array]:
+        """Pixel (2,) of a point (3,) in tool coordinates, and its derivative (2, 3) by the point.
+
+        The derivative neglects distortion: it only weights a least-squares step.
+        """
+        x, y, z = self.rotation @ np.asarray(point_mm, dtype=float) + self.translation_mm
+        pixel = self._focal * distorted(np.array([x / z, y / z]), self._distortion) + self._principal
+        slope = np.array([[1.0 / z, 0.0, -x / z**2], [0.0, 1.0 / z, -y / z**2]])
+        return pixel, (self._focal[:, None] * slope) @ self.rotation
+
+    def centre_of(self, sphere: SphereImage) -> Array:
+        """Normalised image coordinates (2,) of the sphere's true centre, distortion and bias removed.
+
+        The outline of a sphere is an ellipse whose centre is too far from the optical axis. With semi-minor
+        axis b in normalised units, the sphere's centre is the ellipse's centre divided by (1 + b^2): the
+        section of a circular cone by the image plane, solved for the cone's axis.
+        """
+        ellipse = self.undistorted(sphere.centre_px)
+        semi_minor = sphere.axes_px[1] / float(np.sqrt(self._focal.prod()))
+        return np.asarray(ellipse / (1.0 + semi_minor**2), dtype=float)
+
+    def pixel_of(self, normalised: Array) -> Array:
+        """Pixel (2,) of undistorted normalised coordinates."""
+        return np.asarray(self._focal * distorted(normalised, self._distortion) + self._principal)
+
+    def angular_radius_rad(self, sphere: SphereImage) -> float:
+        """Half the angle that the sphere subtends at the centre of projection.
+
+        From the same conic section: sin^2 a = b^2 (1 + b^2) / (r^2 + (1 + b^2)^2), r the distance of the
+        ellipse's centre from the optical axis.
+        """
+        radius_squared = float((self.undistorted(sphere.centre_px) ** 2).sum())
+        b_squared = sphere.axes_px[1] ** 2 / float(self._focal.prod())
+        sine_squared = b_squared * (1.0 + b_squared) / (radius_squared + (1.0 + b_squared) ** 2)
+        return float(np.arcsin(np.sqrt(sine_squared)))
+
+    def undistorted(self, pixel: ArrayLike) -> Array:
+        """Remove distortion by fixed-point iteration: normalised coordinates (2,). Raises STE-004."""
+        observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
+        if observed.shape != (2,) or not np.all(np.isfinite(observed)):
+            raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
+        ideal: Array = observed.copy()
+        for _ in range(UNDISTORT_ITERATIONS):
+            step = observed - distorted(ideal, self._distortion)
+            ideal = ideal + step
+            if np.abs(step).max() < UNDISTORT_END:
+                return ideal
+        raise BadMeasurement("the distortion cannot be removed here", got=str(tuple(observed)))
+
+    def direction(self, normalised: Array) -> Array:
+        """Unit direction (3,) of the line of sight, in tool coordinates."""
+        ray = self.rotation.T @ np.array([normalised[0], normalised[1], 1.0])
+        return np.asarray(ray / np.linalg.norm(ray))
+
+
+def distorted(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
+    """Apply lens distortion, k1 k2 p1 p2 k3, to normalised coordinates (..., 2)."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = ideal[..., 0], ideal[..., 1]
+    square = x * x + y * y
+    radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+    return np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x),
+            y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=-1,
+    )
 
 
 @dataclass(frozen=True)
@@ -52,7 +152,7 @@ def triangulate(
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
     ray_gap_limit_mm: float = RAY_GAP_LIMIT_MM,
 ) -> StereoPoint:
-    """Centre of the sphere in the tool frame; both outlines in full-sensor pixels.
+    """Find the sphere's centre in the tool frame; both outlines in full-sensor pixels.
 
     Removes distortion and perspective bias, then finds the point with the least weighted distance to both
     pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006 when the
@@ -132,7 +232,7 @@ def _weighted_point(
     pixels: list[Array],
     start: Array,
 ) -> tuple[Array, Array]:
-    """Least squares over both images, each weighted by its covariance; Gauss-Newton from `start`."""
+    """Minimise the weighted distance to both pixels by Gauss-Newton: the point and its covariance."""
     weights = [np.linalg.inv(np.array(outline.covariance_px2)) for outline in outlines]
     point = start
     normal = np.eye(3)
@@ -147,3 +247,53 @@ def _weighted_point(
         if float(np.abs(step).max()) < STEP_END_MM:
             break
     return point, np.asarray(np.linalg.inv(normal), dtype=float)
+
+
+def check_head(
+    radii_mm: Sequence[tuple[float, float]],
+    ray_gaps_mm: Sequence[float],
+    stated_error_mm: float,
+    sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
+) -> None:
+    """Raise STE-014 when the spheres of one re-localization show that a camera has moved.
+
+    `radii_mm` are the radii from the left and the right outline at the measured position, per sphere;
+    `stated_error_mm` is from the head's calibration record, `sphere_diameter_mm` as its cameras see them.
+
+    A camera that rotates in its mount shifts every sphere by the same vector, which neither the registration
+    residual nor the distances between spheres can reveal. Each image pair shows it in three ways:
+
+    - a rotation in the plane of both lines of sight moves their intersection towards one camera and away from
+      the other, so the sphere's outlines have unequal sizes: 0.17 % for 0.2 degrees.
+    - both cameras rotated towards each other move it nearer, and the spheres appear too small: by 0.26 % and
+      more for 0.2 degrees each, with equal outlines.
+    - a rotation out of that plane opens a gap between the lines of sight: 0.9 mm for 0.2 degrees.
+
+    All are medians over all spheres of a re-localization, so that blood or glare on one of them does not
+    count.
+    """
+    unlikeness = median(2.0 * (left - right) / (left + right) for left, right in radii_mm)
+    if abs(unlikeness) > LARGEST_UNLIKENESS:
+        raise HeadTurned(
+            "a camera of the stereo head has rotated: the spheres appear larger in one "
+            "camera than in the other",
+            limit=f"{LARGEST_UNLIKENESS:.2%}",
+            got=f"{abs(unlikeness):.2%}",
+        )
+    radius_mm = median((left + right) / 2.0 for left, right in radii_mm)
+    size_error = 2.0 * radius_mm / sphere_diameter_mm - 1.0
+    if abs(size_error) > LARGEST_SIZE_ERROR:
+        raise HeadTurned(
+            "both cameras of the stereo head have rotated, or these are other spheres: their size is wrong",
+            limit=f"{LARGEST_SIZE_ERROR:.2%} of {sphere_diameter_mm:g} mm (procedure.sphere_diameter_mm)",
+            got=f"{abs(size_error):.2%}",
+        )
+    gap_mm = median(ray_gaps_mm)
+    limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
+    if gap_mm > limit_mm:
+        gap, limit = side_by_side(gap_mm, limit_mm, 2)
+        raise HeadTurned(
+            "a camera of the stereo head has moved: the lines of sight do not meet",
+            limit=f"{limit} mm",
+            got=f"{gap} mm",
+        )

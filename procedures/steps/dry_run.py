@@ -25,7 +25,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.motion_facts import facts_from
 from ronna_hw.arm.clearance.bodies import Surroundings

@@ -1,16 +1,94 @@
-"""The strategies by name."""
+"""All strategies by name, and those that combine others: one per trajectory, or the best of each."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 
-from procedures.strategies.best import BestOfEach
+from numpy.typing import ArrayLike
+
 from procedures.strategies.errors import UnknownStrategy
-from procedures.strategies.improved import ImprovedDisplacementMinimization
-from procedures.strategies.jdms import JointDisplacementMinimization
-from procedures.strategies.nos import NeutralOrientation
-from procedures.strategies.ocs import OrientationCorrection
-from procedures.strategies.strategy import Strategy
+from procedures.strategies.fixed_orientation import NeutralOrientation, OrientationCorrection
+from procedures.strategies.joint_displacement import (
+    ImprovedDisplacementMinimization,
+    JointDisplacementMinimization,
+)
+from procedures.strategies.strategy import ArmInBranch, Strategy
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.frames import Transform
+
+CANDIDATES: tuple[Strategy, ...] = (
+    ImprovedDisplacementMinimization(),
+    OrientationCorrection(),
+    JointDisplacementMinimization(),
+)
+
+
+@dataclass(frozen=True)
+class StrategyByTrajectory:
+    """`others` by trajectory name, `usual` for the rest; each trajectory is localized separately.
+
+    For a strategy that otherwise localizes once, the poses serve that one trajectory.
+    """
+
+    usual: Strategy
+    others: Mapping[str, Strategy]
+    localizes_per_trajectory: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name of the usual strategy."""
+        return self.usual.name
+
+    @property
+    def controls_approach(self) -> bool:
+        """Whether the usual strategy controls the approach; see `of` for one trajectory."""
+        return self.usual.controls_approach
+
+    def of(self, trajectory: str) -> Strategy:
+        """The strategy of one trajectory."""
+        return self.others.get(trajectory, self.usual)
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """Take the axis of each trajectory's own strategy, under the name of the trajectory."""
+        return tuple(
+            replace(axis, identifier=one.identifier)
+            for one in trajectories
+            for axis in self.of(one.identifier).localized_along((one,), fiducials_mm, robot_from_ct)
+        )
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """Take the poses of the trajectory's own strategy."""
+        return self.of(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
+
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> Sequence[float]:
+        """Take the turns of the trajectory's own strategy."""
+        return self.of(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
+
+
+@dataclass(frozen=True)
+class BestOfEach(StrategyByTrajectory):
+    """The strategy `best`: for each target the one with the smallest predicted error.
+
+    That is known only once the poses the arm can reach are, so path planning chooses. Until then, and if no
+    strategy reaches a target, it is the improved JDMS. `others` is the choice, by trajectory.
+    """
+
+    usual: Strategy = CANDIDATES[0]
+    others: Mapping[str, Strategy] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """Name on the command line."""
+        return "best"
+
 
 STRATEGIES: tuple[Strategy, ...] = (
     OrientationCorrection(),
@@ -23,7 +101,7 @@ STRATEGIES: tuple[Strategy, ...] = (
 
 
 def strategy_named(name: str) -> Strategy:
-    """The strategy with this name. Raises STR-002 for an unknown one."""
+    """Return the strategy with this name. Raises STR-002 for an unknown one."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy

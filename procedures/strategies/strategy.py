@@ -1,19 +1,77 @@
-"""What a localization strategy decides: how often fiducials are localized, and in which tool orientations.
+"""Interface of a localization strategy, the arm it plans for, its turns, and the approach to a pose.
 
-All strategies hold the tool the same way at a target, see `target_pose`: its axis is the trajectory's, and
-only the free angle about it is chosen.
+A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
+tool the same way at a target, see `target_pose`: its axis is the trajectory's, and only the free angle about
+it is chosen.
+
+Backlash shows on the side that a joint comes from. The same arrival direction at fiducials and target makes
+it equal at all of them, so the registration removes it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from numpy.typing import ArrayLike
 
-from procedures.strategies.arm_in_branch import ArmInBranch
-from procedures.strategies.trajectory import Trajectory
-from ronna_hw.frames import Transform
+from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Frame, Transform
+
+Joints = tuple[float, float, float, float, float, float]  # rad
+
+STEP_RAD = math.radians(10.0)
+FURTHEST_RAD = math.radians(90.0)
+
+OUTWARDS_RAD: tuple[float, ...] = (
+    0.0,
+    *(side * step * STEP_RAD for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1) for side in (1, -1)),
+)
+
+ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which it is does not matter, as long as it is the same
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
+# How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
+APPROACH_RAD = math.radians(0.2)
+LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
+
+
+@dataclass(frozen=True)
+class ArmInBranch:
+    """Arm for a strategy: nominal kinematics, tools as FLANGE <- TOOL, branch, reference for whole turns.
+
+    `sizes` are those of the arm's remaining errors.
+    """
+
+    kinematics: Kinematics
+    flange_from_guide: Transform
+    flange_from_stereo: Transform
+    branch: Branch
+    near_rad: Joints
+    sizes: ErrorSizes = UNCALIBRATED
+
+    def __post_init__(self) -> None:
+        """Raise FRM-001 when a tool is not FLANGE <- TOOL."""
+        require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
+        require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
+
+    def guide_at(self, pose: Transform) -> Joints:
+        """Joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
+        flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
+        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+
+    def stereo_at(self, pose: Transform) -> Joints:
+        """Joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
+        flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
+        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+
+    def stereo_pose(self, joints_rad: Joints) -> Transform:
+        """Pose ROBOT <- TOOL of the stereo head at these joints."""
+        return self.kinematics.flange_pose(joints_rad) @ self.flange_from_stereo
 
 
 class Strategy(Protocol):
@@ -21,7 +79,7 @@ class Strategy(Protocol):
 
     @property
     def name(self) -> str:
-        """The name used on the command line."""
+        """Name on the command line."""
         ...
 
     @property
@@ -40,7 +98,7 @@ class Strategy(Protocol):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
+        """Axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
 
         The trajectories themselves, or one axis that is independent of them.
         """
@@ -61,3 +119,35 @@ class Strategy(Protocol):
     ) -> Sequence[float]:
         """Turns about the axis, best first, to add to the trajectory's free angle."""
         ...
+
+
+def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
+    """List turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once.
+
+    A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
+    clearance that a motion needs, so an angle that passes may be between two that do not. Quarter steps are
+    about 12 mm at the hand.
+    """
+    found: dict[int, float] = {}
+    for turn in turns_rad:
+        for quarters in (1, -1, 2, -2):
+            beside = turn + quarters * STEP_RAD / 4.0
+            if abs(beside) < FURTHEST_RAD:
+                found.setdefault(round(math.degrees(beside) * 1000.0), beside)
+    return tuple(found.values())
+
+
+def arrival_signs(
+    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
+) -> tuple[int, ...]:
+    """Direction, +1 or -1, in which each joint arrives at a pose ROBOT <- TOOL with the joints `at_rad`."""
+    before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
+    branch = kinematics.branch_of(at_rad)
+    joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
+    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))
+
+
+def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
+    """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
+    A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
+    return (A[0], A[1], A[2], A[3], A[4], A[5])

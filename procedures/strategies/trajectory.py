@@ -1,4 +1,10 @@
-"""A planned straight path into the head: five numbers set by the surgeon, one angle free."""
+"""A planned straight path into the head, and the tool's poses along it.
+
+Five numbers of a trajectory are set by the surgeon, one angle is free. The tool's z axis is along the
+trajectory. At free angle 0, tool x points horizontally and as nearly as possible radially away from the z
+axis of the robot's base, so the arm reaches over the patient with the mount turned outwards from either side.
+The free angle turns about tool z, right-handed.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +12,22 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import BadTrajectory
+from ronna_hw.frames import Frame, FrameMismatch, Transform, rigid_of
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
 SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
+
+# For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
+PARALLEL_SINE = math.sin(math.radians(5.0))
+ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
+UP = np.array([0.0, 0.0, 1.0])
+AHEAD = np.array([1.0, 0.0, 0.0])
 
 
 @dataclass(frozen=True)
@@ -33,7 +47,7 @@ class Trajectory:
     standoff_mm: float | None = None
 
     def __post_init__(self) -> None:
-        """Check that the trajectory has a direction."""
+        """Raise STR-003 unless the trajectory has a direction."""
         numbers = (*self.entry_mm, *self.target_mm, self.free_angle_rad, self.beyond_mm)
         if not all(map(math.isfinite, numbers)):
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
@@ -41,7 +55,7 @@ class Trajectory:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def held(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
-        """The same trajectory, with the tool at rest this far beyond the target."""
+        """Hold the tool at rest this far beyond the target."""
         return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
     @property
@@ -58,3 +72,99 @@ class Trajectory:
     def axis_ct(self) -> Array:
         """Unit vector (3,) from entry to target, into the head, in CT coordinates."""
         return np.subtract(self.target_mm, self.entry_mm) / self.depth_mm
+
+
+def reference_direction(axis: Array, at_mm: Array) -> Array:
+    """Unit tool x (3,) at free angle 0 for a tool axis (3,) and a tool origin (3,) mm in the robot frame.
+
+    The horizontal radial direction at the origin, made perpendicular to the axis. Within 5 degrees of the
+    axis, robot z replaces it; on the base's z axis, robot x does.
+    """
+    radial = np.array([at_mm[0], at_mm[1], 0.0])
+    radius_mm = float(np.linalg.norm(radial))
+    wanted = radial / radius_mm if radius_mm > ON_AXIS_MM else AHEAD
+    across = wanted - axis * float(axis @ wanted)
+    if np.linalg.norm(across) < PARALLEL_SINE:
+        across = UP - axis * float(axis @ UP)
+    return np.asarray(across / np.linalg.norm(across))
+
+
+def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotation:
+    """Rotation robot <- tool for a unit tool axis (3,) and a tool origin (3,) mm, both in the robot frame."""
+    x_zero = reference_direction(axis, at_mm)
+    y_zero = np.cross(axis, x_zero)
+    x = math.cos(free_angle_rad) * x_zero + math.sin(free_angle_rad) * y_zero
+    return Rotation.from_matrix(np.column_stack([x, np.cross(axis, x), axis]))
+
+
+def turn_onto(orientation: Rotation, axis: Array) -> Rotation:
+    """Turn the orientation robot <- tool by the smallest rotation that aligns tool z with a unit axis (3,).
+
+    For a refined registration: follows the small change of the axis without any turn about it.
+    """
+    tool_z = np.asarray(orientation.as_matrix(), dtype=float)[:, 2]
+    turn_axis = np.cross(tool_z, axis)
+    sine, cosine = float(np.linalg.norm(turn_axis)), float(tool_z @ axis)
+    if sine == 0.0:
+        return orientation
+    return Rotation.from_rotvec(turn_axis / sine * math.atan2(sine, cosine)) * orientation
+
+
+def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
+    """Pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
+    return Transform(Frame.ROBOT, Frame.TOOL, rigid_of(origin_mm, orientation))
+
+
+def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
+    """Move the pose against its own tool z, away from the patient."""
+    require_frames(pose, Frame.ROBOT, Frame.TOOL)
+    return Transform(
+        Frame.ROBOT,
+        Frame.TOOL,
+        rigid_of(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
+    )
+
+
+def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
+    """Raise FRM-001 unless the transform is target <- source."""
+    if (transform.target, transform.source) != (target, source):
+        raise FrameMismatch(
+            f"a transform {target} <- {source} is needed", got=f"{transform.target} <- {transform.source}"
+        )
+
+
+def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
+    """Pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
+    return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.rest_mm))
+
+
+def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
+    """Pose at the target for a finer transform, given the `planned` pose of the coarse one.
+
+    The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in
+    between localization and target. Raises FRM-001 on other frames.
+    """
+    require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+    require_frames(planned, Frame.ROBOT, Frame.TOOL)
+    orientation = turn_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
+    return tool_pose(orientation, robot_from_ct.apply(trajectory.rest_mm))
+
+
+def poses_along(
+    trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
+) -> tuple[Transform, ...]:
+    """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in a trajectory's orientation."""
+    orientation = orientation_along(trajectory, robot_from_ct)
+    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
+
+
+def orientation_along(trajectory: Trajectory, robot_from_ct: Transform) -> Rotation:
+    """Rotation robot <- tool at the target of a trajectory. Raises FRM-001 on other frames."""
+    require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+    target = robot_from_ct.apply(trajectory.target_mm)
+    return tool_orientation(_axis(trajectory, robot_from_ct), target, trajectory.free_angle_rad)
+
+
+def _axis(trajectory: Trajectory, robot_from_ct: Transform) -> NDArray[np.float64]:
+    return np.asarray(robot_from_ct.rotation_matrix @ trajectory.axis_ct)

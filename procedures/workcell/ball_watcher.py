@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.relocalization.errors import PairNotUsable
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.search import refusal, settled_around
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell

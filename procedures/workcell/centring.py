@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from procedures.relocalization import ServoSettings, ServoState, recorded_point
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.search import settled_around
 from procedures.workcell.stereo_look import Look

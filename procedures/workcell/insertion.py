@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from procedures.results.result import FramedPose, Values
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.evidence.journal_reading import JournalValue
 from ronna_hw.frames import Transform

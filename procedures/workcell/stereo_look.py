@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import (
     NoContrast,
     NoSphere,
@@ -13,9 +12,9 @@ from procedures.relocalization.errors import (
     RaysDoNotMeet,
     WrongSize,
 )
-from procedures.relocalization.sphere_image import SphereImage
-from procedures.relocalization.sphere_in_pair import AreaImage, locate_sphere
-from procedures.relocalization.triangulation import StereoPoint
+from procedures.relocalization.outline import SphereImage
+from procedures.relocalization.sphere_measurement import AreaImage, locate_sphere
+from procedures.relocalization.triangulation import Camera, StereoPoint
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.clock import Clock
 from ronna_hw.devices import StereoPair

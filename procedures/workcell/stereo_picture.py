@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.workcell.stereo_look import Look
 from ronna_hw.devices.readings import CameraImage
 

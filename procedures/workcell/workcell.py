@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
-from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.arm_place import ArmPlace, Where
@@ -265,7 +265,7 @@ class Workcell:
         onto = JointMove(joints_rad)
         if arriving is None:
             return self._joint_motion(MotionName.STEP, onto)
-        back = JointMove(before_arriving(joints_rad, arriving))
+        back = JointMove(approach_joints(joints_rad, arriving))
         return self._joint_motion(MotionName.SETTLE, back, onto, by_home=from_afar)
 
     def returning_home(self) -> CellMotion:
@@ -412,4 +412,4 @@ class Workcell:
 def _legs(what: MotionName, to_rad: JointVector) -> tuple[JointMove, ...]:
     if what is not MotionName.HOME:
         return (JointMove(to_rad),)
-    return (JointMove(before_arriving(to_rad, ONE_SIDE)), JointMove(to_rad))
+    return (JointMove(approach_joints(to_rad, ONE_SIDE)), JointMove(to_rad))

@@ -11,15 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.planning.path_check.wrist import LEAST_BEND_RAD
-from procedures.strategies.approach import arrival_signs
-from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.free_turns import OUTWARDS_RAD
-from procedures.strategies.strategy import Strategy
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy, arrival_signs
+from procedures.strategies.trajectory import Trajectory, target_pose
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.errors import LimitError

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.arm_sources import UNCALIBRATED, ArmPoses, ErrorSizes, arm_sources, ct_errors
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
-from procedures.strategies.best import CANDIDATES
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from procedures.strategies.strategy import Strategy
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from sim.world.scene.as_built import (
     BACKLASH_RAD,

@@ -23,8 +23,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.registration.matching import match
-from procedures.registration.pairing_validation import validate_many
-from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM, match_many_by_similarity
+from procedures.registration.similarity_matrix import (
+    THESIS_TOLERANCES_MM,
+    match_many_by_similarity,
+    validate_many,
+)
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig

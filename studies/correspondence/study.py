@@ -26,8 +26,7 @@ from procedures.registration.correspondence import (
     turn_rad,
 )
 from procedures.registration.matching import match
-from procedures.registration.pairing_validation import REFUSED_SHARE, validate_many
-from procedures.registration.similarity_matrix import match_many_by_similarity
+from procedures.registration.similarity_matrix import REFUSED_SHARE, match_many_by_similarity, validate_many
 from studies.campaign.study import Sums, Unit, blocks, generator, omit_empty_own
 from studies.heads import (
     IMAGE_SIGMA_MM,

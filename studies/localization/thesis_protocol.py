@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.layout import find_layout
+from procedures.registration.template import find_layout
 from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM
 from studies.campaign.study import Sums, Unit, generator
 from studies.localization.phantom_scans import PhantomScan, phantom_scan

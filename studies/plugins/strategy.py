@@ -11,9 +11,8 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.strategy import Strategy
+from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform

@@ -16,16 +16,13 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm.identification import ArmFit, identify
-from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.pose_choice import most_telling
-from procedures.calibration.arm_sources import ErrorSizes
-from procedures.calibration.identified_arm import IdentifiedArm
+from procedures.calibration.arm_calibration import ArmFit, identify
+from procedures.calibration.arm_model import ArmModel, LookArrays, choose_poses
 from procedures.calibration.pose_set import centred_looks
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -208,7 +205,7 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
     model = ArmModel(ARM, TOOL)
     candidates = _candidates(spheres_mm)
     chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
-    chosen[most_telling(model, candidates, LOOKS)] = True
+    chosen[choose_poses(model, candidates, LOOKS)] = True
     looks = candidates.only(chosen)
     for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
         flange = arm.at_rest(joints, flanks, row)

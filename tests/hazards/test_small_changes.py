@@ -20,7 +20,7 @@ from procedures.guards.room_watch import RoomLook, RoomReading, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM, unnoticed_mm
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.steps.clinical.tool_check import APPROACHES
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.world.rigid import apply, matrix_from, matrix_of

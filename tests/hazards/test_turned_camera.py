@@ -13,7 +13,7 @@ from prepared_results import localized_fiducials as fiducials
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from benchmarks.stereo_head.stereo_cell import StereoCell
 from procedures.relocalization.errors import HeadTurned
-from procedures.relocalization.head_watch import check_head
+from procedures.relocalization.triangulation import check_head
 from procedures.steps.clinical.relocalization import STEP
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere

@@ -12,7 +12,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
-    from procedures.calibration.arm.looks import ArmLooks
+    from procedures.calibration.arm_model import ArmLooks
 
 app = typer.Typer(
     name="ronna-arm",
@@ -64,7 +64,7 @@ def check(
     With --sim the theatre has a calibrated arm. Exit codes: 0 it does, 3 it has changed or has no record,
     others as in `calibrate`.
     """
-    from procedures.calibration.arm.check import check_arm
+    from procedures.calibration.arm_check import check_arm
     from procedures.cli.arm import files
     from procedures.cli.calibrating.calibration import observe
     from procedures.cli.calibrating.running import new_folder

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from procedures.calibration.arm.looks import LOOKS_FILE, ArmLooks
-from procedures.calibration.arm.record import ArmResult, calibrate_arm
+from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
+from procedures.calibration.arm_model import LOOKS_FILE, ArmLooks
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration_figures import ArmFigures, ParameterFigures
 from procedures.steps.calibration.sphere_looks import ObservedSpheres

@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from procedures.calibration.errors import BadObservations
-from procedures.calibration.observations import read_strict
-from procedures.calibration.same_theatre import Measurements, require_same_theatre
+from procedures.calibration.observations import Measurements, read_strict, require_same_theatre
 from procedures.cli.calibrating.files import (
     finished_figures,
     require_same_folder,

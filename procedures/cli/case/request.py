@@ -71,7 +71,7 @@ def check_theatre(request: TheatreRequest) -> None:
 
     PRO-043 while another run has its devices.
     """
-    from procedures.calibration.arm.check import require_record
+    from procedures.calibration.arm_check import require_record
     from procedures.cli.calibrating.files import require_records
     from procedures.engine.theatre_lock import require_free_theatre
     from ronna_hw.config import read_theatre_file

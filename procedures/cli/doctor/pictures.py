@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
 from procedures.relocalization import measure_sphere
 from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
-from procedures.relocalization.outline_quality import TOO_FAINT
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.outline import TOO_FAINT, SphereImage, SphereStatus
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.devices.readings import CameraImage, StereoReading

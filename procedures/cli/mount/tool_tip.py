@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
-from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
+from procedures.calibration.tip_calibration import LOOKS_FILE, TipLooks, TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration_figures import TipFigures
 from procedures.steps.calibration.stand_ball import ObservedStand

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from procedures.calibration.tracker_frame.looks import LOOKS_FILE, FrameLooks
-from procedures.calibration.tracker_frame.record import FrameResult, calibrate_frame
+from procedures.calibration.frame_calibration import LOOKS_FILE, FrameLooks, FrameResult, calibrate_frame
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration_figures import FrameFigures
 from procedures.steps.calibration.frame_looks import ObservedFrame

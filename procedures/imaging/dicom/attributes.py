@@ -1,34 +1,31 @@
-"""Attributes of DICOM files, validated as they are read; errors name the file."""
+"""Read DICOM files and validate their attributes; errors name the file.
+
+Reads are bounded, because a damaged file can make the parser read without end.
+"""
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from procedures.imaging.dicom.bounded_stream import (
-    DEFLATED,
-    EXPLICIT,
-    LONGEST_VALUE,
-    BoundedStream,
-    DataSetDeflated,
-)
 from procedures.imaging.errors import AttributeMissing, FileDamaged
 from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
+
+MOST_READS = 50_000  # two to four per element; a slice has hundreds, with private sequences thousands
+LONGEST_VALUE = 65_536  # of an attribute other than pixels; none in use exceeds a hundred bytes
+DEFLATED = b"1.2.840.10008.1.2.1.99"  # everything after the meta header is deflated (PS3.5 A.5)
+EXPLICIT = b"1.2.840.10008.1.2.1".ljust(len(DEFLATED), b"\0")  # the equivalent syntax once inflated
 
 LONGEST_SHOWN = 80  # characters of a value that is not as it should be
 LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
 
-if TYPE_CHECKING:
-    from pydicom.dataset import Dataset, FileDataset
-
 
 def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
-    """One file as a data set; with `only`, just those attributes, no pixels. Raises
-    CT-005, naming the file.
-    """
+    """Read one file as a data set; with `only`, just these attributes, without pixels. Raises CT-005."""
     import pydicom
 
     try:
@@ -44,7 +41,7 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
             try:
                 found = read(BoundedStream(content, longest))
             except DataSetDeflated as deflated:
-                found = read(BoundedStream(_inflated(content, deflated.begin), longest))
+                found = read(BoundedStream(_inflate(content, deflated.begin), longest))
             if only is not None:
                 found.buffer = None  # the whole file, of each of a thousand slices
             return found
@@ -60,14 +57,48 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
         raise FileDamaged(f"{path.name} cannot be read as DICOM ({problem})") from problem
 
 
-def _inflated(content: bytes, begin: int) -> bytes:
-    """The same file with its data set inflated; pydicom would do that without a size limit."""
+def _inflate(content: bytes, begin: int) -> bytes:
+    """Inflate the file's data set; pydicom would do so without a size limit."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
 
 
+class DataSetDeflated(Exception):
+    """Raised where the deflated rest of a file begins."""
+
+    def __init__(self, begin: int) -> None:
+        self.begin = begin
+
+
+class BoundedStream(io.BytesIO):
+    """Bytes of a file with limits on reads.
+
+    Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
+    """
+
+    def __init__(self, content: bytes, longest_value: int) -> None:
+        super().__init__(content)
+        self._left = MOST_READS
+        self._longest = longest_value
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read `size` bytes; only a deflated data set is read to the end at once."""
+        if size is None or size < 0:
+            raise DataSetDeflated(self.tell())
+        self._left -= 1
+        if self._left < 0:
+            raise InputRefused("too many elements", limit=f"{MOST_READS} reads")
+        if size > self._longest:
+            raise InputRefused("a value is too long", limit=f"{self._longest} bytes", got=f"{size}")
+        return super().read(size)
+
+
+if TYPE_CHECKING:
+    from pydicom.dataset import Dataset, FileDataset
+
+
 def value(path: Path, header: Dataset, keyword: str) -> Any:
-    """The decoded value; pydicom decodes lazily, so a bad value fails here."""
+    """Decode one attribute. pydicom decodes lazily, so a bad value fails here, with CT-012."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks what matters about the value

@@ -1,7 +1,7 @@
-"""Decodes compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, internal use only.
+"""Decode compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, internal use only.
 
 The decoders are C++, and damaged frames make some of them abort the whole program. Each line on standard
-input names one file; the answer on FD is a line of JSON followed by the pixels. Exits at end of input.
+input names one file; the answer on FD is a line of JSON followed by the pixels. Ends at end of input.
 """
 
 from __future__ import annotations

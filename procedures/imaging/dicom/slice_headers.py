@@ -1,10 +1,13 @@
-"""Headers of the slices in a folder, checked to form one CT series."""
+"""Headers of the slices in a folder, checked to form one CT series, and the patient's identity.
+
+The identity is read only on request: volumes, markers, logs and reports contain none.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +33,7 @@ from procedures.imaging.errors import (
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset
+
 
 Progress = Callable[[float], None]
 
@@ -78,10 +82,12 @@ _TAGS = (
     "PatientID",  # compared, then discarded
 )
 
+_IDENTITY_TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
+
 
 @dataclass(frozen=True)
 class SliceHeader:
-    """What one file states about its slice. Lengths in mm, directions and positions in LPS."""
+    """Header of one slice. Lengths in mm, directions and positions in LPS."""
 
     path: Path
     series_instance_uid: str
@@ -103,10 +109,10 @@ class SliceHeader:
 
 
 def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
-    """Headers of all CT slices directly in `directory`, ordered by file name.
+    """Read the headers of all CT slices directly in `directory`, ordered by file name.
 
-    Non-DICOM files and DICOM objects without an image are skipped. Raises CT-001 to CT-006 and CT-012,
-    CT-020, CT-021; the message names the offending file, series or frame of reference.
+    Skips non-DICOM files and DICOM objects without an image. Raises CT-001 to CT-006, CT-012, CT-020, CT-021;
+    the message names the offending file, series or frame of reference.
     """
     images = read_images(directory, _TAGS, progress)
     _refuse_scouts(images)
@@ -123,7 +129,7 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
 def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
-    """The given attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    """Read these attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(images_of(directory, tags, progress))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
@@ -133,7 +139,7 @@ def read_images(
 def images_of(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> Iterator[tuple[Path, FileDataset]]:
-    """Like `read_images`, but lazily; finding none is not an error."""
+    """Yield the attributes of one image after the other; no image is not an error."""
     files = _files_in(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
@@ -144,7 +150,7 @@ def images_of(
 
 
 def dicom_files(directory: Path) -> list[Path]:
-    """The DICOM files directly in a folder. Raises CT-001, CT-005."""
+    """List the DICOM files directly in a folder. Raises CT-001, CT-005."""
     return [path for path in _files_in(directory) if _is_dicom(path)]
 
 
@@ -263,7 +269,7 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
 
 
 def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
-    """Slope and intercept if plausible for a CT; raises CT-012, CT-020."""
+    """Return slope and intercept if plausible for a CT. Raises CT-012, CT-020."""
     slope = numbers(path, header, "RescaleSlope", 1)[0]
     intercept = numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
@@ -296,3 +302,41 @@ def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
     stated = value(path, header, "ImageType") or ()
     words = (stated,) if isinstance(stated, str) else stated
     return tuple(str(word).strip().upper() for word in words)
+
+
+@dataclass(frozen=True, repr=False)  # keeps it out of logs
+class PatientIdentity:
+    """Statement of a series about its patient, verbatim; empty where it states nothing."""
+
+    name: str
+    identifier: str
+    birth_date: str  # YYYYMMDD
+    sex: str
+
+    def as_dict(self) -> dict[str, str]:
+        """Return plain data for JSON."""
+        return asdict(self)
+
+    def describe(self) -> str:
+        """Return one line for display."""
+        parts = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
+        if self.birth_date:
+            parts.append(f"born {self.birth_date}")
+        if self.sex:
+            parts.append(f"sex {self.sex}")
+        return ", ".join(parts)
+
+
+def patient_identifier(directory: Path) -> str:
+    """Return the patient ID of the slices in `directory`, or an empty string. Raises CT-001, CT-005."""
+    borne = (text(path, header, "PatientID") for path, header in images_of(directory, ("PatientID",)))
+    return next(filter(None, borne), "")
+
+
+def read_identity(directory: Path) -> PatientIdentity:
+    """Read the patient's identity from the first slice; reading the series checks that all slices agree.
+
+    Raises CT-001, CT-002, CT-005, CT-012.
+    """
+    path, header = read_images(Path(directory), _IDENTITY_TAGS)[0]
+    return PatientIdentity(*(text(path, header, keyword) for keyword in _IDENTITY_TAGS))

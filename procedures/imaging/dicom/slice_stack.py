@@ -1,7 +1,7 @@
 """Order and geometry of a series from slice positions alone; refuses anything but a straight, even stack.
 
-Slice thickness and instance numbers are never used for geometry, only positions and orientations
-(DICOM PS3.3 C.7.6.2.1.1). That slices are missing at an end shows in no position: only numbers tell.
+Slice thickness and instance numbers never determine the geometry (DICOM PS3.3 C.7.6.2.1.1). Only numbers can
+tell that slices are missing at an end: positions cannot.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _ROUNDING_MM = 1e-3
 
 
 def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ...], VoxelGeometry]:
-    """Slices sorted along their normal, and the geometry of the resulting volume.
+    """Sort slices along their normal and derive the volume's geometry.
 
     Raises CT-007 (tilt), CT-008 (orientation), CT-009 (duplicates), CT-010 (gaps), CT-011 (sizes), CT-015,
     CT-025 (mirrored).
@@ -72,7 +72,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
 
 
 def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """Sentences about what limits the accuracy of localization; empty for a good protocol."""
+    """List what limits the accuracy of localization, one sentence each; empty for a good protocol."""
     sentences = []
     spacing_mm = float(geometry.spacing_mm[0])
     thickness_mm = max((one.thickness_mm or 0.0 for one in slices), default=0.0)
@@ -110,7 +110,10 @@ def _incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
 
 
 def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
-    """A scanner stores axial slices as seen from the feet, unless the patient lies feet first."""
+    """Raise CT-025 for slices seen from the head; scanners store them as seen from the feet.
+
+    A patient who lies feet first is exempt.
+    """
     if normal[2] < -AXIAL_COSINE and one.patient_position.startswith(HEAD_FIRST):
         raise SeriesMirrored(
             f"{one.path.name} shows its slice as seen from the head, a mirror image of what a scanner stores "
@@ -121,7 +124,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
 
 
 def _unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
-    """Warnings for orientations of a mirrored or reordered series; a sound one may have them too."""
+    """Warn of orientations that mirrored or reordered series have; sound ones may have them too."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
     elif normal[2] < 0.0:

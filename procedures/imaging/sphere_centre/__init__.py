@@ -1,1 +1,1 @@
-"""Estimators of one sphere's centre: its edge along rays, a blurred ball in the voxels, and both combined."""
+"""Estimators of one sphere's centre: its edge along rays, and a blurred ball without or with its streaks."""

@@ -1,4 +1,4 @@
-"""The voxels that a blurred ball is fitted to, and the robust fit."""
+"""Choose the voxels that a blurred ball is fitted to, and fit robustly."""
 
 from __future__ import annotations
 
@@ -7,29 +7,28 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     RADIUS,
     SLOPE,
     SXY,
     SZ,
-    intensities,
-    polynomial,
-)
-from procedures.imaging.sphere_centre.robust_fit import (
+    Stretch,
     cauchy_growth,
     cauchy_weights,
     flat_growth,
     flat_weights,
+    intensities,
     minimise,
+    polynomial,
     products,
     scale,
+    stretched_ball,
 )
-from procedures.imaging.sphere_centre.streak_background import FITTED_DEGREES
-from procedures.imaging.sphere_centre.stretch import Stretch, stretched_ball
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 
@@ -40,10 +39,24 @@ CORRELATED = 5.0  # variance relative to that of independent voxels: noise is co
 OUTLIER = 5.0  # deviations: noise alone reaches this in one sphere of a hundred
 OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
 
+FITTED_DEGREES = (1, 2, 3)
+
+METAL_HU = 900.0
+
+METAL_REACH_MM = 2.2  # reach of blur from metal
+
+FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
+
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
+
+HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
+
+START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
+
 
 @dataclass(frozen=True, eq=False)
 class BallVoxels:
-    """The voxels used: indices and grid mm (n, 3), HU (n,), background terms (n, m)."""
+    """Voxels used in a fit: indices and grid mm (n, 3), HU (n,), background terms (n, m)."""
 
     where: NDArray[np.int64]
     points_mm: Array
@@ -58,7 +71,7 @@ class BallVoxels:
     def of(
         cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
     ) -> Self:
-        """The usable voxels of a region around a ball of about this radius."""
+        """Take the usable voxels of a region around a ball of about this radius."""
         where = np.argwhere(usable)
         points_mm = (where + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
@@ -67,9 +80,9 @@ class BallVoxels:
         return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
 
     def robust_fit(self, ball: Array) -> Array | None:
-        """All parameters, given those of the ball alone; None if the fit does not converge nearby.
+        """Fit all parameters from those of the ball alone; None if the fit does not converge nearby.
 
-        First with a linear background, which converges from farther away, then with the full polynomial.
+        A linear background comes first, since it converges from farther away, then the full polynomial.
         """
         sloping = np.zeros(SLOPE.stop)
         sloping[:BALL] = ball
@@ -93,7 +106,7 @@ class BallVoxels:
         return settled
 
     def without_outliers(self, unknowns: Array) -> BallVoxels:
-        """Without voxels that do not belong to the fitted ball, such as its post, and their blur."""
+        """Drop voxels that do not belong to the fitted ball, such as its post, and their blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         strange = np.abs(residuals) > OUTLIER * scale(residuals)
@@ -114,7 +127,7 @@ class BallVoxels:
         )
 
     def beyond_mm(self, unknowns: Array) -> Array:
-        """Distance of each voxel (n,) outside a ball."""
+        """Distance (n,) of each voxel outside a ball."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
     def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
@@ -132,13 +145,12 @@ class BallVoxels:
             weights = flat_weights(left, scale(left))
         return Stretch.of_last_terms(step, CORRELATED * scale(left) ** 2 * np.asarray(answer))
 
-    def at(self, unknowns: Array) -> tuple[Array, Array, Array, float]:
-        """Derivatives (n, m), weighted residuals w·r (n,), weights (n,), and the noise in HU."""
+    def at(self, unknowns: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
         modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
-        noise_hu = scale(residuals)
-        weights = (cauchy_weights if self.covered else flat_weights)(residuals, noise_hu)
-        return derivatives, weights * residuals, weights, noise_hu
+        weights = (cauchy_weights if self.covered else flat_weights)(residuals, scale(residuals))
+        return derivatives, weights * residuals, weights
 
     def growth(self, weights: Array) -> float:
         """Mean growth of the weighted residual with the residual, relative to its weight."""
@@ -148,3 +160,50 @@ class BallVoxels:
 def _with_possible_blur(unknowns: Array) -> Array:
     unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
     return unknowns
+
+
+def voxels_of_ball(
+    region: Region, centre_mm: Array, radius_mm: float, hidden_ways: Array | None
+) -> tuple[NDArray[np.bool_], float]:
+    """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
+
+    Also returns the part of the ball's surface that is too close to metal.
+    """
+    z, y, x = region.axes_mm()
+    distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
+    clean = _far_from_metal(region)
+    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
+    if hidden_ways is not None and len(hidden_ways) > 0:
+        offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
+        outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
+        usable[usable] = ~in_directions(offsets, hidden_ways, outer)
+    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
+    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
+    return usable, metal_share
+
+
+def first_guess(
+    region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
+) -> Array:
+    """Guess the eight parameters of a ball from its surface."""
+    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
+    return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
+
+
+def _far_from_metal(region: Region) -> NDArray[np.bool_]:
+    metal = region.values > METAL_HU  # NaN compares false
+    if not metal.any():
+        return np.ones(metal.shape, dtype=bool)
+    return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+
+
+def in_directions(offsets_mm: Array, ways: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the `asked` voxels (n, 3), relative to the centre, that lie in one of these directions."""
+    found = np.zeros(len(asked), dtype=bool)
+    if len(ways) == 0:
+        return found
+    looked = offsets_mm[asked]
+    looked /= np.maximum(np.linalg.norm(looked, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(ways).query(looked, distance_upper_bound=HIDDEN_REACH)
+    found[asked] = np.isfinite(distance)
+    return found

@@ -1,33 +1,69 @@
 """Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
 
 The parameters are the centre, both intensities, both blurs, the radius and the background. Voxels near metal
-are excluded. A robust fit, insensitive to outliers (post, skin), finds what does not belong to the ball; a
-fit with a model of noise and streaks then makes full use of the rest.
+are excluded. A robust fit, insensitive to post and skin, finds what does not belong to the ball; a fit with a
+model of noise and streaks then makes full use of the rest.
+
+The noise spectrum is measured on the residuals of a fit with an unconstrained background bend. The size of
+the bend shows how strong metal streaks are. Bend terms up to the third degree, and slopes likewise, are then
+shrunk towards 0 as strongly as the image permits (empirical Bayes, a ridge): without streaks they cost no
+accuracy, with them they remove most of the error. Terms beyond the third degree are assumed to be as large,
+and their error is included. Remains of streaks of unknown shape count as additional white noise.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 
-from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import BALL, IN, OUT, RADIUS
-from procedures.imaging.sphere_centre.ball_voxels import MIN_VOXELS, BallVoxels
-from procedures.imaging.sphere_centre.stretch import Stretch
-from procedures.imaging.sphere_centre.whitened_ball import fit_whitened
+from procedures.imaging.sphere_centre.ball_model import (
+    BALL,
+    IN,
+    OUT,
+    RADIUS,
+    SLOPE,
+    SXY,
+    SZ,
+    Stretch,
+    polynomial,
+    products,
+)
+from procedures.imaging.sphere_centre.ball_voxels import (
+    HIDDEN_DEPTH_MM,
+    MIN_VOXELS,
+    BallVoxels,
+    first_guess,
+    in_directions,
+    voxels_of_ball,
+)
+from procedures.imaging.sphere_centre.correlated_noise import (
+    WINDOW_MM,
+    CorrelatedNoise,
+    VoxelGrid,
+    WhitenedStep,
+)
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 
-METAL_HU = 900.0
-METAL_REACH_MM = 2.2  # reach of blur from metal
-FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
-HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
-HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
-START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
+HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
+HIDDEN_SHARE = 1.2  # of the bend terms' size; from tuning families and synthetic bands and lobes on `plain`
+LEAST_SLOPE = 2.0  # of the bend terms' size: streaks fade with distance, and slope more than they bend
+LEAST_VARIANCE_HU2 = 1e-3  # stands for no streaks
+BENT = slice(SLOPE.stop, None)  # the parameters of the second and third degree
+
+EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
+# Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
+# fits more finely; 0.03 would gain 1 % on the phantom's noise. If much of a ball is covered, the cover is the
+# limit, not noise: then all frequencies count nearly alike, chosen on balls half buried in 20 to 60 HU.
+LEAST_POWER, LEAST_POWER_COVERED = 0.1, 3.0
+# power (HU² per voxel) that bend terms of 1 HU² leave, chosen on streaks of one, two and six lobes around a
+# post: without it whitening takes their remains for signal, and errors grow by half
+STREAK_POWER = 8.0
+MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-free data
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +73,34 @@ class BlurredBall:
     centre_mm: Array
     covariance_mm2: Array
     radius_mm: float
-    noise_hu: float
     metal_share: float  # part of the sphere's surface too close to metal to be used
     streak_hu: float  # typical size, at the surface, of the terms by which streaks bend the background
     contrast_hu: float
     stretch: Stretch  # where the surface borders on the outside
+
+
+def fit_rough_ball(
+    region: Region,
+    start_mm: Array,
+    radius_mm: float,
+    inside_hu: float,
+    outside_hu: float,
+    *,
+    hidden_ways: Array | None = None,
+) -> RoughBall | None:
+    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
+
+    `hidden_ways` (n, 3) are directions from the centre in which the surface borders on something other than
+    the outside; voxels near and beyond the surface there are excluded.
+    """
+    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
+    if usable.sum() < MIN_VOXELS:
+        return None
+    covered = hidden_ways is not None and len(hidden_ways) > 0
+    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
+    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
+    settled = voxels.robust_fit(start)
+    return None if settled is None else RoughBall(voxels, settled, metal_share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,9 +122,11 @@ class RoughBall:
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """The best fit nearby; None without one, or if streaks bend more than that part of the contrast.
+        """Refine the fit; None without one nearby, or if streaks bend it by more than `most_streaks`.
 
-        `hidden_ways` (n, 3): directions without information about the shape.
+        `most_streaks` is relative to the contrast.
+
+        `hidden_ways` (n, 3) are directions without information about the shape.
         """
         fitted = fit_whitened(
             self.voxels.without_outliers(self.unknowns),
@@ -81,7 +142,6 @@ class RoughBall:
             centre_mm=unknowns[:3],
             covariance_mm2=fitted.covariance_mm2,
             radius_mm=float(unknowns[RADIUS]),
-            noise_hu=fitted.noise_hu,
             metal_share=self.metal_share,
             streak_hu=fitted.streak_hu,
             contrast_hu=float(unknowns[IN] - unknowns[OUT]),
@@ -89,77 +149,110 @@ class RoughBall:
         )
 
 
-def fit_rough_ball(
-    region: Region,
-    start_mm: Array,
-    radius_mm: float,
-    inside_hu: float,
-    outside_hu: float,
-    *,
-    hidden_ways: Array | None = None,
-) -> RoughBall | None:
-    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
-
-    `hidden_ways` (n, 3): directions from the centre in which the surface borders on something other than the
-    outside; voxels near and beyond the surface there are excluded.
-    """
-    taking = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
-    if taking.usable.sum() < MIN_VOXELS:
-        return None
-    covered = hidden_ways is not None and len(hidden_ways) > 0
-    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
-    voxels = BallVoxels.of(region, taking.usable, radius_mm, covered=covered)
-    settled = voxels.robust_fit(start)
-    return None if settled is None else RoughBall(voxels, settled, taking.metal_share)
-
-
 @dataclass(frozen=True, eq=False)
-class TakingPart:
-    """The voxels of a region that a fit may use, and the part of the surface too close to metal."""
+class WhitenedBall:
+    """All parameters, the covariance of the centre in grid mm, and the typical background bend in HU."""
 
-    usable: NDArray[np.bool_]
-    metal_share: float
-
-
-def voxels_of_ball(
-    region: Region, centre_mm: Array, radius_mm: float, hidden_ways: Array | None
-) -> TakingPart:
-    """Voxels around a ball that are clear of metal and of hidden directions (n, 3)."""
-    z, y, x = region.axes_mm()
-    distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
-    clean = _far_from_metal(region)
-    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
-    if hidden_ways is not None and len(hidden_ways) > 0:
-        offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
-        outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
-        usable[usable] = ~in_directions(offsets, hidden_ways, outer)
-    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
-    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
-    return TakingPart(usable, metal_share)
+    unknowns: Array
+    covariance_mm2: Array
+    streak_hu: float
 
 
-def first_guess(
-    region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
-) -> Array:
-    """The eight parameters of a ball, given only its surface."""
-    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
-    return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
+def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
+    """Refine a robust fit; None without a fit nearby, or if streaks bend more than `most_streak_hu`."""
+    derivatives, pull, weights = voxels.at(start)
+    derivatives *= weights[:, None]
+    smooth = np.ones(len(start), dtype=bool)
+    smooth[EDGE] = False
+    grid = VoxelGrid.around(voxels.where, WINDOW_MM, voxels.spacing_mm)
+    spectra = grid.spectra(derivatives)
+    least = LEAST_POWER_COVERED if voxels.covered else LEAST_POWER
+    noise = CorrelatedNoise.of_fit(grid, pull, spectra, least)
+    growth = voxels.growth(weights)
+
+    def pull_at(unknowns: Array) -> Array:
+        return voxels.at(unknowns)[1]
+
+    step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
+    settled = step.settle(start, pull_at)
+    if settled is None:
+        return None
+    prior = StreakPrior.of_bends(settled[BENT], step.covariance[BENT, BENT])
+    if prior.streak_hu > most_streak_hu:
+        return None
+    if prior.bent_hu2 > 0.0:
+        noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
+        step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
+    step = step.shrunk(prior.stiffness(len(start)))
+    settled = step.settle(settled, pull_at)
+    if settled is None:
+        return None
+    prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
+    step = step.shrunk(prior.stiffness(len(start)))
+    settled = step.settle(settled, pull_at)
+    if settled is None:
+        return None
+    by_streaks = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
+    covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
+    return WhitenedBall(settled, covariance_mm2, prior.streak_hu)
 
 
-def _far_from_metal(region: Region) -> NDArray[np.bool_]:
-    metal = region.values > METAL_HU  # NaN compares false
-    if not metal.any():
-        return np.ones(metal.shape, dtype=bool)
-    return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+@dataclass(frozen=True)
+class StreakPrior:
+    """Typical size of the background terms, HU² at a radius from the centre.
+
+    The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
+    larger by `unsure_hu2`, the standard error of the estimate.
+    """
+
+    bent_hu2: float
+    unsure_hu2: float
+    slope_hu2: float | None = None
+
+    @classmethod
+    def of_bends(cls, found: Array, covariance: Array) -> Self:
+        """Estimate the size from bend terms (k,) found with a noise `covariance`.
+
+        The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
+        scatters by √(2 k).
+        """
+        square, trace = _square_over(found, covariance)
+        return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
+
+    def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
+        """Add the size of slopes (3,), found likewise. Their noise is kept: so few can be 0 by chance."""
+        square, trace = _square_over(found, covariance)
+        return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
+
+    @property
+    def streak_hu(self) -> float:
+        """Typical size of a bend term, a radius from the centre."""
+        return float(np.sqrt(self.bent_hu2))
+
+    def stiffness(self, unknowns: int) -> Array:
+        """Strength with which each parameter is shrunk towards 0: 1 over its variance, HU⁻²."""
+        drawn = np.zeros(unknowns)
+        drawn[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
+        if self.slope_hu2 is not None:
+            drawn[SLOPE] = 1.0 / max(self.slope_hu2, LEAST_VARIANCE_HU2)
+        return drawn
+
+    def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
+        """Remaining effect of streaks on the centre, (3, 3): through shrunk terms and through higher ones.
+
+        `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
+        the centre to each voxel; `places` (n, 3) are in radii from the centre.
+        """
+        bent_hu2 = self.bent_hu2 + self.unsure_hu2
+        sizes_hu2 = np.zeros(len(answer))
+        sizes_hu2[BENT] = bent_hu2
+        sizes_hu2[SLOPE] = self.slope_hu2 or 0.0
+        drawn = answer[:3] * (self.stiffness(len(answer)) * np.sqrt(sizes_hu2))
+        beyond = products(influence, weights[:, None] * polynomial(places, HIDDEN_DEGREES))
+        return np.asarray(drawn @ drawn.T + HIDDEN_SHARE**2 * bent_hu2 * (beyond @ beyond.T))
 
 
-def in_directions(offsets_mm: Array, ways: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which of the `asked` voxels (n, 3), relative to the centre, are in one of these directions."""
-    found = np.zeros(len(asked), dtype=bool)
-    if len(ways) == 0:
-        return found
-    looked = offsets_mm[asked]
-    looked /= np.maximum(np.linalg.norm(looked, axis=1, keepdims=True), 1e-6)
-    distance, _ = cKDTree(ways).query(looked, distance_upper_bound=HIDDEN_REACH)
-    found[asked] = np.isfinite(distance)
-    return found
+def _square_over(found: Array, covariance: Array) -> tuple[float, float]:
+    """Square of `found` over its covariance, and the trace of that covariance's inverse."""
+    precision = np.linalg.pinv(covariance, hermitian=True)
+    return float(found @ precision @ found), float(np.trace(precision))

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.region import Region
+from procedures.imaging.volume import Region
 from ronna_hw.robust_scale import robust_sigma
 
 Array = NDArray[np.float64]
@@ -67,6 +67,18 @@ class RadialEdge:
     seen: NDArray[np.bool_]
 
 
+@cache
+def ray_directions() -> Array:
+    """Unit directions (RAYS, 3) of the rays, nearly uniform on a golden-angle spiral."""
+    number = np.arange(RAYS) + 0.5
+    height = 1.0 - 2.0 * number / RAYS
+    angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))
+    across = np.sqrt(1.0 - height**2)
+    directions = np.column_stack([height, across * np.sin(angle_rad), across * np.cos(angle_rad)])
+    directions.flags.writeable = False
+    return directions
+
+
 def is_polymer(edge: RadialEdge) -> bool:
     """Whether the level inside is that of a polymer without streaks."""
     return POLYMER_HU[0] < edge.inside_hu < POLYMER_HU[1]
@@ -79,7 +91,7 @@ def fit_radial_edge(
 
     With `refine` the start is already good, and the volume is interpolated smoothly.
     """
-    directions = _directions(RAYS)
+    directions = ray_directions()
     radii_mm = np.linspace(SCAN_FROM, SCAN_TO, SCAN_STEPS) * nominal_radius_mm
     centre_mm = start_mm
     fitted: RadialEdge | None = None
@@ -141,7 +153,7 @@ def _fit_profiles(
 
 
 def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
-    """The level of what is open around a sphere, and whether something else covers most of it."""
+    """Level of the open surroundings, and whether something else covers most of the sphere."""
     least_hu = float(np.quantile(darker_hu, OPEN_AT_LEAST))
     is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
     is_covered = bool(is_open.mean() < OPEN_SHARE)
@@ -164,13 +176,8 @@ def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
 
 
-def ray_directions() -> Array:
-    """Unit directions (RAYS, 3) of the rays, along (slice, row, column)."""
-    return _directions(RAYS)
-
-
 def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
-    """The midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
+    """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
     design = np.column_stack([np.ones(len(ways)), ways])
     solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solved)
@@ -209,15 +216,3 @@ def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array,
     residuals = np.linalg.norm(points_mm - centre_mm, axis=1) - radius_mm
     covariance = scale**2 * np.linalg.inv(normal + 1e-9 * np.eye(4))
     return centre_mm, radius_mm, covariance[:3, :3], residuals
-
-
-@cache
-def _directions(count: int) -> Array:
-    """Nearly uniform unit directions (count, 3) on a golden-angle spiral."""
-    number = np.arange(count) + 0.5
-    height = 1.0 - 2.0 * number / count
-    angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))
-    across = np.sqrt(1.0 - height**2)
-    directions = np.column_stack([height, across * np.sin(angle_rad), across * np.cos(angle_rad)])
-    directions.flags.writeable = False
-    return directions

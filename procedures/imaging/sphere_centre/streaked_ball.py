@@ -1,29 +1,55 @@
-"""A ball under strong streaks: fitted together with the streaks over each slice.
+"""A ball under strong streaks, fitted together with a random field of streaks in each slice.
 
 Two things defeat other fits of a ball under streaks. A band across it bends more than a polynomial can
 follow; here each slice has its own field, whose size is estimated from the image (empirical Bayes). And dark
 streaks in air stop at the lowest value that a scanner stores: there the image is no longer the sum of ball
 and streak. Such voxels only say that the sum is no brighter than that (censored regression, Tobin 1958).
+
+A streak is confined to the slices of its metal, so neighbouring slices say nothing about it. Within a slice
+it is a Gaussian process, slow compared with the ball's edge and thus hardly confused with it, written as a
+sum of cosines with a few coefficients per slice.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ, intensities
-from procedures.imaging.sphere_centre.ball_voxels import BLUR_LIMITS_MM, MIN_VOXELS
-from procedures.imaging.sphere_centre.blurred_ball import first_guess, in_directions, voxels_of_ball
+from procedures.imaging.sphere_centre.ball_model import (
+    OUT,
+    RADIUS,
+    SXY,
+    SZ,
+    Stretch,
+    flat_weights,
+    intensities,
+    scale,
+    stretched_ball,
+)
+from procedures.imaging.sphere_centre.ball_voxels import (
+    BLUR_LIMITS_MM,
+    MIN_VOXELS,
+    first_guess,
+    in_directions,
+    voxels_of_ball,
+)
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
-from procedures.imaging.sphere_centre.robust_fit import flat_weights, scale
-from procedures.imaging.sphere_centre.slice_field import NoiseModes, SliceField, noise_power
-from procedures.imaging.sphere_centre.stretch import Stretch, stretched_ball
+from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
+
+# chosen on straight bands with standard deviations of 1.2 to 3 mm across `plain`: anything shorter follows
+# the edge, which doubled the error; a ball's edge is 0.5 mm wide
+LENGTH_MM = 3.0
+HIGHEST = 0.2  # cycles per mm: above this, such a process has a thousandth of its power
+NOISE_BAND = (0.1, 0.3)  # cycles per mm: the band used to estimate the noise, in which the edge is blurred
+FEWEST_VOXELS = 40  # of a slice, to estimate its noise
+CLEAR_SHARE = 0.05  # of the largest eigenvalue: patterns that the voxels see less of are dropped
+ROOM_MM = 2.0  # from the voxels to the end of the cosines' period
 
 STEPS, LEAST_STEPS = 14, 5
 DONE_MM, SETTLED_MM = 5e-4, 5e-3
@@ -47,30 +73,15 @@ MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its l
 
 @dataclass(frozen=True, eq=False)
 class StreakedBall:
-    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region with the streaks removed."""
+    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
 
     centre_mm: Array
     covariance_mm2: Array
     radius_mm: float
-    inside_hu: float
-    outside_hu: float
     metal_share: float  # part of the sphere's surface too close to metal to be used
-    streak_hu: float  # of the slice with the most
     cleaned: Region
     stretch: Stretch
     evident: bool  # its streaks also show away from the sphere's edge
-
-
-@dataclass(frozen=True, eq=False)
-class _Solved:
-    """One step: the update of the parameters, their covariance, and each slice's field."""
-
-    step: Array
-    covariance: Array
-    coefficients: tuple[Array, ...]
-    field: Array  # (n,) HU
-    field_hu2: Array  # (slices,)
-    degrees: float  # degrees of freedom absorbed by the fields
 
 
 def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
@@ -78,11 +89,11 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
 
     Directions in which the edge is not on that sphere are excluded.
     """
-    taking = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
-    if taking.usable.sum() < MIN_VOXELS:
+    usable, metal_share = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
+    if usable.sum() < MIN_VOXELS:
         return None
-    points_mm = (np.argwhere(taking.usable) + region.start) * region.spacing_mm
-    values = region.values[taking.usable]
+    points_mm = (np.argwhere(usable) + region.start) * region.spacing_mm
+    values = region.values[usable]
     start = first_guess(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
     floor_hu = _floor_hu(region)
     censored = np.zeros(len(values), dtype=bool) if floor_hu is None else values <= floor_hu
@@ -124,7 +135,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
         return None
     if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
-        return None  # what is in the image besides the ball is not a streak
+        return None  # something else than streaks is in the image
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = stretched_ball(points_mm, unknowns, derivatives)
@@ -139,14 +150,131 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         centre_mm=unknowns[:3],
         covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
         radius_mm=float(unknowns[RADIUS]),
-        inside_hu=float(unknowns[IN]),
-        outside_hu=float(unknowns[OUT]),
-        metal_share=taking.metal_share,
-        streak_hu=float(np.sqrt(field_hu2.max())),
+        metal_share=metal_share,
         cleaned=_cleaned(region, field.over(region, solved.coefficients), floor_hu, float(unknowns[OUT])),
         evident=evident,
         stretch=Stretch.of_last_terms(shaped.step, shaped.covariance),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """Cosines over a square of `side_mm` around `middle_mm` (row, column): wave numbers (m, 2)."""
+
+    middle_mm: Array
+    side_mm: float
+    numbers: NDArray[np.int64]
+
+    @classmethod
+    def between(cls, middle_mm: Array, side_mm: float, lowest: float, highest: float) -> Self:
+        """Take all waves from `lowest` to `highest` cycles per mm."""
+        count = int(2.0 * side_mm * highest) + 1
+        numbers = np.array([(row, column) for row in range(count) for column in range(count)])
+        cycles = np.hypot(*numbers.T) / (2.0 * side_mm)
+        return cls(middle_mm, side_mm, numbers[(cycles >= lowest) & (cycles <= highest)])
+
+    @property
+    def cycles_per_mm(self) -> Array:
+        """Spatial frequency (m,) of each wave."""
+        return np.asarray(np.hypot(*self.numbers.T) / (2.0 * self.side_mm))
+
+    def at(self, rows_mm: Array, columns_mm: Array) -> Array:
+        """Values (n, m) of the waves at positions (n,) in the slice."""
+        row, column = self._along(rows_mm, 0), self._along(columns_mm, 1)
+        return np.asarray(row[:, self.numbers[:, 0]] * column[:, self.numbers[:, 1]])
+
+    def sums(self, coefficients: Array, rows_mm: Array, columns_mm: Array) -> Array:
+        """Sum of the waves over a whole grid (rows, columns); 0 beyond the square."""
+        table = np.zeros(self.numbers.max(axis=0) + 1)
+        table[tuple(self.numbers.T)] = coefficients
+        field = self._along(rows_mm, 0) @ table @ self._along(columns_mm, 1).T
+        inside = [
+            np.abs(places - middle) < 0.5 * self.side_mm
+            for places, middle in zip((rows_mm, columns_mm), self.middle_mm, strict=True)
+        ]
+        return np.asarray(field * np.outer(*inside))
+
+    def _along(self, places_mm: Array, axis: int) -> Array:
+        share = (places_mm - self.middle_mm[axis]) / self.side_mm + 0.5
+        return np.asarray(np.cos(np.pi * np.outer(share, np.arange(self.numbers[:, axis].max() + 1))))
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModes:
+    """Patterns (k, m) over k voxels of a slice, whose indices among all voxels are `rows` (k,)."""
+
+    rows: NDArray[np.intp]
+    patterns: Array
+
+
+def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
+    """Mean square of residuals (n,) along the modes, HU² per voxel."""
+    squares = sum(float(((residuals[one.rows] @ one.patterns) ** 2).sum()) for one in modes)
+    return float(squares / max(sum(one.patterns.shape[1] for one in modes), 1))
+
+
+@dataclass(frozen=True, eq=False)
+class SliceField:
+    """Streak field over the voxels of a fit: the voxels of each slice, and its waves there (n, m).
+
+    The variance of a coefficient is that of the slice's field.
+    """
+
+    waves: Waves
+    scales: Array  # (m,) of a wave for a coefficient of 1
+    slices: tuple[NDArray[np.intp], ...]
+    heights_mm: Array
+    terms: tuple[Array, ...]
+    noise_terms: tuple[Array, ...]
+
+    @classmethod
+    def around(cls, points_mm: Array, radius_mm: float) -> Self:
+        """Set up the field for voxels (n, 3) grid mm within this radius of their centroid."""
+        middle_mm = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))[1:]
+        side_mm = 2.0 * (radius_mm + ROOM_MM)
+        waves = Waves.between(middle_mm, side_mm, 0.0, HIGHEST)
+        noisy = Waves.between(middle_mm, side_mm, *NOISE_BAND)
+        power = np.exp(-2.0 * (np.pi * LENGTH_MM * waves.cycles_per_mm) ** 2)
+        power *= np.prod(np.where(waves.numbers == 0, 1.0, 2.0), axis=1)  # the mean square of a cosine is 1/2
+        scales = np.sqrt(power / power.sum())
+        heights_mm = np.unique(points_mm[:, 0])
+        slices = tuple(np.flatnonzero(points_mm[:, 0] == height) for height in heights_mm)
+        places = [(points_mm[one, 1], points_mm[one, 2]) for one in slices]
+        terms = tuple(waves.at(*place) * scales for place in places)
+        return cls(waves, scales, slices, heights_mm, terms, tuple(noisy.at(*place) for place in places))
+
+    def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
+        """Combinations of waves in the noise band, orthonormal over a slice's clear voxels (n,)."""
+        modes = []
+        for one, waves in zip(self.slices, self.noise_terms, strict=True):
+            seen = clear[one]
+            if seen.sum() < FEWEST_VOXELS:
+                continue
+            values, vectors = np.linalg.eigh(waves[seen].T @ waves[seen])
+            kept = values > CLEAR_SHARE * values[-1]
+            modes.append(NoiseModes(one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept]))))
+        return tuple(modes)
+
+    def over(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
+        """Field over all voxels of a region (slices, rows, columns); 0 where nothing was fitted."""
+        z, y, x = region.axes_mm()
+        field = np.zeros(region.values.shape)
+        for height_mm, found in zip(self.heights_mm, coefficients, strict=True):
+            number = int(np.argmin(np.abs(z.ravel() - height_mm)))
+            field[number] = self.waves.sums(found * self.scales, y.ravel(), x.ravel())
+        return field
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Result of one step: the update of the parameters, their covariance, and each slice's field."""
+
+    step: Array
+    covariance: Array
+    coefficients: tuple[Array, ...]
+    field: Array  # (n,) HU
+    field_hu2: Array  # (slices,)
+    degrees: float  # degrees of freedom absorbed by the fields
 
 
 def _is_evident(
@@ -160,7 +288,7 @@ def _is_evident(
 ) -> bool:
     """Whether the streaks explain the residual image in the core and in the open, away from the edge.
 
-    What merely looks like a streak is a surface that is not where a ball's would be.
+    A surface that is not where a ball's would be merely looks like a streak.
     """
     offsets_mm = points_mm - unknowns[:3]
     away = np.abs(np.linalg.norm(offsets_mm, axis=1) - unknowns[RADIUS]) > AWAY_MM
@@ -172,7 +300,7 @@ def _is_evident(
 
 
 def _floor_hu(region: Region) -> float | None:
-    """The lowest value that the scanner stores, if values were clipped there."""
+    """Lowest value that the scanner stores, if values were clipped there."""
     known = region.values[np.isfinite(region.values)]
     lowest = float(known.min())
     return lowest if float((known == lowest).mean()) > FLOOR_SHARE else None
@@ -200,7 +328,7 @@ def _solve(
     field_hu2: Array,
     noise_hu2: float,
 ) -> _Solved | None:
-    """Generalized least squares with noise and a random field in each slice (Woodbury identity).
+    """Solve generalized least squares with noise and a random field in each slice (Woodbury identity).
 
     None if the voxels leave a parameter open, as when the ball has moved beyond them.
     """
@@ -241,7 +369,7 @@ def _solve(
 
 
 def _cleaned(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
-    """The region with the streaks removed; voxels at the floor count as surroundings."""
+    """Remove the streaks; voxels at the floor count as surroundings."""
     values = region.values - streaks
     if floor_hu is not None:
         values[region.values <= floor_hu] = outside_hu

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from procedures.planning.plan.model import FiducialKind
-from procedures.registration.layout import find_layout
+from procedures.registration.template import find_layout
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 

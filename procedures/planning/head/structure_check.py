@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.imaging.errors import PicksUnreadable
-from procedures.imaging.pick_files import parse_points
+from procedures.imaging.picks import parse_points
 from procedures.planning.errors import NearStructure, OutsideField, StructureUnreadable
 from procedures.planning.head.metres import NOT_METRES, in_metres, span
 from procedures.planning.head.structures import Structure, StructureDistance, structure_of, widest_gap_mm

@@ -11,10 +11,8 @@ from procedures.planning.path_check.free_angle import choose_free_angles
 from procedures.planning.path_check.paths import drive
 from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.best import CANDIDATES, BestOfEach
-from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.free_turns import OUTWARDS_RAD
-from procedures.strategies.strategy import Strategy
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
+from procedures.strategies.strategy import OUTWARDS_RAD, Strategy
 from procedures.strategies.trajectory import Trajectory
 
 BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm

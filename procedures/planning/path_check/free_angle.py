@@ -19,7 +19,7 @@ from procedures.planning.path_check.paths import branches_for, check_axes, drive
 from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
 from procedures.planning.path_check.wrist import WristState
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.free_turns import STEP_RAD, between_rad
+from procedures.strategies.strategy import STEP_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.errors import LimitError
@@ -126,7 +126,7 @@ def _searched(
     nearly = yield from _ranked(setting, axis, fiducials_mm, turns, branch)
     between = (
         turn
-        for turn in between_rad(nearly)
+        for turn in intermediate_turns_rad(nearly)
         if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
     )
     yield from _ranked(setting, axis, fiducials_mm, between, branch)

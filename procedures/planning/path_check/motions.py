@@ -11,7 +11,7 @@ from typing import Any
 
 from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.planning.theatre.scene import PlanningScene
-from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import Closest, sweep_path
@@ -110,10 +110,10 @@ def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
 
 def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
     yield HOME, setting.start_rad
-    yield HOME, before_arriving(setting.start_rad, ONE_SIDE)
+    yield HOME, approach_joints(setting.start_rad, ONE_SIDE)
     if setting.gauge_rad is not None:
         yield GAUGE, setting.gauge_rad
-        yield GAUGE, before_arriving(setting.gauge_rad, ONE_SIDE)
+        yield GAUGE, approach_joints(setting.gauge_rad, ONE_SIDE)
 
 
 def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
@@ -209,7 +209,7 @@ def _home(
 ) -> Iterator[Motion]:
     start, joints = stands
     arm, home_rad = setting.kinematics, setting.start_rad
-    back_rad = before_arriving(home_rad, ONE_SIDE)
+    back_rad = approach_joints(home_rad, ONE_SIDE)
     yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)
     yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, clear=True)
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from procedures.strategies.approach import APPROACH_RAD
+from procedures.strategies.strategy import APPROACH_RAD
 from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line

@@ -13,14 +13,11 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.planning.errors import NotReachable
 from procedures.planning.theatre.scene import PlanningScene
-from procedures.strategies.arm_in_branch import ArmInBranch
-from procedures.strategies.orientation import back_along_axis, require_frames
-from procedures.strategies.strategy import Strategy
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.strategy import ArmInBranch, Strategy
+from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan

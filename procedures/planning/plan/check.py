@@ -29,7 +29,7 @@ from procedures.planning.plan.guide_hold import held_trajectories, too_short
 from procedures.planning.plan.model import FiducialKind, Plan
 from procedures.planning.plan.seal import other_voxels
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.layout import find_layout
+from procedures.registration.template import find_layout
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import beyond
 from ronna_hw.tool_record import GuideBore

@@ -13,7 +13,7 @@ from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.target_error import arm_error_sources, poses_for
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.registration.target_prediction import predict_target_error
-from procedures.strategies.best import CANDIDATES, BestOfEach
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach
 from procedures.strategies.trajectory import Trajectory
 
 

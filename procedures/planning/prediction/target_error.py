@@ -27,7 +27,7 @@ from procedures.registration.target_prediction import (
     TargetPrediction,
     predict_target_error,
 )
-from procedures.strategies.approach import arrival_signs
+from procedures.strategies.strategy import arrival_signs
 
 if TYPE_CHECKING:
     from procedures.planning.theatre.arm import TheatreArm

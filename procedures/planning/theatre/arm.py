@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from procedures.calibration.arm_sources import ErrorSizes
 from procedures.planning.head.frame_bodies import frame_bodies
 from procedures.planning.head.shape import head_shape
 from procedures.planning.path_check.visits import ArmSetting
@@ -16,6 +15,7 @@ from procedures.planning.theatre.scene import PlanningScene
 from procedures.registration.errors import LayoutNotFound
 from procedures.strategies.strategy import Strategy
 from procedures.workcell.tool_records import ToolRecords
+from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.motion.planning import require_in_range
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.clock import HostClock

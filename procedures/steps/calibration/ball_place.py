@@ -16,7 +16,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.results.result import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.strategies.orientation import tool_orientation
+from procedures.strategies.trajectory import tool_orientation
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
 

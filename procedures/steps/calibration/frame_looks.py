@@ -11,11 +11,17 @@ from dataclasses import dataclass, field
 from pydantic import Field
 
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
+from procedures.calibration.frame_calibration import (
+    TILT_RAD,
+    FrameLook,
+    FrameLooks,
+    Use,
+    assign_uses,
+    frame_poses,
+)
+from procedures.calibration.hand_eye import LEAST_LOOKS
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import PlannedLook
-from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
-from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
@@ -23,7 +29,7 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import in_free_room
 from procedures.workcell.tracker_look import average_pose, frames_at_rest
@@ -56,7 +62,7 @@ class FrameTurning:
         context.result(CheckedSetUp)
         workcell, calibrations = context.workcell, context.workcell.calibrations
         plan = self._plan(workcell)
-        uses = uses_of(self.count, self.validation)
+        uses = assign_uses(self.count, self.validation)
         total = len(uses)
         context.confirm(
             Topic.CALIBRATION,

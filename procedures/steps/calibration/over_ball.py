@@ -9,7 +9,7 @@ from procedures.calibration.pose_set import calibration_looks
 from procedures.engine.context import StepContext
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
-from procedures.relocalization.search_pattern import SEARCH_RADIUS_MM
+from procedures.relocalization.servo import SEARCH_RADIUS_MM
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball

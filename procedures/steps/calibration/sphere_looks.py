@@ -10,12 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.calibration.arm.check import require_record
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm.looks import ArmLooks, Flanks, Side, SphereLook, arrays_of
-from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.arm_check import require_record
+from procedures.calibration.arm_model import (
+    ArmLooks,
+    ArmModel,
+    Flanks,
+    Side,
+    SphereLook,
+    arrays_of,
+    choose_poses,
+)
 from procedures.calibration.errors import NoBall, PosesOutOfReach
-from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
+from procedures.calibration.pose_set import PlannedLook, centred_looks, order_by_orientation
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
@@ -127,7 +133,7 @@ class SphereLooks:
                 expected=f"{wanted} poses",
                 got=f"{len(reached)} of {each * len(places)}",
             )
-        telling = most_telling(model, arrays_of([one.look for one in reached]), telling_count)
+        telling = choose_poses(model, arrays_of([one.look for one in reached]), telling_count)
         rest = sorted(set(range(len(reached))) - set(telling.tolist()))
         judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, judging_count)]
         judged = [
@@ -159,7 +165,7 @@ class SphereLooks:
             return []
         seen: list[SphereLook] = []
         by_pose = {id(one.pose): one.look for one in plan}
-        for step, pose in enumerate(in_short_order([one.pose for one in plan])):
+        for step, pose in enumerate(order_by_orientation([one.pose for one in plan])):
             planned = by_pose[id(pose)]
             look = watcher.take(pose, planned.flanks)
             if look is not None and look.point is not None:

@@ -9,8 +9,8 @@ from pydantic import Field
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
-from procedures.calibration.tool_tip.looks import BallLook
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, turned_about
+from procedures.calibration.tip_calibration import BallLook
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
@@ -19,7 +19,7 @@ from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import SPARE, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher
 
@@ -103,7 +103,7 @@ class StandBall:
                 action="Put the stand nearer to the middle of the workspace, with free space around it.",
             )
         # The first are spread evenly; a chain of neighbours through all of them would leave out one side.
-        return [*in_short_order(reached[: self.count]), *reached[self.count :]]
+        return [*order_by_orientation(reached[: self.count]), *reached[self.count :]]
 
 
 def _stated(context: StepContext) -> Outcome[BallPlace]:

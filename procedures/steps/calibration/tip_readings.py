@@ -10,9 +10,16 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
-from procedures.calibration.tool_tip.record import DIALS_TRAVEL_MM, require_plausible
-from procedures.calibration.tool_tip.tip import tips_of
+from procedures.calibration.tip_calibration import (
+    DIALS_TRAVEL_MM,
+    BallLook,
+    DivotReading,
+    TipLooks,
+    held_out_indices,
+    pairs_of,
+    require_plausible,
+    tips_of,
+)
 from procedures.engine.context import StepContext
 from procedures.engine.hands import IN_DIVOT
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -24,7 +31,7 @@ from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tools.exchange import exchange_for
 from procedures.steps.conditions import exchangeable
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
@@ -87,7 +94,7 @@ class TipReadings:
             arm_record=calibrations.arm,
             looks=stand.looks,
             readings=(),
-            validation=kept_apart(len(stand.looks), self.validation),
+            validation=held_out_indices(len(stand.looks), self.validation),
         )
 
 

@@ -23,7 +23,7 @@ from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
-from procedures.registration.shift import shift_of
+from procedures.registration.movement import shift_of
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS

@@ -12,8 +12,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.room import Task
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import HeadElsewhere
-from procedures.registration.handedness import LEAST_APART_MM, telling_landmark
-from procedures.registration.room_prior import RoomPrior
+from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
@@ -97,7 +96,7 @@ def _touch_if_mirrored(
     context: StepContext, robot_from_ct: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
 ) -> TouchedLandmark | None:
     """Have a point of the head touched where a mirrored CT would fit as well. Raises REG-013."""
-    landmark = telling_landmark(robot_from_ct, mirrored, prior)
+    landmark = choose_landmark(robot_from_ct, mirrored, prior)
     if landmark is None:
         return None
     if landmark.apart_mm < LEAST_APART_MM:

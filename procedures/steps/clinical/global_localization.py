@@ -15,7 +15,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
-from procedures.registration.shift import LEAST_POINTS
+from procedures.registration.movement import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart

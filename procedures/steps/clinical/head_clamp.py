@@ -10,7 +10,7 @@ from procedures.guards.room_reading import FRAMES
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.planning.plan.model import PatientPosition
-from procedures.registration.shift import LEAST_POINTS
+from procedures.registration.movement import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
-from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.planning.path_check.free_angle import TurnedPaths
@@ -24,9 +23,10 @@ from procedures.steps.clinical.paths.surroundings import READS, planning_scene_o
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import localizable
-from procedures.strategies.approach import arrival_signs
-from procedures.strategies.best import BestOfEach
+from procedures.strategies.catalogue import BestOfEach
+from procedures.strategies.strategy import arrival_signs
 from procedures.workcell import MountedTool
+from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
 

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.imaging.dicom.patient_identity import patient_identifier
+from procedures.imaging.dicom.slice_headers import patient_identifier
 from procedures.imaging.volume import Volume
 from procedures.operator.question import ReadBack
 from procedures.operator.topic import Topic

@@ -34,7 +34,7 @@ from procedures.steps.clinical.validity.room import (
 )
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
-from procedures.strategies.target import refined_target_pose
+from procedures.strategies.trajectory import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
 from procedures.workcell.arm_view import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable

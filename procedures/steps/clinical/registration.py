@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
@@ -24,17 +23,10 @@ from procedures.planning.prediction.instrument_error import (
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
-from procedures.registration import (
-    Registration,
-    RoomPoint,
-    TwoWayTable,
-    register,
-    verify_two_way,
-)
+from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.shared_residual import UnnoticedPoint
-from procedures.registration.target_prediction import OwnErrors, predict_target_error
+from procedures.registration.target_prediction import OwnErrors, UnnoticedPoint, predict_target_error
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
@@ -57,6 +49,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.workcell import MountedTool
+from ronna_hw.arm.error_budget import arm_error_mm
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 from ronna_hw.text import beyond, side_by_side

@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.relocalization.head_watch import check_head
+from procedures.relocalization.triangulation import check_head
 from procedures.results.errors import GateFailed
 from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
@@ -32,11 +31,12 @@ from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import REMOUNTED, carries
-from procedures.strategies.approach import ONE_SIDE
 from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
+from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import beyond

@@ -22,8 +22,7 @@ from procedures.steps.clinical.positioning import refused_by_name
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import REMOUNTED, carries
-from procedures.strategies.orientation import back_along_axis
-from procedures.strategies.target import refined_target_pose
+from procedures.strategies.trajectory import back_along_axis, refined_target_pose
 from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.stereo_picture import pair_picture

@@ -30,7 +30,7 @@ from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolBesideGauge
 from procedures.steps.reading_age import require_recent
-from procedures.strategies.approach import ONE_SIDE
+from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.parking import park
 from ronna_hw.arm.pose import radians6

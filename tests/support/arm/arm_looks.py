@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.calibration.arm.looks import ArmLooks, SphereLook
+from procedures.calibration.arm_model import ArmLooks, SphereLook
 from procedures.calibration.pose_set import centred_looks
 from procedures.steps.calibration.sphere_looks import flanks_of
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900

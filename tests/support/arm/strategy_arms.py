@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.errors import NoNearbyJoints
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import radians6

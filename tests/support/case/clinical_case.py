@@ -20,7 +20,7 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.planned_questions import planned_questions

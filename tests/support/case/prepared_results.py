@@ -39,10 +39,8 @@ from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.link_health import LinkHealth
-from procedures.strategies.arm_in_branch import ArmInBranch
-from procedures.strategies.orientation import back_along_axis
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.strategy import ArmInBranch
+from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity

@@ -17,11 +17,9 @@ from numpy.typing import NDArray
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import RoomReading, RoomWatch
-from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.orientation import back_along_axis
-from procedures.strategies.target import target_pose
-from procedures.strategies.trajectory import Trajectory
+from procedures.strategies.strategy import ArmInBranch
+from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations, parse_theatre

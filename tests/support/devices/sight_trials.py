@@ -21,7 +21,7 @@ from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
 from procedures.planning.sight.tracker import TrackerSight
-from procedures.registration.shift import LEAST_POINTS, shift_of
+from procedures.registration.movement import LEAST_POINTS, shift_of
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig

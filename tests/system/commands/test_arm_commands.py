@@ -10,7 +10,7 @@ import pytest
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
 from user_commands import in_this_process, one_error
 
-from procedures.calibration.arm.looks import LOOKS_FILE
+from procedures.calibration.arm_model import LOOKS_FILE
 from procedures.cli.arm.command import app
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file

@@ -14,9 +14,9 @@ from user_commands import Commands, in_this_process, one_error
 
 from benchmarks.mount.tool_tip_calibration import TipCell
 from benchmarks.mount.tracker_frame_calibration import FrameCell
-from procedures.calibration.tool_tip import looks as tip_looks
-from procedures.calibration.tool_tip.tip import LEAST_READINGS
-from procedures.calibration.tracker_frame.looks import LOOKS_FILE
+from procedures.calibration import tip_calibration
+from procedures.calibration.frame_calibration import LOOKS_FILE
+from procedures.calibration.tip_calibration import LEAST_READINGS
 from procedures.cli.procedure import app
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.model import Scene, read_scene
@@ -82,9 +82,9 @@ def test_measurements_of_another_theatre_are_refused_and_nothing_is_written(
 @pytest.mark.hazard(3)
 def test_readings_of_a_tip_that_was_edited_since_are_refused(readings: Path, tmp_path: Path) -> None:
     theatre = theatre_of(tmp_path, named_scene("default", seed=3))
-    stored = json.loads((readings / tip_looks.LOOKS_FILE).read_text())
+    stored = json.loads((readings / tip_calibration.LOOKS_FILE).read_text())
     stored["start"]["flange_from_tool"]["translation_mm"][0] += 0.5
-    (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
+    (readings / tip_calibration.LOOKS_FILE).write_text(json.dumps(stored))
     run = ("calibrate", "tool-tip", "--from", readings, "--config", theatre, "--out", tmp_path / "out")
     done = in_this_process(app, *run, "--write", tmp_path / "calibrated.toml")
     (error, *_) = one_error(done.stderr)
@@ -110,7 +110,7 @@ def readings(tmp_path: Path) -> Path:
     folder = tmp_path / "before"
     folder.mkdir()
     observed = TipCell.of(3, calibrated=False).readings(8, 3)
-    (folder / tip_looks.LOOKS_FILE).write_text(observed.model_dump_json(by_alias=True))
+    (folder / tip_calibration.LOOKS_FILE).write_text(observed.model_dump_json(by_alias=True))
     return folder
 
 
@@ -126,9 +126,9 @@ def test_stored_readings_are_recomputed_into_a_tip_record(readings: Path, tmp_pa
 
 
 def test_too_few_readings_are_refused_with_the_required_number(readings: Path, tmp_path: Path) -> None:
-    stored = json.loads((readings / tip_looks.LOOKS_FILE).read_text())
+    stored = json.loads((readings / tip_calibration.LOOKS_FILE).read_text())
     stored["readings"] = stored["readings"][:4]
-    (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
+    (readings / tip_calibration.LOOKS_FILE).write_text(json.dumps(stored))
     done = in_this_process(app, "calibrate", "tool-tip", "--from", readings, "--out", tmp_path / "out")
     assert f"at least {LEAST_READINGS}" in " ".join(one_error(done.stderr))
 

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.error_model import SAG_RAD
-from procedures.calibration.arm_geometry import HARMONIC_RAD, LINK_TRANSLATION_MM, UNCALIBRATED_MM
-from procedures.calibration.arm_sources import (
-    REPEATABILITY_MM,
-    UNCALIBRATED,
-    ArmPoses,
-    ErrorSizes,
-    arm_error_mm,
-    arm_sources,
-    displacements,
-)
+from procedures.calibration.arm_sources import REPEATABILITY_MM, ArmPoses, arm_sources
 from procedures.registration.target_prediction import SharedErrors, predict_target_error
 from ronna_hw.arm.deviations import ArmDeviations, joint_errors
+from ronna_hw.arm.error_budget import (
+    HARMONIC_RAD,
+    LINK_TRANSLATION_MM,
+    SAG_RAD,
+    UNCALIBRATED,
+    UNCALIBRATED_MM,
+    ErrorSizes,
+    arm_error_mm,
+    displacements,
+)
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import ArmCalibration

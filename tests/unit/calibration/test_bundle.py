@@ -20,7 +20,7 @@ from procedures.cli.calibrating.calibration import computed
 from procedures.cli.case.request import CalibrationRun
 from procedures.cli.stereo.files import KIND
 from procedures.relocalization.errors import HeadTurned
-from procedures.relocalization.head_watch import check_head
+from procedures.relocalization.triangulation import check_head
 from ronna_hw.arm.errors import LimitError
 from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED

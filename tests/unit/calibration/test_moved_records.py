@@ -6,8 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
+from procedures.calibration.head_calibration import moved_tip
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.record import moved_tip
 from ronna_hw.calibration import PoseRecord, ToolTipCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
 

@@ -20,7 +20,7 @@ from procedures.cli.case.answers import read_answers
 from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
-from procedures.imaging.pick_files import read_picks
+from procedures.imaging.picks import read_picks
 from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
 from procedures.planning.plan.file import read_plan

@@ -6,7 +6,7 @@ import numpy as np
 from recording_cell import RecordingCell
 
 from procedures.engine.camera_view import camera_views
-from procedures.relocalization.camera import Camera
+from procedures.relocalization.triangulation import Camera
 
 
 def test_the_corners_of_a_pyramid_match_the_picture_and_it_reaches_beyond_the_tool(

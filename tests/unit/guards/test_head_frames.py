@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.guards.head_frames import AVERAGED, FAR_READINGS, SPAN, HeadFrames
-from procedures.registration.shift import LEAST_POINTS
+from procedures.registration.movement import LEAST_POINTS
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 
 SPHERES_MM = np.array(

@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from procedures.imaging import Candidate, Volume, VoxelGeometry, localize
-from procedures.imaging.page.ct_page import ct_page
-from procedures.imaging.page.view_volume import BRIGHTEST_HU, DARKEST_HU, LEVELS, view_volume
+from procedures.imaging.ct_page import BRIGHTEST_HU, DARKEST_HU, LEVELS, ct_page, view_volume
 
 SHAPE = (40, 300, 600)  # more rows and columns than a page shows
 

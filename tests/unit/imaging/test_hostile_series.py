@@ -24,7 +24,7 @@ from spoiled_slices import every, setting
 from procedures.imaging import errors, read_series
 from procedures.imaging.dicom import frame_decoder
 from procedures.imaging.dicom.attributes import read_dicom
-from procedures.imaging.dicom.compressed_frame import check_frame
+from procedures.imaging.dicom.frame_decoder import check_frame
 from ronna_hw.bounded_input import InputRefused
 
 Write = Callable[..., Path]

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, VoxelGeometry, errors, localize, localize_picks, read_picks
-from procedures.imaging.pick_files import parse_points
+from procedures.imaging.picks import parse_points
 
 Array = NDArray[np.float64]
 CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])

@@ -338,7 +338,7 @@ def test_slices_compressed_by_dcmtk_are_read_or_refused_naming_the_missing_extra
         pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
         np.testing.assert_array_equal(read_series(folder).voxels, HU)
         return
-    monkeypatch.setattr("procedures.imaging.dicom.slice_pixels._can_decode", lambda syntax: False)
+    monkeypatch.setattr("procedures.imaging.series._can_decode", lambda syntax: False)
     monkeypatch.setattr(FrameDecoder, "decode", _no_decoder)
     with pytest.raises(errors.CompressionUnknown, match=r"ronna-hw\[compressed\]"):
         read_series(folder)

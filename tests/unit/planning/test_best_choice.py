@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.error_model import ArmModel
-from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
+from procedures.calibration.arm_model import ArmModel
+from procedures.calibration.arm_sources import REPEATABILITY_MM
 from procedures.planning.path_check.free_angle import choose_free_angles
 from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.best_strategy import predicted_arm_error_mm, with_best_chosen
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.strategies.best import CANDIDATES, BestOfEach
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.error_budget import ErrorSizes
 
 FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0], [30.0, -90.0, 20.0]])
 CAMERA_MM = np.array([0.0, 115.0, -222.0])

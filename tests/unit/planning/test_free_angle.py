@@ -1,5 +1,7 @@
 """Turning about a trajectory's axis until the stereo head sees every sphere and the arm reaches it."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 
@@ -11,8 +13,8 @@ from procedures.planning.path_check.paths import check_paths
 from procedures.planning.path_check.visits import ArmSetting, Axes, Visit, visits_of
 from procedures.planning.path_check.wrist import LEAST_BEND_RAD, WristState
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.free_turns import OUTWARDS_RAD, between_rad
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.fixed_orientation import OrientationCorrection
+from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
@@ -104,7 +106,7 @@ def test_turns_are_tried_from_near_to_far_on_both_sides() -> None:
 
 
 def test_turns_between_the_steps_are_each_tried_once_within_the_range() -> None:
-    between_deg = np.degrees(between_rad((math.radians(80.0), math.radians(90.0))))
+    between_deg = np.degrees(intermediate_turns_rad((math.radians(80.0), math.radians(90.0))))
     assert sorted(between_deg) == pytest.approx([75.0, 77.5, 82.5, 85.0, 87.5])
 
 

@@ -12,9 +12,15 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.scans.postoperative import after, before, errors_of, misplaced, plan_of
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.postoperative.assignment import FoundKind
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
-from procedures.postoperative.comparison import compare, proof_by, require_series
+from procedures.postoperative.comparison import (
+    Candidate,
+    FoundKind,
+    assign,
+    compare,
+    compare_registered,
+    require_series,
+)
 from procedures.postoperative.errors import (
     FitFailed,
     HeadsDiffer,
@@ -24,6 +30,7 @@ from procedures.postoperative.errors import (
     OneSeriesTwice,
     SeriesSwapped,
 )
+from procedures.postoperative.planned_line import ExpectedFit, FitQuality, PlannedLine
 from procedures.postoperative.summary import summary_of
 from sim.phantom.postoperative_scan import Instrument, Kind, draw_scan
 from sim.world.scene.model import CtProtocol, Scene
@@ -55,7 +62,7 @@ def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Vo
     left = misplaced(scene, Kind.ELECTRODE, SEED)
     post, _ = _after(scene, left)
     proof = compare(plan_of(scene), planned, post)
-    assert [one.identifier for one in proof.trajectories] == ["T1", "T2"]
+    assert [one.id for one in proof.trajectories] == ["T1", "T2"]
     for truth, found in zip(left, proof.trajectories, strict=True):
         tip_mm, entry_mm, angle_deg = errors_of(truth, found)
         assert tip_mm < 0.2
@@ -70,7 +77,7 @@ def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
     left = misplaced(scene, Kind.ELECTRODE, seed)
     scan = draw_scan(scene, left, seed)
     truth = BoneRegistration(RigidTransform.from_matrix(scan.pose.scan_from_head), 1.0, 1.0, 0.0)
-    (found,) = proof_by(truth, plan_of(scene), before(scene), after(scan)).trajectories
+    (found,) = compare_registered(truth, plan_of(scene), before(scene), after(scan)).trajectories
     tip_mm, _, angle_deg = errors_of(left[0], found)
     assert tip_mm < 0.1
     assert angle_deg < 0.03
@@ -82,7 +89,7 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
     left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
     plan = plan_of(scene)
-    proof = proof_by(truth, plan, planned, post, ["T1"])
+    proof = compare_registered(truth, plan, planned, post, ["T1"])
     (found,) = proof.trajectories
     assert summary_of(proof, plan, planned, post).warnings == ()
     strict = plan.trajectories[0].model_copy(update={"margin_mm": 1.0})
@@ -101,7 +108,9 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
 def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, planned: Volume) -> None:
     left = misplaced(scene, Kind.DRILL_HOLE, SEED)
     post, truth = _after(scene, left)
-    for one, found in zip(left, proof_by(truth, plan_of(scene), planned, post).trajectories, strict=True):
+    for one, found in zip(
+        left, compare_registered(truth, plan_of(scene), planned, post).trajectories, strict=True
+    ):
         assert found.kind is FoundKind.DRILL_HOLE
         assert found.tip_mm is None
         assert found.depth_error_mm is None
@@ -117,9 +126,9 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
 ) -> None:
     post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
     with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
-        proof_by(truth, plan_of(scene), planned, post)
+        compare_registered(truth, plan_of(scene), planned, post)
     assert [
-        one.identifier for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+        one.id for one in compare_registered(truth, plan_of(scene), planned, post, ["T1"]).trajectories
     ] == ["T1"]
 
 
@@ -135,7 +144,7 @@ def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
     beside = second.model_copy(update=aside)
     plan = plan_of(scene).model_copy(update={"trajectories": (first, beside)})
     with pytest.raises(InstrumentAmbiguous, match=r"T1 and T2|T2 and T1"):
-        proof_by(truth, plan, planned, post)
+        compare_registered(truth, plan, planned, post)
 
 
 @pytest.mark.hazard(43)
@@ -149,7 +158,7 @@ def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
     flap = voxels[slices - 12 : slices + 13, rows - 15 : rows + 16, columns - 15 : columns + 16]
     flap[flap > 300] = 40  # a plate of bone of 36 mm was taken out
     with pytest.raises(FitFailed, match=r"T1 \(drill hole: .*ended at a limit"):
-        proof_by(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
+        compare_registered(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
 
 
 def _between(post: Volume, first: int, end: int) -> Volume:
@@ -170,7 +179,7 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
     entry = _slice_of(post, truth, scene.head.targets[0].entry_ct_mm)
     for below in (0, 8, 15):  # slices by which it ends too low
         with pytest.raises(InstrumentMissing):
-            proof_by(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
+            compare_registered(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
 
 
 @pytest.mark.hazard(43)
@@ -184,7 +193,7 @@ def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_r
     if kind is Kind.DRILL_HOLE:
         cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
     with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
-        proof_by(truth, plan_of(scene), planned, cut, ["T1"])
+        compare_registered(truth, plan_of(scene), planned, cut, ["T1"])
 
 
 @pytest.mark.hazard(43)
@@ -215,3 +224,67 @@ def test_the_plan_must_match_the_first_series_and_the_second_series_must_differ(
         require_series(plan, planned, planned)
     with pytest.raises(WrongSeries):
         require_series(plan, replace(planned, series_instance_uid="1.2.8"), post)
+
+
+DOWN = np.array([0.0, 0.0, -1.0])
+WAYS = {
+    name: PlannedLine(np.array([x_mm, 0.0, 0.0]), np.array([x_mm, 0.0, -60.0]))
+    for name, x_mm in (("T1", 0.0), ("T2", 6.0))
+}
+
+
+def rod(x_mm: float, tip_mm: float = -60.0) -> Candidate:
+    return Candidate(FoundKind.INSTRUMENT, np.array([x_mm, 0.0, tip_mm]), DOWN)
+
+
+def hole(x_mm: float) -> Candidate:
+    return Candidate(FoundKind.DRILL_HOLE, np.array([x_mm, 0.0, -8.0]), DOWN)
+
+
+def test_two_nearby_trajectories_each_get_their_own_instrument() -> None:
+    found, lost_to = assign(WAYS, {name: (rod(6.4), rod(0.5)) for name in WAYS})
+    assert {name: one.point_mm[0] for name, one in found.items()} == {"T1": 0.5, "T2": 6.4}
+    assert lost_to == {}
+
+
+def test_a_contested_instrument_goes_to_the_nearer_trajectory_and_the_other_names_it() -> None:
+    found, lost_to = assign(WAYS, {name: (rod(4.0),) for name in WAYS})
+    assert set(found) == {"T2"}
+    assert lost_to == {"T1": "T2"}
+
+
+def test_a_rod_with_different_ends_in_two_windows_counts_as_one() -> None:
+    _, lost_to = assign(WAYS, {"T1": (rod(4.0, tip_mm=-40.0),), "T2": (rod(4.0),)})
+    assert lost_to == {"T1": "T2"}
+
+
+def test_an_instruments_hole_is_not_assigned_to_another_trajectory() -> None:
+    found, lost_to = assign(WAYS, {"T1": (rod(0.5), hole(0.4)), "T2": (hole(0.4),)})
+    assert found["T1"].kind is FoundKind.INSTRUMENT
+    assert lost_to == {"T2": "T1"}
+
+
+def test_a_hole_is_assigned_when_the_instrument_belongs_to_another_trajectory() -> None:
+    found, _ = assign(WAYS, {"T1": (rod(6.2), hole(0.1)), "T2": (rod(6.2),)})
+    assert (found["T1"].kind, found["T2"].kind) == (FoundKind.DRILL_HOLE, FoundKind.INSTRUMENT)
+
+
+def test_a_trajectory_without_candidates_is_neither_found_nor_lost() -> None:
+    assert assign(WAYS, {"T1": (), "T2": ()}) == ({}, {})
+
+
+def test_a_sound_fit_is_preferred_to_a_failed_one() -> None:
+    failed = Candidate(FoundKind.INSTRUMENT, np.array([0.0, 0.0, -60.0]), DOWN, failures=("it did not end",))
+    found, _ = assign(WAYS, {"T1": (failed, rod(3.0)), "T2": ()})
+    assert found["T1"].failures == ()
+
+
+def test_a_fit_is_judged_by_its_end_its_limits_its_residual_and_its_radius() -> None:
+    usual = ExpectedFit(residual_hu=100.0, radius_mm=(0.5, 4.0))
+    good = FitQuality(whole=True, ended=True, inside=True, residual_hu=60.0, radius_mm=1.5)
+    assert usual.failures(good) == usual.doubts(good) == ()
+    bad = FitQuality(whole=False, ended=False, inside=False, residual_hu=130.0, radius_mm=4.5)
+    assert len(usual.failures(bad)) == 3
+    left, radius = usual.doubts(bad)
+    assert "130 HU" in left
+    assert "4.50 mm" in radius

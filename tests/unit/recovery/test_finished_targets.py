@@ -58,7 +58,7 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.clinical.tools.depth_stop import DepthStop
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import read_chain

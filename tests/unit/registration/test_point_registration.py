@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -195,3 +200,18 @@ def test_a_gate_needs_a_known_error(random, fiducials):
     points = fiducials(4, random)
     with pytest.raises(BadParameter, match=r"REG-007.*Give fle_mm, or register with covariance_mm2"):
         register(points, points).gate()
+
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "register_points.py"
+
+
+def test_the_example_pairs_registers_and_predicts():
+    done = subprocess.run(
+        [sys.executable, "-P", EXAMPLE], capture_output=True, text=True, timeout=30, check=True
+    )
+    assert "correspondence: UNIQUE" in done.stdout
+    assert done.stdout.count("is tracker reading") == 5
+    fre, rms, limit, error = (float(value) for value in re.findall(r"(\d+\.\d+) mm", done.stdout))
+    assert 0.0 < fre < 1.0
+    assert 0.0 < rms < limit < 1.0
+    assert error < limit

@@ -14,7 +14,7 @@ from procedures.registration.errors import (
     NotConverged,
     TooFewPoints,
 )
-from procedures.registration.weighted_rigid_fit import fit_weighted
+from procedures.registration.rigid_fit import fit_weighted
 from ronna_hw.errors import RonnaError
 
 GOOD = np.array([[0, 0, 0], [80, 0, 0], [0, 90, 0], [10, 20, 70]], dtype=float)
@@ -84,7 +84,7 @@ def test_targets_are_checked_like_fiducials():
 
 
 def test_a_weighted_fit_that_does_not_converge_is_reported(monkeypatch):
-    monkeypatch.setattr("procedures.registration.weighted_rigid_fit.MOST_STEPS", 1)
+    monkeypatch.setattr("procedures.registration.rigid_fit.MOST_STEPS", 1)
     with pytest.raises(NotConverged, match="REG-006"):
         fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.handedness import MIRRORS, telling_landmark
-from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
+from procedures.registration.room_prior import MIRROR, MIRRORS, HeadSight, RoomPrior, choose_landmark
 
 ANTERIOR = np.array([0.0, -1.0, 0.0])
 MIDDLE_MM = np.array([800.0, 0.0, 200.0])
@@ -65,10 +64,10 @@ def test_every_mirror_is_a_reflection_of_the_axes() -> None:
 
 def test_no_landmark_is_needed_without_a_mirror_image_that_fits() -> None:
     matched = RigidTransform.from_components(MIDDLE_MM, Rotation.from_matrix(SUPINE))
-    assert telling_landmark(matched, [], PRIOR) is None
+    assert choose_landmark(matched, [], PRIOR) is None
     upside_down = Rotation.from_matrix(lying("x", 180.0) @ np.diag(-MIRROR))
     assert (
-        telling_landmark(matched, [RigidTransform.from_components(MIDDLE_MM, upside_down)], PRIOR) is not None
+        choose_landmark(matched, [RigidTransform.from_components(MIDDLE_MM, upside_down)], PRIOR) is not None
     )
 
 
@@ -80,7 +79,7 @@ def test_the_landmark_is_where_the_head_of_the_mirror_image_is_farthest_away() -
     turned = reflection @ SUPINE @ np.diag(MIRROR)
     moved_mm = reflection @ (MIDDLE_MM - plane_mm) + plane_mm
     mirrored = RigidTransform.from_components(moved_mm, Rotation.from_matrix(turned))
-    landmark = telling_landmark(matched, [mirrored], PRIOR)
+    landmark = choose_landmark(matched, [mirrored], PRIOR)
     assert landmark is not None
     assert landmark.name != "back of the head"  # which a patient on the back lies on
     assert landmark.apart_mm == pytest.approx(160.0)

@@ -9,10 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
-from procedures.relocalization.camera import Camera
 from procedures.relocalization.ellipse import circle, fit_ellipse
 from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
-from procedures.relocalization.triangulation import check_serial
+from procedures.relocalization.triangulation import Camera, check_serial
 from ronna_hw.calibration import CameraCalibration, PoseRecord
 
 FOCAL_PX = 62.5e3 / 5.5

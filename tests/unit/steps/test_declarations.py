@@ -22,9 +22,9 @@ from prepared_results import (
 from pydantic import ValidationError
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
-from procedures.calibration.arm.looks import ArmLooks, SphereLook
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
+from procedures.calibration.arm_model import ArmLooks, SphereLook
+from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use
+from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLooks
 from procedures.engine.order import Steps
 from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec

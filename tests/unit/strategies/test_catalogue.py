@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from strategy_arms import ARM
 
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.errors import UnknownStrategy
+from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.trajectory import back_along_axis
 from ronna_hw.errors import EXIT_USAGE
 
 
@@ -33,3 +37,11 @@ def test_an_unknown_strategy_is_refused_and_named():
     with pytest.raises(UnknownStrategy, match=r"STR-002.*'fastest'") as caught:
         strategy_named("fastest")
     assert caught.value.exit_code == EXIT_USAGE
+
+
+def test_the_arrival_direction_is_that_of_the_last_stretch_along_the_axis():
+    at = (0.3, -1.2, 1.9, 0.4, 0.9, 2.8)
+    pose = ARM.stereo_pose(at)
+    before = np.array(ARM.guide_at(back_along_axis(pose, 1.0)))
+    signs = arrival_signs(ARM.kinematics, pose, at, ARM.flange_from_stereo)
+    assert signs == tuple(np.where(np.array(at) >= before, 1, -1))

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.strategies.best import CANDIDATES
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import draw_arm

@@ -1,5 +1,7 @@
 """The history of an arm: the same while a case runs and when its journal is read again."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -11,7 +13,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.topic import Topic
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
 from procedures.workcell.arm_place import Where

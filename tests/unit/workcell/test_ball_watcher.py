@@ -11,7 +11,7 @@ from recording_cell import RecordingCell
 from procedures.calibration.pose_set import calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look
@@ -67,7 +67,7 @@ def test_a_blocked_way_is_replaced_by_one_via_home(cell: RecordingCell, watcher:
     refuse(cell, 1)
     watcher.observe(PLACE.first_look)
     assert len(targets(cell)) == 4
-    assert targets(cell)[:2] == [before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD]
+    assert targets(cell)[:2] == [approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD]
 
 
 def test_an_unreachable_acquisition_is_counted_and_skipped(cell: RecordingCell, watcher: BallWatcher) -> None:

@@ -9,7 +9,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
+from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
@@ -20,7 +20,7 @@ from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
 WAY_MM = 60.0
-BELOW_HOME = before_arriving(HOME, ONE_SIDE)  # from where every joint turns onto home
+BELOW_HOME = approach_joints(HOME, ONE_SIDE)  # from where every joint turns onto home
 
 
 def turned(by_rad: float) -> JointVector:

@@ -13,12 +13,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, backlash_mm2
+from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.steps.clinical.error_budget.held_guide import HeldGuide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.relocalization import arriving
+from ronna_hw.arm.error_budget import ErrorSizes, backlash_mm2
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from procedures.registration.error_theory import FreGate, chi_square_limit, degr
 from procedures.registration.errors import CollinearPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.shared_residual import UnnoticedPoint, chi_square_of_shared, unnoticed_point
+from procedures.registration.target_prediction import UnnoticedPoint, chi_square_of_shared, unnoticed_point
 
 Array = NDArray[np.float64]
 

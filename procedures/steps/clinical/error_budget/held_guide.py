@@ -18,7 +18,7 @@ from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.results.result import Numbers6
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.strategies.target import refined_target_pose
+from procedures.strategies.trajectory import refined_target_pose
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]

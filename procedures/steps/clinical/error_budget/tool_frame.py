@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.steps.clinical.path_check import CheckedPaths
+from ronna_hw.arm.error_budget import ErrorSizes
 
 Array = NDArray[np.float64]
 

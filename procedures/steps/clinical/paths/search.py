@@ -19,7 +19,7 @@ from procedures.planning.path_check.visits import ArmSetting, PathCheck
 from procedures.planning.prediction.best_strategy import with_best_chosen
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
-from procedures.strategies.by_trajectory import StrategyByTrajectory
+from procedures.strategies.catalogue import StrategyByTrajectory
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
 

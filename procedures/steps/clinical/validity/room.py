@@ -13,7 +13,7 @@ from procedures.guards.room_reading import FRAMES, check_now
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.sight.tracker import TrackerSight
-from procedures.registration.shift import LEAST_POINTS
+from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.validity.followed_move import (

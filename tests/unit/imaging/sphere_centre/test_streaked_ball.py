@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.imaging.region import AIR_HU, Region
 from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ, intensities
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.sphere_centre.streaked_ball import StreakedBall, fit_streaked_ball
+from procedures.imaging.volume import AIR_HU, Region
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,7 @@ from prepared_results import checked_set_up
 from recording_cell import RecordingOperator
 
 from procedures.calibration.errors import PosesOutOfReach
-from procedures.calibration.tracker_frame.looks import FrameLooks, Use
-from procedures.calibration.tracker_frame.record import calibrate_frame
+from procedures.calibration.frame_calibration import FrameLooks, Use, calibrate_frame
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed, StepRefused

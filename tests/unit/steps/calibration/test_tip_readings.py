@@ -9,8 +9,7 @@ from prepared_results import checked_set_up
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
-from procedures.calibration.tool_tip.looks import TipLooks
-from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.calibration.tip_calibration import TipLooks, calibrate_tip
 from procedures.engine.hands import IN_DIVOT
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed

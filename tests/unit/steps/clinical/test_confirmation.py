@@ -32,7 +32,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.errors import ToolBesideGauge
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -18,7 +18,7 @@ from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.strategies.nos import NEUTRAL, NeutralOrientation
+from procedures.strategies.fixed_orientation import NEUTRAL, NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
 

@@ -24,7 +24,7 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
 from sim.world.process import load_scene

@@ -1,5 +1,7 @@
 """The spheres are measured one after another, starting from the coarse registration alone."""
 
+from __future__ import annotations
+
 import math
 from itertools import count, pairwise
 
@@ -16,8 +18,8 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed, StepRefused
 from procedures.results.result import StepResult
 from procedures.steps.clinical.relocalization import STEP, Relocalization
-from procedures.strategies.approach import APPROACH_RAD
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
+from procedures.strategies.strategy import APPROACH_RAD
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look

@@ -43,8 +43,8 @@ from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.errors import ToolSeenElsewhere
-from procedures.strategies.approach import ONE_SIDE, before_arriving
-from procedures.strategies.nos import NeutralOrientation
+from procedures.strategies.fixed_orientation import NeutralOrientation
+from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear
@@ -52,7 +52,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
 
-HOMING = (before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives from the same side
+HOMING = (approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives from the same side
 SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)
 
 

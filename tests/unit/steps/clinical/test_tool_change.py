@@ -10,13 +10,13 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
-from procedures.strategies.approach import ONE_SIDE, before_arriving
+from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 
-WAY_HOME = [before_arriving(HOME_RAD, ONE_SIDE), HOME_RAD]  # every joint arrives from the same side
+WAY_HOME = [approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD]  # every joint arrives from the same side
 
 
 def went(cell: ClinicalCell) -> list[JointVector]:

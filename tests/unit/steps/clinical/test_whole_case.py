@@ -1,5 +1,7 @@
 """From the path check to the last retreat, with one localization and with one trajectory left out."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -29,9 +31,9 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.nos import NeutralOrientation
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import Strategy
+from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.cell_motion import MotionName
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.lifecycle import Lifecycle

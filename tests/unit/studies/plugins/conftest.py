@@ -12,7 +12,7 @@ METHODS = '''
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 from procedures.registration.point_registration import register
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.fixed_orientation import OrientationCorrection
 
 drawn = []
 

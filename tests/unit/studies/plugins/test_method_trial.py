@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.fixed_orientation import OrientationCorrection
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from studies.plugins.contracts import MethodKind
 from studies.plugins.method import find_plugin
@@ -152,7 +152,7 @@ def test_an_installed_method_is_found_by_its_name_for_its_own_kind_only(folder: 
 def test_our_localizer_and_strategy_pass_the_trial_as_user_methods(folder: Path) -> None:
     (folder / "ours.py").write_text(
         "from procedures.imaging import localize\n"
-        "from procedures.strategies.nos import NeutralOrientation\n"
+        "from procedures.strategies.fixed_orientation import NeutralOrientation\n"
         "def centres(volume):\n"
         "    return localize(volume).centres_mm\n"
     )

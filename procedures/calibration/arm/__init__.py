@@ -1,1 +1,0 @@
-"""Calibration of the arm with stationary spheres: links, joints, gravity, backlash, head on the flange."""

@@ -1,0 +1,238 @@
+"""Calibrate the reference frame on the arm's mount: poses, stored measurements, the dated record.
+
+The poses turn the frame about itself, in all directions, so it stays nearly in place. The tracker's smooth
+error over its volume is then equal in all of them, and affects the tracker's pose rather than the frame's on
+the flange.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from enum import StrEnum
+from itertools import combinations
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.special import chdtri
+
+from procedures.calibration.errors import DoesNotFit, FarFromRecord, TooFewPoses, TrackerMoved
+from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slopes_of, solve
+from procedures.calibration.head_calibration import LIFE, new_identifier
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.observations import Joints, Measurements
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, require_count, turned_about
+from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
+from ronna_hw.calibration import (
+    ArmCalibration,
+    Dated,
+    PoseRecord,
+    StereoHeadCalibration,
+    Strict,
+    TrackerFrameCalibration,
+)
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import beyond, side_by_side
+
+Array = NDArray[np.float64]
+
+LOOKS_FILE = "frame-looks.json"
+
+MADE_BY = "ronna-procedure calibrate tracker-frame"
+LEAST_VALIDATION = 5
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are not noise
+MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times the repeatability of arm and tracker
+FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount deviates this much from its drawing
+
+TILT_RAD = float(np.radians(35.0))  # with more, the arm or the frame's own edge hides markers
+TURN_RAD = float(np.radians(70.0))
+
+
+class Use(StrEnum):
+    """Purpose of a measurement."""
+
+    FIT = "fit"
+    VALIDATION = "validation"  # held out for validation
+    RETURN = "return"  # repeated at the same pose: has anything moved?
+
+
+class FrameLook(Strict):
+    """One stationary pose, and the mean of the tracker's measurements there."""
+
+    use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
+    joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
+    robot_from_flange: PoseRecord = Field(
+        description="Pose robot <- flange, from the arm's record or nominal."
+    )
+    tracker_from_marker: PoseRecord = Field(description="Mean pose tracker <- reference frame.")
+    frames: Annotated[int, Field(ge=1)] = Field(description="Measurements that show the frame.")
+
+
+class FrameLooks(Measurements):
+    """All measurements of one calibration, and the records in use."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    arm: str = Field(description="Name of the arm's kinematic model.")
+    stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
+    start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")
+    arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
+    looks: tuple[FrameLook, ...] = Field(description="The measurements, in order.")
+
+    @property
+    def records(self) -> Mapping[str, Dated | None]:
+        """Calibration records in use."""
+        return {"stereo_head": self.stereo_head, "tracker_frame": self.start, "arm": self.arm_record}
+
+
+def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
+    """Assign a purpose to each measurement, with those for validation spread evenly."""
+    total = count + validation
+    judging = {round((number + 0.5) * total / validation) for number in range(validation)}
+    return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
+
+
+def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
+    """Convert measurements to arrays."""
+
+    def matrices(poses: Sequence[Transform]) -> Array:
+        return np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
+
+    return PosePairs(
+        matrices([one.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE) for one in looks]),
+        matrices([one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in looks]),
+    )
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """New record and its quality.
+
+    `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`: their
+    expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate from the
+    frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from the previous
+    record.
+    """
+
+    fit: HandEye
+    misses_mm: Array
+    misses_rad: Array
+    predicted_mm: float
+    predicted_rad: float
+    arm_error_mm: float
+    change_mm: float
+    change_rad: float
+    tracker_frame: TrackerFrameCalibration
+
+
+def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameResult:
+    """Compute a dated record from measurements. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
+    _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
+    fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
+    kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
+    misses, predicted = _validate(fit, kept)
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    found = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
+    change_mm, change_rad = _change(
+        observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER), found
+    )
+    arm_error_mm = arm_share_mm(observed.arm_record)
+    return FrameResult(
+        fit=fit,
+        misses_mm=misses[:, :3],
+        misses_rad=misses[:, 3:],
+        predicted_mm=predicted[0],
+        predicted_rad=predicted[1],
+        arm_error_mm=arm_error_mm,
+        change_mm=change_mm,
+        change_rad=change_rad,
+        tracker_frame=TrackerFrameCalibration(
+            identifier=new_identifier("tracker-frame", observed.created),
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
+            stated_error_mm=float(np.hypot(fit.error_mm, arm_error_mm)),
+            tool=observed.start.tool,
+            tool_from_marker=pose_record(found),
+        ),
+    )
+
+
+def arm_share_mm(record: ArmCalibration | None) -> float:
+    """3-D error of the frame on the flange that comes from the arm itself and that no measurement reveals.
+
+    It stems from the last two links: A6 turns them against each other too little to separate them from the
+    frame.
+    """
+    link_mm = np.sqrt(3.0) * LINK_TRANSLATION_MM if record is None else record.stated_error_mm
+    return float(np.sqrt(2.0) * link_mm)
+
+
+def _require_at_rest(returns: Sequence[FrameLook]) -> None:
+    """Raise CAL-002 without a return measurement, CAL-016 if the frame was not where it was before."""
+    if len(returns) < 2:
+        raise TooFewPoses(
+            "the arm did not return to its first pose, so tracker stability is unknown",
+            expected="at least 2 measurements from there",
+            got=str(len(returns)),
+        )
+    for (number, before), (later, after) in combinations(enumerate(returns, start=1), 2):
+        was, now = (one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in (before, after))
+        moved_mm, moved_rad = _change(was, now, limited=False)
+        if moved_mm > MOVED_MM or moved_rad > MOVED_RAD:
+            raise TrackerMoved(
+                f"tracker, arm or frame moved between measurements {number} and {later} at the first pose",
+                limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
+                got=f"{beyond(moved_mm, MOVED_MM, 2)} mm and "
+                f"{beyond(math.degrees(moved_rad), math.degrees(MOVED_RAD), 2)} deg",
+            )
+
+
+def _validate(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
+    """Misses (m, 6) of held-out measurements, and their expected size. Raises CAL-002, CAL-004."""
+    require_count(kept.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
+    misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
+    slopes = slopes_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
+    random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
+    covariances = slopes @ fit.covariance @ slopes.transpose(0, 2, 1) + random
+    statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
+    limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
+    if statistic > limit:
+        rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
+        got, refused_from = side_by_side(statistic, limit, 0)
+        raise DoesNotFit(
+            "the frame does not agree with the poses kept for validation",
+            limit=f"chi-square {refused_from}",
+            got=f"{got}: {rms_mm:.2f} mm",
+        )
+    variances = np.einsum("mii->mi", covariances)
+    mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))
+    return misses, (mm, rad)
+
+
+def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
+    """Distance between two poses, mm and rad; raise CAL-017 if it is limited and exceeded."""
+    apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
+    apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
+    if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
+        raise FarFromRecord(
+            "the reference frame is not at its recorded pose",
+            limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
+            got=f"{beyond(apart_mm, FAR_MM, 1)} mm and "
+            f"{beyond(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",
+        )
+    return apart_mm, apart_rad
+
+
+def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:
+    """List poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
+    in_tool = tool_from_marker.translation_mm
+    place = reference.apply(in_tool)
+    looks = turned_about(
+        reference.rigid.rotation, place, count, tilt_rad=TILT_RAD, turn_rad=TURN_RAD, offset_mm=in_tool
+    )
+    return tuple(order_by_orientation(looks))

@@ -1,0 +1,186 @@
+"""Calibrate the stereo head: from the adjusted head to the records, with tool frame, stated errors and dates.
+
+Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
+and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
+previous record had it: points around the tool centre keep their pixels in both images. Only a head that has
+moved on the mount since it was calibrated leaves the tip where it is on the flange.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.calibration.bundle import BALL, DERIVATIVE_STEP, BundleFit, fit_bundle
+from procedures.calibration.head_model import (
+    CAMERA_PARAMETERS,
+    Cameras,
+    cameras_of,
+    intersect_rays,
+    pose_record,
+)
+from procedures.calibration.observations import ObservationSet, stamp
+from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+LIFE = timedelta(days=30)
+MADE_BY = "ronna-stereo calibrate"
+# Over the standard error of a tool centre: two calibrations of one head, each with an error of its own, are
+# within three standard deviations of each other.
+MOVED_OVER_ERROR = 3.0 * math.sqrt(2.0)
+KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
+
+
+@dataclass(frozen=True)
+class HeadResult:
+    """New records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
+
+    `tool_error_mm` is its standard error; the record states that of a point measured in the tool frame, where
+    errors of the arm hardly count. `tool_shift_mm` is how far the tool centre moved on the flange. A shift
+    beyond `smallest_slip_mm` means that the head has moved on its mount (None where the previous record is of
+    another kind and not compared). `frame_misfit_mm` (rms) is how far the cameras have moved relative to each
+    other since the previous record.
+    """
+
+    fit: BundleFit
+    stereo_head: StereoHeadCalibration
+    tool_tip: ToolTipCalibration | None
+    tool_covariance_mm2: Array
+    tool_shift_mm: float
+    frame_misfit_mm: float
+    smallest_slip_mm: float | None
+
+    @property
+    def head_moved(self) -> bool:
+        """Whether the head has moved on its mount since the previous calibration."""
+        return self.smallest_slip_mm is not None and self.tool_shift_mm > self.smallest_slip_mm
+
+    @property
+    def tool_error_mm(self) -> float:
+        """Standard error of the tool centre on the flange."""
+        return _standard_error_mm(self.tool_covariance_mm2)
+
+
+def calibrate_head(
+    observed: ObservationSet, *, life: timedelta = LIFE, arm_geometry: bool = True
+) -> HeadResult:
+    """Compute dated records from observations. Raises CAL-002 to CAL-004.
+
+    Without `arm_geometry` all errors of the arm are treated as random.
+    """
+    before = observed.start
+    fit = fit_bundle(
+        observed.observations,
+        before,
+        arm=kinematics_named(observed.arm_variant).chain if arm_geometry else None,
+    )
+    flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
+    left, right = fit.cameras
+    head = StereoHeadCalibration(
+        identifier=new_identifier("stereo-head", observed.created),
+        stated_error_mm=_point_error_mm(before, fit),
+        flange_from_tool=pose_record(flange_from_tool),
+        left=left.record(observed.serials[0], before.left.sensor_px, flange_from_tool),
+        right=right.record(observed.serials[1], before.right.sensor_px, flange_from_tool),
+        created=observed.created,
+        expires=observed.created + life,
+        made_by=MADE_BY,
+    )
+    tool_before = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    shift_mm = float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm))
+    covariance = _covariance(fit, lambda cameras: _seen_again(before, cameras)[0])
+    # A drawing is as far off as the whole mount; a calibration of the same kind only by its error.
+    smallest_mm = MOVED_OVER_ERROR * _standard_error_mm(covariance) if before.made_by == MADE_BY else None
+    moved = smallest_mm is not None and shift_mm > smallest_mm
+    tip = observed.tool_tip
+    return HeadResult(
+        fit=fit,
+        stereo_head=head,
+        tool_tip=tip if tip is None or moved else moved_tip(tip, tool_before, flange_from_tool),
+        tool_covariance_mm2=covariance,
+        tool_shift_mm=shift_mm,
+        frame_misfit_mm=misfit,
+        smallest_slip_mm=smallest_mm,
+    )
+
+
+def _standard_error_mm(covariance_mm2: Array) -> float:
+    return float(np.sqrt(np.trace(covariance_mm2)))
+
+
+def new_identifier(name: str, created: datetime) -> str:
+    """Combine name and time."""
+    return name + stamp(created)
+
+
+def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
+    """Move the tip with the tool frame of the head on the same mount, relative to which it is known.
+
+    Its dates and stated error remain: the tip itself was not measured.
+    """
+    flange_from_tip = tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    moved = after.rigid * before.rigid.inv() * flange_from_tip.rigid
+    return tip.model_copy(
+        update={"flange_from_tool": pose_record(Transform(Frame.FLANGE, Frame.TOOL, moved))}
+    )
+
+
+def _kept_points() -> Array:
+    """Tool centre, and the corners of a cube around it, (9, 3) mm in the tool frame."""
+    corners = np.array(np.meshgrid(*3 * ([-KEPT_REACH_MM, KEPT_REACH_MM],))).reshape(3, -1).T
+    return np.vstack([np.zeros(3), corners])
+
+
+def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
+    """Points of the flange frame at which these cameras see the pixels of the kept points."""
+    tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    points = tool.apply(_kept_points())
+    left, right = cameras_of(before)
+    return intersect_rays(cameras, left.seen(points), right.seen(points))[0]
+
+
+def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
+    """Find FLANGE <- TOOL that preserves the pixels around the tool centre, and the rms misfit, mm."""
+    tool, flange = _kept_points(), _seen_again(before, cameras)
+    middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
+    pose = Transform(
+        Frame.FLANGE,
+        Frame.TOOL,
+        RigidTransform.from_components(middle_flange - rotation.apply(middle_tool), rotation),
+    )
+    misfit = pose.apply(tool) - flange
+    return pose, float(np.sqrt(np.mean(np.sum(misfit**2, axis=1))))
+
+
+def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
+    """Standard error of a point measured in the tool frame, rms over the kept points."""
+
+    def in_tool(cameras: Cameras) -> Array:
+        flange_from_tool, _ = _kept_tool_frame(before, cameras)
+        return np.ravel(flange_from_tool.rigid.inv().apply(_seen_again(before, cameras)))
+
+    return float(np.sqrt(np.trace(_covariance(fit, in_tool)) / len(_kept_points())))
+
+
+def _covariance(fit: BundleFit, of: Callable[[Cameras], Array]) -> Array:
+    """Covariance (n, n) of n values that follow from the cameras."""
+    middle = CAMERA_PARAMETERS
+    slopes = []
+    for step in DERIVATIVE_STEP * np.eye(2 * middle):
+        ends = [
+            of((fit.cameras[0].changed(sign * step[:middle]), fit.cameras[1].changed(sign * step[middle:])))
+            for sign in (1.0, -1.0)
+        ]
+        slopes.append((ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP))
+    by_value = np.transpose(slopes)
+    return np.asarray(by_value @ fit.covariance[BALL:, BALL:] @ by_value.T)

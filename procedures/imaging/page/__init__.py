@@ -1,1 +1,0 @@
-"""A CT as a single page for a browser."""

@@ -1,0 +1,158 @@
+"""Surroundings of a straight trajectory into the head, and the quality of fits to objects in them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+STEP_MM = 0.5  # of the coarse pass
+SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
+SLAB_MM = 1.0  # along the trajectory, for what is judged slab by slab
+
+AT_BOUND = 1e-3  # of the range between the two bounds
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedLine:
+    """A straight line from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
+
+    entry_mm: Array
+    target_mm: Array
+
+    @property
+    def length_mm(self) -> float:
+        """Distance from entry to target."""
+        return float(np.linalg.norm(self.target_mm - self.entry_mm))
+
+    @property
+    def inwards(self) -> Array:
+        """Unit vector (3,) from entry to target."""
+        return np.asarray((self.target_mm - self.entry_mm) / self.length_mm)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Direction along the trajectory, and two across it, as columns."""
+        along = self.inwards
+        helper = np.eye(3)[int(np.argmin(np.abs(along)))]
+        across = np.cross(along, helper)
+        across /= np.linalg.norm(across)
+        return np.column_stack([along, across, np.cross(along, across)])
+
+    def to_patient_mm(self, local_mm: Array) -> Array:
+        """Patient positions (..., 3) of positions along and across, mm from the entry."""
+        return np.asarray(self.entry_mm + local_mm @ self.axes.T)
+
+    def to_local_mm(self, points_mm: Array) -> Array:
+        """Positions along and across, mm from the entry, of patient positions (..., 3)."""
+        return np.asarray((points_mm - self.entry_mm) @ self.axes)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), and its positions (..., 3) mm.
+
+    NaN outside the scan, where nothing is known.
+    """
+
+    values: Array
+    places_mm: Array
+
+
+def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> Surroundings:
+    """Sample HU around a trajectory between two distances from its entry, by linear interpolation."""
+    side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
+    along = np.arange(first_mm, last_mm, STEP_MM)
+    local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
+    index = np.moveaxis(volume.geometry.to_index(line.to_patient_mm(local)), -1, 0)
+    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=np.nan)
+    return Surroundings(values, local)
+
+
+def voxels_around(
+    volume: Volume, line: PlannedLine, between_mm: tuple[float, float], radius_mm: float
+) -> tuple[Array, Array]:
+    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
+
+    The grid continues beyond the scan, with NaN.
+    """
+    geometry = volume.geometry
+    ends = geometry.to_index(
+        line.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
+    )
+    room = radius_mm / geometry.spacing_mm + 1.0
+    low = np.floor(ends.min(axis=0) - room).astype(int)
+    high = np.ceil(ends.max(axis=0) + room).astype(int) + 1
+    index = np.stack(
+        np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    local = line.to_local_mm(geometry.to_patient_mm(index))
+    near = (
+        (local[:, 0] >= between_mm[0])
+        & (local[:, 0] <= between_mm[1])
+        & (np.hypot(local[:, 1], local[:, 2]) <= radius_mm)
+    )
+    index = index[near]
+    inside = np.all((index >= 0) & (index < np.array(geometry.shape)), axis=1)
+    values = np.full(len(index), np.nan)
+    values[inside] = volume.voxels[tuple(index[inside].T)]
+    return local[near], values
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """Quality of a fit: `whole` if the scan shows all it needs, `inside` if its position is within bounds.
+
+    Residual in HU, radius in mm.
+    """
+
+    whole: bool
+    ended: bool
+    inside: bool
+    residual_hu: float
+    radius_mm: float
+
+
+@dataclass(frozen=True)
+class ExpectedFit:
+    """Usual fits of real objects: the largest residual in HU, and the range of radii in mm."""
+
+    residual_hu: float
+    radius_mm: tuple[float, float]
+
+    def failures(self, quality: FitQuality) -> tuple[str, ...]:
+        """List why position and direction are unknown."""
+        why = []
+        if not quality.whole:
+            why.append("the CT ends there")
+        if not quality.ended:
+            why.append("the fit did not converge")
+        if not quality.inside:
+            why.append("position, direction or radius ended at a limit of the fit")
+        return tuple(why)
+
+    def doubts(self, quality: FitQuality) -> tuple[str, ...]:
+        """List why they may be wrong."""
+        why = []
+        if quality.residual_hu > self.residual_hu:
+            why.append(
+                f"the residual of the fit is {quality.residual_hu:.0f} HU, normally up to "
+                f"{self.residual_hu:g} HU"
+            )
+        low_mm, high_mm = self.radius_mm
+        if not low_mm <= quality.radius_mm <= high_mm:
+            why.append(f"its radius of {quality.radius_mm:.2f} mm is not within {low_mm:g} to {high_mm:g} mm")
+        return tuple(why)
+
+
+def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Mark the parameters (n,) that ended at a bound."""
+    close = AT_BOUND * (high - low)
+    return np.asarray((found - low < close) | (high - found < close))

@@ -1,0 +1,142 @@
+"""Detect how known points have moved, from a second measurement in the same frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.registration.correspondence import MatchStatus
+from procedures.registration.error_theory import FreGate
+from procedures.registration.matching import match
+from procedures.registration.point_registration import Registration, register
+from procedures.registration.rigid_fit import fit_rigid
+
+GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand moves
+
+Array = NDArray[np.float64]
+
+LEAST_POINTS = 3
+NEAR_MM = 8.0  # a point this close to a recorded one is that point: spheres are 20 mm and more apart
+SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be recognised by their layout
+
+
+@dataclass(frozen=True)
+class RigidMove:
+    """A fit after <- before; its errors are those of the two measurements."""
+
+    fit: Registration
+
+    @property
+    def way_mm(self) -> float:
+        """Displacement of the points' centroid."""
+        middle = self.fit.image_mm.mean(axis=0)
+        return math.dist(self.fit.transform.apply(middle), middle)
+
+    @property
+    def turn_rad(self) -> float:
+        """Angle of the rotation."""
+        return float(self.fit.transform.rotation.magnitude())
+
+    @property
+    def rms_mm(self) -> float:
+        """Rms displacement of the points under the move."""
+        ways = np.asarray(self.fit.transform.apply(self.fit.image_mm)) - self.fit.image_mm
+        return math.sqrt(float(np.square(ways).sum(axis=1).mean()))
+
+    @property
+    def gate(self) -> FreGate:
+        """Chi-square gate on the covariances: did the points move as one body?"""
+        return self.fit.gate(confidence=GATE_CONFIDENCE)
+
+    def error_mm(self, place_mm: ArrayLike) -> float:
+        """Predicted rms error of the move at a position (3,) mm before it."""
+        return float(self.fit.predict_tre_mm(np.reshape(np.asarray(place_mm, dtype=float), (1, 3)))[0])
+
+
+def rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
+    """Fit the move of paired points (n, 3), n >= 3.
+
+    `covariance_mm2` (n, 3, 3) is the sum over both measurements of each point. Raises REG-001 to REG-006, and
+    REG-009 for a mirrored set.
+    """
+    fit = register(before_mm, after_mm, covariance_mm2=covariance_mm2)
+    fit.require_sound()
+    return RigidMove(fit)
+
+
+@dataclass(frozen=True)
+class PointShift:
+    """Mean displacement (3,) mm of points, its rms under the rigid motion, and the number of points."""
+
+    mean_mm: Array
+    rms_mm: float
+    points: int
+
+
+def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+    """Shift of at least two points, each near its recorded position; None for fewer.
+
+    Unlike in `shift_of`, `rms_mm` is of the displacements themselves.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    if not (len(recorded) and len(seen)):
+        return None
+    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
+    ways = np.array([seen[one.argmin()] - place for place, one in zip(recorded, apart, strict=True)])
+    ways = ways[apart.min(axis=1) < NEAR_MM]
+    if len(ways) < 2:
+        return None
+    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(ways))
+
+
+def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+    """Shift of points (n, 3), given new readings (m, 3) in any order among others.
+
+    None when fewer than three of them are seen, or when their identity is not clear.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    pairs = same_points(recorded, seen)
+    if pairs is None:
+        return None
+    rows, columns = (list(side) for side in zip(*pairs, strict=True))
+    fit = fit_rigid(recorded[rows], seen[columns])
+    ways = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
+    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))
+
+
+def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
+    """Displacement of one point while the others, three or more, stayed within the limit; None otherwise.
+
+    Shapes like in `shift_of`.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    ways = [np.linalg.norm(seen[column] - recorded[row]) for row, column in same_points(recorded, seen) or ()]
+    *others, farthest = sorted(map(float, ways)) or [0.0]
+    alone = len(others) >= LEAST_POINTS and others[-1] < limit_mm <= farthest
+    return farthest if alone else None
+
+
+def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
+    """Row indices of points (n, 3) and of the same points in a new reading (m, 3), in any order among others.
+
+    Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer
+    than three are seen, or when their identity is not clear.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    if min(len(recorded), len(seen)) < LEAST_POINTS:
+        return None
+    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
+    pairs = [(row, int(apart[row].argmin())) for row in range(len(recorded)) if apart[row].min() < NEAR_MM]
+    if len(pairs) >= LEAST_POINTS and len({column for _, column in pairs}) == len(pairs):
+        return pairs
+    found = match(recorded, seen, sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM)
+    if found.status is not MatchStatus.UNIQUE:
+        return None
+    return [(int(row), int(column)) for row, column in found.pairs]
