@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import ProvenTrajectory, compare
 from ronna_hw.errors import RonnaError
 from sim.phantom.postoperative.instruments import Instrument, Kind

@@ -12,14 +12,9 @@ from pydantic import ValidationError
 from console.planning.draft import Draft
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes, raise_together
-from procedures.planning.head.structure_check import read_structure
-from procedures.planning.head.structures import (
-    MOST_POINTS_TOGETHER,
-    MOST_STRUCTURES,
-    Structure,
-    structure_of,
-)
-from procedures.planning.plan.units import structure_in_another_unit
+from procedures.planning.plan_file import structure_in_another_unit
+from procedures.planning.plan_model import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
+from procedures.planning.structures import read_structure, structure_of
 from procedures.strategies.trajectory import Point
 from ronna_hw.config import describe_mistakes
 

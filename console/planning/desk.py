@@ -26,12 +26,11 @@ from procedures.planning.errors import (
     UnsavedChanges,
     WrongSeries,
 )
-from procedures.planning.head.tissue import sampled_hu
-from procedures.planning.plan.file import parse_plan, read_plan, write_plan
-from procedures.planning.plan.lock import PlannerLock, plan_in_use, replaced_plan
-from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
-from procedures.planning.plan.seal import sealed
-from procedures.planning.theatre.arm import TheatreArm
+from procedures.planning.head_in_ct import sampled_hu
+from procedures.planning.plan_file import parse_plan, read_plan, sealed, write_plan
+from procedures.planning.plan_lock import PlannerLock, plan_in_use, replaced_plan
+from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
+from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, InputRefused, read_bounded
 from ronna_hw.errors import RonnaError

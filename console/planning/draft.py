@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from procedures.imaging.markers import Marker
-from procedures.planning.head.structures import Structure
-from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory, Structure
 from procedures.strategies.trajectory import Point
 
 USUAL_MARGIN_MM = 2.0

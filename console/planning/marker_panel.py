@@ -13,7 +13,7 @@ from console.panels.html import tag, text
 from console.planning.desk import PlanDesk
 from console.planning.fields import NumberField
 from procedures.imaging import Candidate, Marker
-from procedures.planning.plan.model import PatientPosition
+from procedures.planning.plan_model import PatientPosition
 from procedures.strategies.trajectory import Point
 
 MOST_CANDIDATES = 12  # as many as a person will look at

@@ -27,7 +27,7 @@ from console.web.changes import changed_within
 from console.web.library import page_head, use_library
 from console.web.sockets import own_page
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.plan.model import LONGEST_AUTHOR
+from procedures.planning.plan_model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 

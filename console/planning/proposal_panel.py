@@ -12,8 +12,8 @@ from nicegui import ui
 from console.panels.html import table, tag, text
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
-from procedures.planning.head.shape import head_shape
-from procedures.planning.markers.sites import propose_further, propose_markers
+from procedures.planning.head_in_ct import head_shape
+from procedures.planning.marker_sites import propose_further, propose_markers
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.strategies.trajectory import Point, Trajectory
 from ronna_hw.errors import RonnaError

@@ -25,7 +25,7 @@ def open_planner(
     from console.planning.request import PlannerRequest
     from procedures.imaging import read_series
     from procedures.imaging.pick_files import LARGEST_FILE_BYTES
-    from procedures.planning.theatre.arm import theatre_arm
+    from procedures.planning.theatre_arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 
     asked = PlannerRequest.model_validate_json(request)

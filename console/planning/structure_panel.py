@@ -17,7 +17,8 @@ from console.planning.look import Look
 from console.planning.verdict import marked
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
 from procedures.planning.errors import StructureUnreadable
-from procedures.planning.head.structures import Structure, StructureDistance
+from procedures.planning.plan_model import Structure
+from procedures.planning.structures import StructureDistance
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 

@@ -9,8 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from console.planning.draft import Draft, Way
 from procedures.planning.errors import UnsavedChanges
-from procedures.planning.head.structures import Structure
-from procedures.planning.plan.model import FiducialKind
+from procedures.planning.plan_model import FiducialKind, Structure
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.records import write_whole

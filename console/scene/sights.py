@@ -11,7 +11,7 @@ from console.feed.view import CaseView
 from console.scene.actors import Call, Rod, placed
 from console.scene.bodies import METRES, Point, ends
 from procedures.engine.events import Bodies, MeasuringVolume, Pose
-from procedures.planning.sight.tracker import SENSORS_MM
+from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures
 from ronna_hw.arm.clearance.capsule import segment_distance_mm
 from ronna_hw.frames import Transform

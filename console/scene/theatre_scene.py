@@ -11,7 +11,7 @@ from console.scene.actors import Call, Capsule, Rod, placed
 from console.scene.bodies import METRES, Closest, Point, closest_pair, ends, guide_end
 from console.scene.sights import Sights
 from procedures.engine.events import Bodies, Pose
-from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
 from ronna_hw.frames import Transform
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.planning.sight.tracker import SENSORS_MM
+from procedures.planning.line_of_sight import SENSORS_MM
 
 Array = NDArray[np.float64]
 

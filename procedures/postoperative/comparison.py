@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
 from procedures.postoperative.assignment import Candidate, FoundKind, assigned
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes

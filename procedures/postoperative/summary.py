@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from procedures.imaging.volume import Volume
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
 from procedures.postoperative.assignment import FoundKind
 from procedures.postoperative.comparison import Proof
 from ronna_hw.calibration import Numbers3, Numbers4, Strict

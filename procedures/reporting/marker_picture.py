@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 from collections.abc import Sequence
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import ProposedMarkers
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import ProposedMarkers
 from procedures.strategies.trajectory import Trajectory
 
 DOTS_PER_INCH, SIZE_IN = 110, (10.0, 3.8)

@@ -14,7 +14,7 @@ from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
 from procedures.operator.question import NO, YES
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
-from procedures.planning.path_check.alternatives import BY_ACCURACY
+from procedures.planning.free_angle import BY_ACCURACY
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
 from procedures.results.errors import GateFailed

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
+from procedures.planning.tool_records import ToolRecords
 from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.arm_log import ArmLog
@@ -29,7 +30,6 @@ from procedures.workcell.sensors import Sensors
 from procedures.workcell.starting import start
 from procedures.workcell.stereo_look import Look, look
 from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tool_records import ToolRecords
 from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.config import MASTER, Calibrations

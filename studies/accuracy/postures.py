@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
-from procedures.planning.path_check.wrist import LEAST_BEND_RAD
+from procedures.planning.free_angle import LEAST_BEND_RAD
 from procedures.strategies.approach import arrival_signs
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.errors import NoNearbyJoints

@@ -36,7 +36,7 @@ from painted_ct import write_series
 from waiting import eventually
 
 from console.planning.overlay import CHOSEN
-from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan_lock import held_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]

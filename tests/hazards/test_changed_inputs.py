@@ -31,8 +31,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
-from procedures.planning.cart.proposed_place import read_place
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
+from procedures.planning.proposed_place import read_place
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.inputs import compare_inputs
 from procedures.results.errors import StepRefused

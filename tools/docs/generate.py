@@ -34,7 +34,7 @@ from procedures.engine.machine import mermaid
 from procedures.exchange import allowed_fields
 from procedures.operator.question import words
 from procedures.operator.topic import FOR_A_PERSON, Topic
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
 from procedures.results.result import StepResult
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES

@@ -178,8 +178,8 @@ def opened_case(
     """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
     from procedures.calibration.validity import require_valid
     from procedures.engine.context import this_second
-    from procedures.planning.plan.lock import held_plan
-    from procedures.workcell.tool_records import ToolRecords
+    from procedures.planning.plan_lock import held_plan
+    from procedures.planning.tool_records import ToolRecords
     from ronna_hw.records import write_whole
 
     case = case_folder(request, folder)

@@ -11,7 +11,7 @@ from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM, UNCALIBRATE
 from procedures.calibration.arm_sources import ErrorSizes, arm_error_mm
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
 from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_together
-from procedures.workcell.tool_records import GUIDE, RENEW, ToolRecords
+from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal

@@ -21,8 +21,8 @@ from procedures.guards.room_watch import RoomReading
 from procedures.operator.question import YES, Question
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
-from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
+from procedures.planning.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.registration.shift import shift_of
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult, Values

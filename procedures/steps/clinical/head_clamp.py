@@ -9,7 +9,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import PatientPosition
+from procedures.planning.plan_model import PatientPosition
 from procedures.registration.shift import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult

@@ -15,11 +15,11 @@ from procedures.imaging.volume import Volume
 from procedures.operator.question import ReadBack
 from procedures.operator.topic import Topic
 from procedures.planning.errors import WrongMarkerCount
-from procedures.planning.head.shape import HeadEllipsoid, head_shape
-from procedures.planning.plan.check import PlanCheck, check_plan
-from procedures.planning.plan.file import plan_of
-from procedures.planning.plan.lock import held_plan
-from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.plan_check import PlanCheck, check_plan
+from procedures.planning.plan_file import plan_of
+from procedures.planning.plan_lock import held_plan
+from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT

@@ -14,7 +14,7 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.operator.question import YES
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
-from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.planning.guide import held_trajectory
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.branches import KEPT_REGISTRATION

@@ -17,13 +17,13 @@ from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import PlannedTrajectory
-from procedures.planning.prediction.instrument_error import (
+from procedures.planning.guide import (
     DIRECTION,
     INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
+from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import (
     Registration,
     RoomPoint,

@@ -19,9 +19,9 @@ from clinical_case import (
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.plan.model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
+from procedures.planning.guide import held_trajectories
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
 from procedures.results.result import FramedPose, StepResult

@@ -20,7 +20,7 @@ from procedures.guards.head_frames import HeadFrames
 from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
-from procedures.planning.sight.tracker import TrackerSight
+from procedures.planning.line_of_sight import TrackerSight
 from procedures.registration.shift import LEAST_POINTS, shift_of
 from ronna_hw.arm.clearance.surroundings import Part, Surroundings
 from ronna_hw.arm.pose import Pose

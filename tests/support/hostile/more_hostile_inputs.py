@@ -30,7 +30,7 @@ from procedures.exchange.raw_extent import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
-from procedures.planning.cart.proposed_place import ProposedPlace, read_place
+from procedures.planning.proposed_place import ProposedPlace, read_place
 from procedures.reporting.calibration.result_file import figures_if_readable
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth

@@ -21,9 +21,8 @@ from console.planning.judging import Expected, Judged, judge
 from console.planning.verdict import expected, verdict
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
-from procedures.planning.plan.file import read_plan, write_plan
-from procedures.planning.plan.lock import held_plan
-from procedures.planning.plan.seal import sealed
+from procedures.planning.plan_file import read_plan, sealed, write_plan
+from procedures.planning.plan_lock import held_plan
 from ronna_hw.errors import RonnaError
 
 

@@ -14,7 +14,7 @@ from plan_desks import ENTRY, draw, save, scan
 from console.planning import desk as desk_module
 from console.planning.desk import PlanDesk
 from procedures.planning.errors import PlanInUse
-from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan_lock import held_plan
 
 
 def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: PlanDesk, file: Path) -> None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.visits import ArmSetting, PathCheck
-from procedures.planning.prediction.best_strategy import predicted_arm_error_mm, with_best_chosen
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.target_error import predicted_arm_error_mm, with_best_chosen
+from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.best import CANDIDATES, BestOfEach
 from procedures.strategies.catalogue import strategy_named

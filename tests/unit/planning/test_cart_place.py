@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.cart.place import CartCase, CartMove, Found
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.visits import ArmSetting, Axes, localizations_along, target_visit
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.sight.tracker import SENSORS_MM
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.cart_place import CartCase, CartMove, Found
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.line_of_sight import SENSORS_MM, StereoSight
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import ArmSetting, Axes, localizations_along, target_visit
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6

@@ -24,9 +24,9 @@ from procedures.planning.errors import (
     WrongOrientation,
     WrongSeries,
 )
-from procedures.planning.plan.check import check_plan
-from procedures.planning.plan.file import read_plan
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.plan_check import check_plan
+from procedures.planning.plan_file import read_plan
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM

@@ -7,7 +7,7 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NoHeadInCt
-from procedures.planning.head.shape import HeadEllipsoid, head_shape
+from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
 
 CENTRE_MM = np.array([3.0, -40.0, 810.0])
 SEMI_AXES_MM = np.array([75.0, 95.0, 90.0])

@@ -12,8 +12,8 @@ import psutil
 import pytest
 from waiting import HANG_LIMIT_S, eventually
 
-from procedures.planning.cart.judging import judging
-from procedures.planning.cart.place import CartCase, CartMove, Verdict
+from procedures.planning.cart_map import judging
+from procedures.planning.cart_place import CartCase, CartMove, Verdict
 from ronna_hw.host import worker_processes
 from ronna_hw.host.child_process import ChildNotReady
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.planning.markers.layout import layout_warnings, least_side_difference_mm
+from procedures.planning.plan_check import layout_warnings, least_side_difference_mm
 
 
 def triangle(first_mm: float, second_mm: float, third_mm: float) -> np.ndarray:

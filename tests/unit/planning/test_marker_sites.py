@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from procedures.planning.errors import NoMarkerSites
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import (
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import (
     APART_MM,
     CLEAR_OF_WAY_MM,
     propose_further,

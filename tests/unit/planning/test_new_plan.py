@@ -3,8 +3,7 @@ from pathlib import Path
 import pytest
 
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.plan.file import read_plan
-from procedures.planning.plan.new import new_plan
+from procedures.planning.plan_file import new_plan, read_plan
 
 SPHERES_MM = [[1.0, 2.0, 3.0], [40.0, 2.0, 3.0], [1.0, 60.0, 3.0]]
 TRAJECTORY = (

@@ -10,10 +10,9 @@ import pytest
 from ur5 import Ur5
 
 from procedures.planning.errors import NotReachable
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.posture import ranked_branches
-from procedures.planning.path_check.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
-from procedures.planning.path_check.wrist import WristState
+from procedures.planning.free_angle import WristState
+from procedures.planning.paths import check_paths, ranked_branches
+from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform

@@ -8,11 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from procedures.planning.cart.place import CartMove, Found, Verdict
-from procedures.planning.cart.place_map import map_places
-from procedures.planning.cart.proposal import propose_place
-from procedures.planning.cart.proposed_place import TURNED_SHARE
+from procedures.planning.cart_map import map_places, propose_place
+from procedures.planning.cart_place import CartMove, Found, Verdict
 from procedures.planning.errors import NoPlace
+from procedures.planning.proposed_place import TURNED_SHARE
 
 WITHIN_MM = 240.0
 FOUND = Found(2, (("T1", 0.0),))

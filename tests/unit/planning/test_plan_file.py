@@ -13,8 +13,8 @@ from procedures.planning.errors import (
     PlanMistakes,
     PlanUnreadable,
 )
-from procedures.planning.plan.file import read_plan
-from procedures.planning.plan.model import FiducialKind, PatientPosition
+from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_model import FiducialKind, PatientPosition
 from ronna_hw.errors import EXIT_USAGE
 
 

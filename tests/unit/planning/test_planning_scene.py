@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.head.frame_bodies import frame_bodies
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.plan.model import FiducialKind
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind
+from procedures.planning.scene import PlanningScene, frame_bodies
 from procedures.registration.errors import LayoutNotFound
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.planning.prediction.target_error import USUAL_SEATING_MM, predicted_by_markers
+from procedures.planning.target_error import USUAL_SEATING_MM, predicted_by_markers
 from procedures.registration.error_theory import tre_principal_axes_mm
 
 MARKERS_MM = np.array([[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]])

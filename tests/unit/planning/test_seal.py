@@ -14,11 +14,10 @@ import pytest
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
-from procedures.planning.plan.check import check_plan
-from procedures.planning.plan.file import plan_of, read_plan, write_plan
-from procedures.planning.plan.lock import held_plan, plan_in_use, replaced_plan
-from procedures.planning.plan.model import Plan
-from procedures.planning.plan.seal import sealed
+from procedures.planning.plan_check import check_plan
+from procedures.planning.plan_file import plan_of, read_plan, sealed, write_plan
+from procedures.planning.plan_lock import held_plan, plan_in_use, replaced_plan
+from procedures.planning.plan_model import Plan
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.head.skull_angle import skull_angle_rad
+from procedures.planning.head_in_ct import skull_angle_rad
 from procedures.strategies.trajectory import Trajectory
 
 RADIUS_MM, THICK_MM, SKIN_MM = 80.0, 7.0, 5.0

@@ -10,13 +10,14 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import HeadUnreadable, NoTemplate
-from procedures.planning.head.shape import HeadEllipsoid, head_shape
-from procedures.planning.markers.template import (
+from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.marker_sites import (
     APART_MM,
     STANDOFF_MM,
+    head_of_scene,
     propose_template,
+    write_template,
 )
-from procedures.planning.markers.template_file import head_of_scene, write_template
 from procedures.registration.error_theory import tre_principal_axes_mm
 from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 

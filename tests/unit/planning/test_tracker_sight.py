@@ -4,7 +4,7 @@ import numpy as np
 from room_trials import TrackedCase
 from sight_trials import GuideSight
 
-from procedures.planning.sight.tracker import TrackerSight
+from procedures.planning.line_of_sight import TrackerSight
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform

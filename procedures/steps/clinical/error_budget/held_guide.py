@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.planning.plan.guide_hold import held_trajectory
-from procedures.planning.plan.model import PlannedTrajectory
+from procedures.planning.guide import held_trajectory
+from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.results.result import Numbers6
 from procedures.steps.clinical.path_check import CheckedPaths

@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.operator.question import words
-from procedures.planning.path_check.alternatives import advice, alternatives, unreached
-from procedures.planning.path_check.free_angle import TurnedPaths, choose_free_angles
-from procedures.planning.path_check.visits import ArmSetting, PathCheck
-from procedures.planning.prediction.best_strategy import with_best_chosen
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.free_angle import TurnedPaths, advice, alternatives, choose_free_angles, unreached
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.target_error import with_best_chosen
+from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
 from procedures.strategies.by_trajectory import StrategyByTrajectory
 from procedures.strategies.strategy import Strategy

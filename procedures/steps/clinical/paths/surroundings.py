@@ -5,8 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from procedures.engine.context import StepContext
-from procedures.planning.head.frame_bodies import frame_bodies
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.scene import PlanningScene, frame_bodies
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.planning.plan.model import FiducialKind
-from procedures.planning.sight.tracker import SENSORS_MM
+from procedures.planning.line_of_sight import SENSORS_MM
+from procedures.planning.plan_model import FiducialKind
 from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior

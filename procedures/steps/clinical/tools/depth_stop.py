@@ -8,7 +8,7 @@ from procedures.engine.context import StepContext
 from procedures.operator.question import NO, YES
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
-from procedures.planning.plan.guide_hold import depth_stop_mm
+from procedures.planning.guide import depth_stop_mm
 from procedures.results.result import Values
 from procedures.steps.branches import SETTINGS, WRONG_STOP
 from procedures.steps.clinical.plan_check import CheckedPlan

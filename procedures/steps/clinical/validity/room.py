@@ -12,7 +12,7 @@ from procedures.guards.errors import PatientUnseen
 from procedures.guards.room_reading import FRAMES, check_now
 from procedures.guards.room_watch import Approach, RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.planning.sight.tracker import TrackerSight
+from procedures.planning.line_of_sight import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization

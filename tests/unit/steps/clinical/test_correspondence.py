@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import FiducialKind, PatientPosition
+from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.steps.clinical.correspondence import STEP, Correspondence

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.planning.plan.guide_hold import depth_stop_mm, held_trajectory
-from procedures.planning.plan.model import FiducialKind, Plan, PlannedTrajectory
-from procedures.planning.prediction.instrument_error import (
+from procedures.planning.guide import (
     SET_BY_HAND_MM,
+    depth_stop_mm,
     direction_covariance_mm2,
+    held_trajectory,
     instrument_covariance_mm2,
 )
+from procedures.planning.plan_model import FiducialKind, Plan, PlannedTrajectory
 from ronna_hw.tool_record import GuideBore
 from sim.world.rigid import inverse, matrix_from, rotation_from_vector
 from sim.world.scene.guide import Guide

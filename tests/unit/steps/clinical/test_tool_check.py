@@ -17,13 +17,14 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
+from procedures.planning.errors import ForeignTool, NoToolRecord
+from procedures.planning.tool_records import ToolRecords
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
-from procedures.workcell.tool_records import ToolRecords
+from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import TipInHead, ToolPurpose
 from ronna_hw.wire.room_tasks import GAUGE, OUT

@@ -21,8 +21,8 @@ from procedures.engine.events import StepState
 from procedures.engine.step import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.topic import Topic
-from procedures.planning.path_check.motions import GAUGE, HOME
-from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.planning.guide import held_trajectory
+from procedures.planning.motions import GAUGE, HOME
 from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.visits import ArmSetting
+from procedures.planning.paths import check_paths
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6

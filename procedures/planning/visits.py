@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.planning.errors import NotReachable
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.scene import PlanningScene
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis, require_frames
 from procedures.strategies.strategy import Strategy

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,28 +22,69 @@ from procedures.planning.errors import (
     WrongSeries,
     raise_together,
 )
-from procedures.planning.head.structure_check import structure_findings
-from procedures.planning.head.structures import StructureDistance, structure_distances
-from procedures.planning.head.tissue import standoff_in_skin, way_into_head
-from procedures.planning.markers.layout import layout_warnings, shows_template
-from procedures.planning.plan.guide_hold import held_trajectories, too_short
-from procedures.planning.plan.model import FiducialKind, Plan
-from procedures.planning.plan.seal import other_voxels
+from procedures.planning.guide import held_trajectories, too_short
+from procedures.planning.head_in_ct import standoff_in_skin, way_into_head
+from procedures.planning.plan_file import other_voxels
+from procedures.planning.plan_model import FiducialKind, Plan
+from procedures.planning.structures import StructureDistance, structure_distances, structure_findings
+from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
 from ronna_hw.errors import RonnaError
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
-    from procedures.planning.head.shape import HeadEllipsoid
-    from procedures.planning.path_check.motions import PreviewedMotion
-    from procedures.planning.path_check.visits import ArmSetting, PathCheck
-    from procedures.planning.sight.stereo_head import StereoSight
+    from procedures.planning.head_in_ct import HeadEllipsoid
+    from procedures.planning.line_of_sight import StereoSight
+    from procedures.planning.motions import PreviewedMotion
+    from procedures.planning.visits import ArmSetting, PathCheck
     from procedures.strategies.strategy import Strategy
     from procedures.strategies.trajectory import Trajectory
+
+LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
+CT_SIGMA_MM = 0.10  # per axis: what the localizer achieves on a poor series, with margin
+ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
+
+
+def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
+    """The smallest difference between two sides of a triangle of fiducials (3, 3) in mm."""
+    points = np.asarray(triangle_mm, dtype=float)
+    sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
+    return float(np.diff(sides).min())
+
+
+def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
+    """Whether fiducials (n, 3) of a CT contain those of a template (k, 3), in one way only; both in mm."""
+    found = match(
+        template_mm,
+        fiducials_mm,
+        sigma_image_mm=IMPLANTED_SIGMA_MM,
+        sigma_physical_mm=CT_SIGMA_MM,
+        expected=len(np.asarray(template_mm)),
+    )
+    return found.status is MatchStatus.UNIQUE
+
+
+def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
+    """What may make the correspondence of fiducials (n, 3) in mm ambiguous; empty if nothing does."""
+    if len(fiducials_mm) == 3:
+        smallest = least_side_difference_mm(fiducials_mm)
+        if smallest >= LEAST_SIDE_DIFFERENCE_MM:
+            return []
+        return [
+            f"two sides of the fiducial triangle differ by {smallest:.1f} mm (at least "
+            f"{LEAST_SIDE_DIFFERENCE_MM:g} mm are needed to tell them apart)"
+        ]
+    alike = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
+    if alike.status is not MatchStatus.AMBIGUOUS or alike.runner_up is None:
+        return []
+    taken = [f"{i + 1} for {j + 1}" for i, j in alike.runner_up.pairs.tolist() if i != j]
+    return [f"the fiducials look alike from another side: {', '.join(taken)} could be mistaken"]
+
 
 Array = NDArray[np.float64]
 Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
@@ -253,12 +295,17 @@ def _driven(
     sight: StereoSight | None,
 ) -> _Driven:
     """What keeps the arm from carrying out the plan; else its motions, if there is a scene, and turns."""
-    from procedures.planning.path_check.alternatives import advice, alternatives, unreached
-    from procedures.planning.path_check.free_angle import TurnedPaths, choose_free_angles
-    from procedures.planning.path_check.motions import previews_of
-    from procedures.planning.path_check.paths import check_paths
-    from procedures.planning.path_check.visits import Axes
-    from procedures.planning.prediction.best_strategy import with_best_chosen
+    from procedures.planning.free_angle import (
+        TurnedPaths,
+        advice,
+        alternatives,
+        choose_free_angles,
+        unreached,
+    )
+    from procedures.planning.motions import previews_of
+    from procedures.planning.paths import check_paths
+    from procedures.planning.target_error import with_best_chosen
+    from procedures.planning.visits import Axes
 
     fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
     if sight is None:

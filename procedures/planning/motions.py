@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
 from procedures.strategies.approach import AXIAL_SPEED_FRACTION, ONE_SIDE, before_arriving
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings

@@ -1,28 +1,70 @@
-"""Uses a trajectory's free angle: turn about its axis until everything is visible and well reachable.
+"""The wrist over the poses of one trajectory: distance from its singularity, and how far it turns.
 
-Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used; if
-none does, the one that is clearest. If none serves, smaller steps are tried next to the turns that lack only
-a little clearance. The choice is a result, not a change of the plan: entry, target and axis stay as they are.
+Near the singularity small pose errors become large turns of two joints, and the effect of the joints' own
+errors on the tool varies from pose to pose. Registration removes what localizations and target have in
+common, so the wrist should have the same configuration at both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.path_check.motions import fixed_unmet
-from procedures.planning.path_check.paths import branches_for, check_axes, drive
-from procedures.planning.path_check.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
-from procedures.planning.path_check.wrist import WristState
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.free_turns import STEP_RAD, between_rad
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.motions import fixed_unmet
+from procedures.planning.paths import branches_for, check_axes, drive
+from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, VisitKind, localizations_along
+from procedures.strategies.best import CANDIDATES, BestOfEach
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.free_turns import OUTWARDS_RAD, STEP_RAD, between_rad
+from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.errors import LimitError
+
+LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
+MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
+
+
+@dataclass(frozen=True)
+class WristState:
+    """The least bend of the wrist over all poses and approaches, and its turn from target to spheres.
+
+    A whole turn counts as a change: the arm would have to make it in between.
+    """
+
+    least_bend_rad: float
+    largest_turn_change_rad: float
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
+        """For the poses of one trajectory; the check must have reached its target."""
+        turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
+        for one in check.reached:
+            turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
+        changes = [
+            abs(target - sphere)
+            for target in turns[VisitKind.TARGET]
+            for sphere in turns[VisitKind.LOCALIZATION]
+        ]
+        bends = [
+            kinematics.wrist_bend_rad(joints)
+            for one in check.reached
+            for joints in (one.approach_rad, one.at_rad)
+        ]
+        return cls(min(bends), max(changes, default=0.0))
+
+    @property
+    def good(self) -> bool:
+        """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
+        return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
+
 
 Array = NDArray[np.float64]
 
@@ -191,3 +233,67 @@ def _hidden(
 
 def _turned(axis: Axes, turn_rad: float) -> Axes:
     return axis.turned({one.identifier: turn_rad for one in axis.each})
+
+
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
+
+
+def alternatives(
+    setting: ArmSetting,
+    trajectory: Trajectory,
+    fiducials_mm: ArrayLike,
+    sight: StereoSight,
+    tried: Collection[str] = (),
+) -> tuple[Strategy, ...]:
+    """Strategies with which this trajectory alone is visible, reachable and clear, best first.
+
+    The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
+    """
+    if not _target_reached(setting, trajectory):
+        return ()
+    known = {setting.strategy.name, *tried}
+    if isinstance(setting.strategy, BestOfEach):
+        known |= {one.name for one in CANDIDATES}
+    candidates = [strategy_named(name) for name in BY_ACCURACY if name not in known]
+    return tuple(
+        one
+        for one in candidates
+        if choose_free_angles(replace(setting, strategy=one), (trajectory,), fiducials_mm, sight).check.passed
+    )
+
+
+def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
+    """The trajectories that a check does not reach, with the first reason for each.
+
+    A failure that belongs to none of them, such as in a neutral orientation, applies to all.
+    """
+    reasons: dict[str, str] = {}
+    for unmet in check.unmet:
+        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
+    own = {one.identifier: reasons[one.identifier] for one in trajectories if one.identifier in reasons}
+    if len(own) == len(reasons):
+        return own
+    shared = next(iter(reasons.values()))
+    return {one.identifier: own.get(one.identifier, shared) for one in trajectories}
+
+
+def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
+    """Which strategies would serve, by trajectory; None, for the usual advice, if none would."""
+    reaching = [
+        f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
+    ]
+    if not reaching:
+        return None
+    return (
+        f"Choose another --strategy, which would reach {', '.join(reaching)}; or move the cart or the head."
+    )
+
+
+def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:
+    """Whether the guide reaches the target at some angle; if not, no strategy serves it."""
+    return any(
+        drive(setting, target, (), branch, first_only=True).passed
+        for branch in setting.kinematics.branches
+        for turn in OUTWARDS_RAD
+        for target in (Axes((), (trajectory,)).turned({trajectory.identifier: turn}),)
+    )

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from procedures.planning.head.shape import HeadEllipsoid
+from numpy.typing import ArrayLike
+
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind
+from procedures.registration.layout import find_layout
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform
+from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 
 Points = tuple[tuple[float, float, float], ...]
 
@@ -63,3 +69,18 @@ class PlanningScene:
         )
         frame = (one._replace(capsule=one.capsule.moved(in_robot)) for one in self.frame_ct)
         return replace(around, obstacles=(*around.obstacles, *frame))
+
+
+COARSE_MM = 1.25  # around them: error of the coarse localization
+
+
+def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
+    """Its rods in the CT frame; none for free spheres. Raises REG-012 if it is not among the spheres."""
+    if fiducials is not FiducialKind.XFRAME:
+        return ()
+    place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout
+    found = []
+    for one in bodies():
+        (ax, ay, az), (bx, by, bz) = place.apply([one.start_mm, one.end_mm]).tolist()
+        found.append(Obstacle(one.name, Capsule((ax, ay, az), (bx, by, bz), one.radius_mm + COARSE_MM)))
+    return tuple(found)

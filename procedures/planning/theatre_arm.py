@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from procedures.calibration.arm_sources import ErrorSizes
-from procedures.planning.head.frame_bodies import frame_bodies
-from procedures.planning.head.shape import head_shape
-from procedures.planning.path_check.visits import ArmSetting
-from procedures.planning.plan.model import FiducialKind
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.head_in_ct import head_shape
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.plan_model import FiducialKind
+from procedures.planning.scene import PlanningScene, frame_bodies
+from procedures.planning.tool_records import ToolRecords
+from procedures.planning.visits import ArmSetting
 from procedures.registration.errors import LayoutNotFound
 from procedures.strategies.strategy import Strategy
-from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.motion.planning import require_in_range
 from ronna_hw.arm.pose import Pose

@@ -8,10 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.motions import fixed_unmet
-from procedures.planning.path_check.paths import drive
-from procedures.planning.path_check.visits import (
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.line_of_sight import StereoSight, TrackerSight, frame_unseen
+from procedures.planning.motions import fixed_unmet
+from procedures.planning.paths import drive
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import (
     ArmSetting,
     Axes,
     PathCheck,
@@ -19,9 +21,6 @@ from procedures.planning.path_check.visits import (
     localizations_along,
     target_visit,
 )
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.sight.tracker import TrackerSight, frame_unseen
-from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import Pose

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from procedures.workcell.errors import ForeignTool, NoToolRecord
+from procedures.planning.errors import ForeignTool, NoToolRecord
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool

@@ -10,11 +10,11 @@ from enum import StrEnum
 from itertools import combinations
 from typing import Annotated, Literal
 
+import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from procedures.planning.head.metres import NOT_METRES, in_metres
-from procedures.planning.head.structures import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
@@ -28,6 +28,14 @@ UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 char
 LONGEST_AUTHOR = 60
 DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
 LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # a value inside the skin is refused by its own check
+MOST_STRUCTURES = 20
+MOST_POINTS = 1000  # of one structure; a denser cloud is thinned, and the loss of accuracy recorded
+MOST_POINTS_TOGETHER = 3000  # as many as a plan file has room for
+LARGEST_STRUCTURE_MARGIN_MM = 30.0
+STRUCTURE_NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$"
+NOT_METRES = "give millimetres, not metres"
+HEAD_SPAN = 0.5  # metres: wider than any head
+TABLE_TRAVEL = 2.0  # metres: how far a series may be from the scanner's origin
 MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
 
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
@@ -96,6 +104,29 @@ class PlannedTrajectory(Strict):
     def trajectory(self) -> Trajectory:
         """The same for the strategies, angle in radians."""
         return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
+
+
+class Structure(Strict):
+    """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin to keep."""
+
+    name: str = Field(min_length=1, max_length=32, pattern=STRUCTURE_NAME_PATTERN, description="Its name.")
+    margin_mm: float = Field(
+        allow_inf_nan=False,
+        ge=0.0,
+        le=LARGEST_STRUCTURE_MARGIN_MM,
+        description="Minimum distance from a trajectory's axis; includes half the instrument's thickness.",
+    )
+    within_mm: float = Field(
+        default=0.0,
+        allow_inf_nan=False,
+        ge=0.0,
+        le=LARGEST_STRUCTURE_MARGIN_MM,
+        description="Largest gap of its surface from the nearest listed point; subtracted "
+        "from every distance.",
+    )
+    points_mm: Annotated[tuple[Point, ...], Field(min_length=1, max_length=MOST_POINTS)] = Field(
+        description="Its points, LPS."
+    )
 
 
 def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
@@ -209,3 +240,17 @@ class Plan(Strict):
             if one.id == identifier:
                 return one
         raise KeyError(identifier)
+
+
+def span(points: ArrayLike) -> float:
+    """Diagonal of the box around points (n, 3), in their unit."""
+    return float(np.linalg.norm(np.ptp(np.asarray(points, dtype=float), axis=0)))
+
+
+def in_metres(points: ArrayLike) -> bool:
+    """Whether points (n, 3), read as millimetres, are so close together that only metres make sense of them.
+
+    One point alone, as drawn first, says nothing about its unit.
+    """
+    given = np.asarray(points, dtype=float)
+    return len(given) > 1 and span(given) < HEAD_SPAN and float(np.abs(given).max()) < TABLE_TRAVEL

@@ -7,20 +7,23 @@ with an arm, also the poses found by a path check. The stereo measurement itself
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
-from procedures.planning.path_check.visits import ArmSetting, PathCheck, Reached, VisitKind
-from procedures.planning.plan.model import Plan, PlannedTrajectory
-from procedures.planning.prediction.instrument_error import (
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.guide import (
     DIRECTION,
     INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.plan_model import Plan, PlannedTrajectory
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.registration.target_prediction import (
     OwnErrors,
     SharedErrors,
@@ -28,9 +31,11 @@ from procedures.registration.target_prediction import (
     predict_target_error,
 )
 from procedures.strategies.approach import arrival_signs
+from procedures.strategies.best import CANDIDATES, BestOfEach
+from procedures.strategies.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    from procedures.planning.theatre.arm import TheatreArm
+    from procedures.planning.theatre_arm import TheatreArm
 
 Array = NDArray[np.float64]
 
@@ -116,3 +121,37 @@ def _guide(
     yield OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, theatre.bore, held))
     turned = direction_covariance_mm2(plan, planned, theatre.bore, theatre.guide_direction_rad, held)
     yield OwnErrors(DIRECTION, nothing, turned)
+
+
+def with_best_chosen(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
+) -> ArmSetting:
+    """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.
+
+    Trajectories and fiducials (n, 3) are in CT mm. Only what is visible, reachable and clear is a candidate.
+    """
+    if not isinstance(setting.strategy, BestOfEach):
+        return setting
+    chosen = {}
+    for one in trajectories:
+        predicted_mm = {}
+        for candidate in CANDIDATES:
+            alone = replace(setting, strategy=candidate)
+            turned = choose_free_angles(alone, (one,), fiducials_mm, sight)
+            if turned.check.passed:
+                predicted_mm[candidate] = predicted_arm_error_mm(alone, turned.check, one)
+        if predicted_mm:
+            chosen[one.identifier] = min(predicted_mm, key=lambda name: predicted_mm[name])
+    return replace(setting, strategy=replace(setting.strategy, others=chosen))
+
+
+def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
+    """Rms of the arm's own errors at a trajectory's target, from a check of that trajectory alone.
+
+    Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
+    not depend on the orientation.
+    """
+    looks, target = poses_for(setting, check, trajectory.identifier)
+    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
+    return predict_target_error(spheres, tip, arm_error_sources(setting, looks, target, tip)).rms_mm

@@ -3,55 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
-from ronna_hw.calibration import Strict
+from procedures.imaging.errors import PicksUnreadable
+from procedures.imaging.pick_files import parse_points
+from procedures.planning.errors import NearStructure, OutsideField, StructureUnreadable
+from procedures.planning.plan_model import (
+    MOST_POINTS,
+    MOST_STRUCTURES,
+    NOT_METRES,
+    Plan,
+    Structure,
+    in_metres,
+    span,
+)
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.planning.plan.model import Plan
+    from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
 
-MOST_STRUCTURES = 20
-MOST_POINTS = 1000  # of one structure; a denser cloud is thinned, and the loss of accuracy recorded
-MOST_POINTS_TOGETHER = 3000  # as many as a plan file has room for
 LEAST_MARGIN_MM = 0.4  # half the thickness of the thinnest depth electrode
-LARGEST_MARGIN_MM = 30.0
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$"
 _THINNING = 1.25  # growth of the cells until few enough points remain
 _FINEST_CELL_MM = 0.5
-
-Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
-
-
-class Structure(Strict):
-    """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin to keep."""
-
-    name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN, description="Its name.")
-    margin_mm: float = Field(
-        allow_inf_nan=False,
-        ge=0.0,
-        le=LARGEST_MARGIN_MM,
-        description="Minimum distance from a trajectory's axis; includes half the instrument's thickness.",
-    )
-    within_mm: float = Field(
-        default=0.0,
-        allow_inf_nan=False,
-        ge=0.0,
-        le=LARGEST_MARGIN_MM,
-        description="Largest gap of its surface from the nearest listed point; subtracted "
-        "from every distance.",
-    )
-    points_mm: Annotated[
-        tuple[tuple[Coordinate, Coordinate, Coordinate], ...], Field(min_length=1, max_length=MOST_POINTS)
-    ] = Field(description="Its points, LPS.")
 
 
 @dataclass(frozen=True)
@@ -132,3 +114,60 @@ def _left_out_mm(points: Array, kept: Array) -> float:
         return 0.0
     distances, _ = cKDTree(kept).query(points)
     return math.ceil(float(distances.max()) * 10.0) / 10.0
+
+
+MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its axes differ
+
+
+def read_structure(
+    content: bytes, file_name: str, name: str, margin_mm: float, geometry: VoxelGeometry
+) -> Structure:
+    """The structure described by the content of a point file. Raises PLAN-006, PLAN-028.
+
+    Also pydantic's ValidationError, for a name that a plan does not accept.
+    """
+    try:
+        points_mm = parse_points(content, file_name)
+    except PicksUnreadable as refused:
+        raise StructureUnreadable(refused.what, expected=refused.expected, got=refused.got) from refused
+    if in_metres(points_mm):
+        raise StructureUnreadable(
+            f"the points in {file_name} are within {span(points_mm):.3g} mm of each other: {NOT_METRES}"
+        )
+    if (outside := _outside(points_mm, geometry)) > MOST_OUTSIDE:
+        raise OutsideField(f"{outside:.0%} of the points in {file_name} are outside the CT")
+    return structure_of(name, margin_mm, points_mm)
+
+
+def structure_findings(
+    plan: Plan, distances: Sequence[StructureDistance], volume: Volume
+) -> tuple[list[RonnaError], list[str]]:
+    """Findings that refuse the plan, and warnings for the surgeon."""
+    findings: list[RonnaError] = [
+        NearStructure(
+            f"trajectory {one.trajectory} comes too close to {one.structure}",
+            expected=f"at least {one.margin_mm:g} mm",
+            got=f"{one.distance_mm:.1f} mm",
+        )
+        for one in distances
+        if not one.is_kept
+    ]
+    warnings = []
+    for one in plan.structures or ():
+        outside = _outside(one.points_mm, volume.geometry)
+        if outside > MOST_OUTSIDE:
+            findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} are outside the CT"))
+        elif outside:
+            warnings.append(f"{outside:.0%} of the points of {one.name} are outside the CT")
+        if (gap_mm := widest_gap_mm(one.points_mm)) > one.margin_mm:
+            warnings.append(
+                f"points of {one.name} are up to {gap_mm:.1f} mm apart: half of that is "
+                "subtracted from its distances"
+            )
+    return findings, warnings
+
+
+def _outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
+    """Fraction of points (n, 3) beyond the outer faces of the outermost voxels."""
+    index = geometry.to_index(points_mm)
+    return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())
