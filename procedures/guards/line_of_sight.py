@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 
-from procedures.workcell.device_views import TrackerView
+from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import RonnaError
@@ -18,7 +18,7 @@ class LineOfSight:
 
     name = "line of sight"
 
-    def __init__(self, tracker: TrackerView, frame: str, now_s: Callable[[], float]) -> None:
+    def __init__(self, tracker: OpticalTracker, frame: str, now_s: Callable[[], float]) -> None:
         """`frame` is the tracker's name of the reference frame, `now_s` the theatre's time."""
         self._tracker = tracker
         self._frame = frame

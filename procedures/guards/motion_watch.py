@@ -21,7 +21,7 @@ from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
 from procedures.guards.tracker_link import late_s
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.frame_as_tool import with_its_spheres
+from procedures.workcell.tracker_look import with_its_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState

@@ -9,7 +9,7 @@ from statistics import median
 
 from procedures.engine.case_memory import CaseMemory
 from procedures.guards.room_watch import RoomWatch
-from procedures.workcell.device_views import TrackerView
+from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.tracker import TimedTracker
 from ronna_hw.errors import RonnaError
@@ -22,7 +22,7 @@ JUDGED = 5  # replies, by their median: two may be late, such as the first and o
 BETWEEN_LOOKS_S = 10.0  # theatre time, while they are late: a look then takes three replies
 
 
-def late_s(tracker: TrackerView) -> float | None:
+def late_s(tracker: OpticalTracker) -> float | None:
     """How long replies take if that is too long; None also of a tracker that does not report it."""
     if not isinstance(tracker, TimedTracker):
         return None
@@ -36,7 +36,7 @@ class TrackerLink:
 
     name = "tracker link"
 
-    def __init__(self, tracker: TrackerView, memory: CaseMemory, now_s: Callable[[], float]) -> None:
+    def __init__(self, tracker: OpticalTracker, memory: CaseMemory, now_s: Callable[[], float]) -> None:
         """`now_s` is the theatre's time."""
         self._tracker = tracker
         self._memory = memory

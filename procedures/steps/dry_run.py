@@ -27,7 +27,7 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.motion_facts import facts_from
+from procedures.workcell.motions import facts_from
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kinematics import Kinematics

@@ -14,7 +14,7 @@ from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.relocalization.errors import PairNotUsable
 from procedures.strategies.approach import ONE_SIDE
-from procedures.workcell.search import refusal, settled_around
+from procedures.workcell.centring import refusal, settled_around
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
 from ronna_hw.arm.clearance.capsule import Capsule

@@ -2,20 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from procedures.results.errors import GateFailed
-from procedures.workcell.device_views import TrackerView
-from procedures.workcell.frame_as_tool import with_its_spheres
-from procedures.workcell.mounted_tool import MountedTool
+from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
+from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, Quaternion, TrackerFrame, Validity, Vector3
+from ronna_hw.devices.readings import JointVector, Quaternion, StrayReading, TrackerFrame, Validity, Vector3
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+ALIKE_MM = 0.05  # between a loaded definition and the frame: a definition is text of two digits
+
+
+def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
+    """The tool whose markers are those of the x-shaped frame, in its order; None without one."""
+    frame = np.array(SPHERE_CENTRES_MM)
+    for name, markers in markers_mm.items():
+        if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
+            return name
+    return None
+
+
+def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
+    """The reading with the spheres of the frame on the head among its strays, where it is seen as a tool."""
+    name = name_of_frame(tracker.markers_mm)
+    if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
+        return frame
+    places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
+    more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
+    return replace(frame, strays=(*frame.strays, *more))
+
 
 FRAMES = 60  # one second of a 60 Hz tracker
 FRAME_S = 1 / 60
@@ -32,7 +55,7 @@ def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
 
 
 def frames_at_rest(
-    tracker: TrackerView,
+    tracker: OpticalTracker,
     clock: Clock,
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
@@ -47,7 +70,7 @@ def frames_at_rest(
 
 
 def fresh_frames(
-    tracker: TrackerView, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
+    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
     """So many measurements, each another one, and how many readings were lost on the way.
 

@@ -167,7 +167,7 @@ def measure(
         seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"
         if picture is not None:
-            from procedures.workcell.stereo_picture import pair_picture
+            from procedures.workcell.stereo_look import pair_picture
             from ronna_hw.records import write_whole
 
             write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))

@@ -14,8 +14,7 @@ from procedures.steps.calibration.over_ball import BALL_PICTURE, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
-from procedures.workcell.stereo_look import Look
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3
 
 

@@ -20,7 +20,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.calibration import StereoHeadCalibration
 
 

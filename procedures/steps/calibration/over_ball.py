@@ -13,7 +13,7 @@ from procedures.relocalization.search_pattern import SEARCH_RADIUS_MM
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 
 BALL_PICTURE = "stereo-ball.png"
 SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden

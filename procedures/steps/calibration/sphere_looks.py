@@ -28,7 +28,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector

@@ -36,7 +36,7 @@ from procedures.strategies.approach import ONE_SIDE
 from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 from ronna_hw.text.beyond import beyond
@@ -88,7 +88,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     course = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
-    with context.workcell.supervised.leading(course):
+    with context.workcell.supervised.announcing(course):
         return _localized(context, paths)
 
 

@@ -12,7 +12,6 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.conditions import inserted_or_just_out
 from procedures.steps.link_health import LinkHealth, link_health
-from procedures.workcell.parking import park, withdraw
 
 
 class Retreated(StepResult, kind="retreat", version=2):
@@ -27,12 +26,12 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if (on := workcell.place.axis) is not None:
+    if workcell.place.on_axis:
         context.have_instrument_out()
-        withdraw(workcell, on, context.trajectory)
+        workcell.retreat(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    reached = park(workcell)
+    reached = workcell.park()
     link = link_health(context)
     workcell.rest()
     return Outcome(Retreated(joints_rad=reached.joints_rad, link=link), "parked")

@@ -11,7 +11,7 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.triangulation import check_serial
 from procedures.results.result import Numbers6, StepResult, Values
 from procedures.workcell import MountedTool
-from procedures.workcell.carried_tool import require_this_arm
+from procedures.workcell.tools import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle

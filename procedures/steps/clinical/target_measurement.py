@@ -25,8 +25,7 @@ from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import MountedTool
-from procedures.workcell.stereo_look import Look
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3
 
 

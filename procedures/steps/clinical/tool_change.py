@@ -16,7 +16,6 @@ from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import exchangeable
 from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
-from procedures.workcell.parking import park
 
 
 class MountedGuide(StepResult, kind="tool_change"):
@@ -56,7 +55,7 @@ def _park(context: StepContext) -> None:
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, workcell.joints_rad())
     check_room(context, "before the arm parks")
-    park(workcell, "park the arm for the tool exchange")
+    workcell.park("park the arm for the tool exchange")
     check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 

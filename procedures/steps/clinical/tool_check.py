@@ -32,7 +32,6 @@ from procedures.steps.errors import ToolBesideGauge
 from procedures.steps.reading_age import require_recent
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.parking import park
 from ronna_hw.arm.angles import radians6
 from ronna_hw.calibration import Numbers3
 from ronna_hw.tool_record import Gauge
@@ -181,7 +180,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         found = GuideOnGauge(tuple(readings), *compared(guide.gauge, readings), reached.joints_rad)
         if number + 1 == APPROACHES and not found.differs:
             break
-    park(workcell, "park the arm from the gauge")
+    workcell.park("park the arm from the gauge")
     require_recent(context, "the dials of the gauge", read_s)
     return found
 

@@ -37,7 +37,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.relocalization import STEP as RELOCALIZATION
 from procedures.workcell import MountedTool
-from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.motions import CellMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file

@@ -9,8 +9,8 @@ import pytest
 from arm_looks import ENDPOINTS
 from recording_cell import RecordingCell, theatre_of
 
-from procedures.workcell.carried_tool import CarriedTool, calibrated_arm, require_this_arm
 from procedures.workcell.errors import AnotherArm
+from procedures.workcell.tools import CarriedTool, calibrated_arm, require_this_arm
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900

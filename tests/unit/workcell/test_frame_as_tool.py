@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.workcell.frame_as_tool import name_of_frame, with_its_spheres
+from procedures.workcell.tracker_look import name_of_frame, with_its_spheres
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 

@@ -8,7 +8,7 @@ from typing import cast
 
 import pytest
 
-from procedures.workcell.motion_facts import MotionFacts
+from procedures.workcell.motions import MotionFacts
 from ronna_hw.arm.preview import PathPreview
 
 

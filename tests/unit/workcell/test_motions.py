@@ -11,8 +11,8 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
+from procedures.workcell.motions import CellMotion
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector

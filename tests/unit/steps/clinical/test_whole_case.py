@@ -32,7 +32,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.strategy import Strategy
-from procedures.workcell.cell_motion import MotionName
+from procedures.workcell.motions import MotionName
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
