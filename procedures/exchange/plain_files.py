@@ -10,7 +10,7 @@ from typing import Any
 
 from procedures.exchange.dicom_object import Origin
 from procedures.exchange.spatial_fiducials import Fiducial
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 
 MARKUPS_SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"

@@ -11,7 +11,7 @@ import math
 from procedures.engine.engine import Engine
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_place import stands_at
 from procedures.workcell.errors import TipOffAxis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted
 from procedures.steps.branches import CART_MOVED, GO_ON
-from procedures.steps.clinical.tools.begun_work import begun_elsewhere
+from procedures.steps.clinical.work_progress import begun_elsewhere
 from ronna_hw.errors import RonnaError
 
 MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another lock, not another localization

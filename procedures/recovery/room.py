@@ -16,13 +16,8 @@ from procedures.recovery.comparison import Comparison
 from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.followed_move import (
-    frame_at_home,
-    spheres_followed,
-    that_followed,
-    watch_over,
-)
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import frame_at_home, spheres_followed, that_followed, watch_over
 from procedures.workcell import MountedTool
 
 
@@ -45,7 +40,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     if head is None:
         return False
     try:
-        findings = watch.check(reading)
+        findings = watch.compare(reading).require()
     except PatientMoved as moved:
         if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
             comparison.differs("room", f"all within {moved.limit}", moved.what)

@@ -27,12 +27,11 @@ from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
 from procedures.results.errors import StepRefused
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tools.begun_work import begun_elsewhere
+from procedures.steps.clinical.work_progress import begun_elsewhere
 from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.records import Record
 

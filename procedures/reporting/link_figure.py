@@ -7,7 +7,7 @@ import math
 from collections.abc import Sequence
 
 from procedures.reporting.svg import WIDTH, Canvas
-from procedures.steps.link_health import LinkHealth
+from procedures.steps.clinical.results import LinkHealth
 
 TURNAROUND, JITTER, GRID = "#1f6f8b", "#b3541e", "#dfe5e8"
 LEAST_SHOWN_US = 1.0  # the first bin begins at zero, which a logarithmic axis does not have

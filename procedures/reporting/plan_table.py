@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 from procedures.planning.motions import BACK
 from procedures.reporting.run_reading import RunReading
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
 
 

@@ -37,24 +37,25 @@ from procedures.reporting.target_table import TargetRow, target_rows
 from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_look import LookedAtBall
-from procedures.steps.calibration.ball_observation import ObservedBall
+from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import (
+    ConfirmedTarget,
+    LeftOutSphere,
+    LinkHealth,
+    RegisteredRobot,
+    Relocalization,
+)
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.link_health import LinkHealth
 from ronna_hw.evidence.inspection import PICTURES_FOLDER
 from ronna_hw.evidence.named_files import hashes_in
 from ronna_hw.evidence.seal import REPORT_FILE

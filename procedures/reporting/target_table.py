@@ -8,7 +8,7 @@ from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import Prediction
+from procedures.steps.clinical.results import Prediction
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 

@@ -10,7 +10,7 @@ from procedures.engine.case import Case, Stored
 from procedures.engine.run_folder import typed
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.records import Record
 
 

@@ -6,22 +6,61 @@ test reaches every row. No branch moves the arm again unasked.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from enum import StrEnum
+
 from procedures.engine.hands import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.operator.checkpoint import GO_ON as CONTINUE
 from procedures.operator.checkpoint import LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
-from procedures.operator.question import NO, YES
+from procedures.operator.question import NO, YES, Question
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.free_angle import BY_ACCURACY
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
 from procedures.results.errors import GateFailed
-from procedures.steps.branch import Branch, Ending
 from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
+from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
+
+
+class Ending(StrEnum):
+    """How a branch ends."""
+
+    HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
+    ASK = "ask"  # the operator decides; what is not agreed to is held
+    ABORT = "abort"  # the case ends
+    RECORDED = "recorded"  # no motion depends on it: it goes on, and the record says so
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One row. `errors` are what it holds with, or holds with when the answer is no."""
+
+    event: str
+    detected_by: str
+    steps: tuple[str, ...]  # in which it can happen; none for any
+    action: str
+    ending: Ending
+    errors: tuple[type[RonnaError], ...] = ()
+    topic: Topic | None = None
+    answers: tuple[str, ...] = ()
+
+    def question(
+        self,
+        subject: str,
+        value: str,
+        trajectory: str | None = None,
+        answers: tuple[str, ...] | None = None,
+    ) -> Question:
+        """What the operator is asked, with all answers by default. Raises ValueError when nothing is."""
+        if self.topic is None:
+            raise ValueError(f"no question is defined for: {self.event}")
+        return Question(self.topic, subject, value, answers or self.answers, trajectory)
+
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
 FINISHED = "finished"  # all that was to be done through the guide was done before

@@ -2,7 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from procedures.engine.order import Steps
+from procedures.engine.step import StepSpec
+from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
+from procedures.operator.question import NO, NOBODY, READ, YES, words
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
+from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,
     cart_lock,
@@ -23,6 +31,8 @@ from procedures.steps.clinical import (
     tool_change,
     tool_check,
 )
+from procedures.steps.clinical.at_target import DONE, HOLD
+from procedures.steps.clinical.work_progress import STAGES
 
 CLINICAL_STEPS: Steps = (
     ct_import.STEP,
@@ -51,3 +61,45 @@ def clinical_steps(*, measure_targets: bool = False) -> Steps:
         return CLINICAL_STEPS
     place = CLINICAL_STEPS.index(tool_change.STEP)
     return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])
+
+
+ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
+    **dict.fromkeys(Topic, (YES, NO)),
+    **{branch.topic: branch.answers for branch in BRANCHES if branch.topic is not None},
+    Topic.PAUSE: (GO_ON, ABORT),
+    Topic.GUARD: (WAIT, LEAVE),
+    Topic.READING: (READ, NOBODY),
+    **{stage.topic: (DONE, HOLD) for stage in STAGES},
+}
+
+
+AFTER_STOP = "the arm has not moved since it was connected or stopped"
+
+
+@dataclass(frozen=True)
+class PlannedQuestion:
+    """A question by its topic, and what must have happened for it; empty where it belongs to the course."""
+
+    topic: Topic
+    condition: str = ""
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """The first goes on, the last is what silence means."""
+        return ANSWER_WORDS[self.topic]
+
+    def __str__(self) -> str:
+        return f"{self.topic}: {words(self.answers)}{f', if {self.condition}' if self.condition else ''}"
+
+
+def planned_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
+    """Those of its course in their order, then those of its branches; not what any step may meet."""
+    course = [PlannedQuestion(topic) for topic in spec.asks]
+    if spec.moves:
+        course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))
+    branches = [
+        PlannedQuestion(branch.topic, branch.event)
+        for branch in BRANCHES
+        if branch.topic is not None and spec.name in branch.steps and branch.topic not in spec.asks
+    ]
+    return (*course, *branches)

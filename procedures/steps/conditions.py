@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from procedures.engine.context import StepContext
+from procedures.steps.errors import ReadingTooOld
 from procedures.workcell import MountedTool
 
 REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
@@ -69,3 +70,15 @@ def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)
+
+
+LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
+
+
+def require_recent(context: StepContext, what: str, read_s: float) -> None:
+    """Raise TOOL-007 when what was read at that theatre time is relied on too late."""
+    age_s = context.setting.clock.now_s() - read_s
+    if age_s > LONGEST_S:
+        raise ReadingTooOld(
+            f"{what}: read too long ago", limit=f"{LONGEST_S / 60:.0f} min", got=f"{age_s / 60:.0f} min"
+        )

@@ -13,16 +13,14 @@ from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting
 from procedures.engine.step import StepKey
 from procedures.planning.motions import BACK, HOME, LINE, MOVE
-from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import SPHERE, MotionPreview, motions_over_spheres
-from procedures.steps.clinical.paths.surroundings import planning_scene
+from procedures.steps.clinical.path_check import SPHERE, CheckedPaths, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import ConfirmedTarget, Relocalization
 from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.clinical.surroundings import planning_scene
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.approach import ONE_SIDE

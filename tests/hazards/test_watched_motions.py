@@ -20,7 +20,7 @@ from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_watch import RoomWatch
-from procedures.guards.tracker_link import JUDGED
+from procedures.guards.tracker_guards import JUDGED
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry
 from procedures.operator.question import Question

@@ -109,7 +109,7 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
         return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
-    from procedures.steps.planned_questions import planned_questions
+    from procedures.steps.catalogue import planned_questions
 
     for question in planned_questions(engine.order.spec(key)):
         say(f"  asks {question}")

@@ -9,8 +9,7 @@ from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
 from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration.mount import TipFigures
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
 
 MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
 

@@ -21,8 +21,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_place import BallPlace, standing_alone
-from procedures.steps.calibration.over_ball import BALL_PICTURE
+from procedures.steps.calibration.ball_place import BALL_PICTURE, BallPlace, standing_alone
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries

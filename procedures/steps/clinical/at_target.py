@@ -14,7 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
@@ -24,9 +24,15 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkStage, begun_work, done_in_words
-from procedures.steps.clinical.tools.depth_stop import DepthStop
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.work_progress import (
+    STAGES,
+    BegunWork,
+    DepthStop,
+    WorkStage,
+    begun_work,
+    done_in_words,
+)
 from procedures.steps.conditions import inserted
 from ronna_hw.text.beyond import beyond
 

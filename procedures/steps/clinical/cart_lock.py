@@ -16,8 +16,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
-from procedures.guards.room_reading import room_reading
-from procedures.guards.room_watch import RoomReading
+from procedures.guards.room_reading import RoomReading, room_reading
 from procedures.operator.question import YES, Question
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
@@ -27,11 +26,11 @@ from procedures.registration.shift import shift_of
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
+from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.spheres.coarse_match import coarse_match, room_prior
 from procedures.steps.conditions import away_from_head
 from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker

@@ -17,11 +17,11 @@ from procedures.registration.room_prior import RoomPrior
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
+from procedures.steps.clinical.coarse_match import coarse_match, matched, mirror_images, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.spheres.coarse_match import coarse_match, matched, mirror_images, room_prior
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.clinical.results import LeftOutSphere
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform

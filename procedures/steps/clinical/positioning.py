@@ -9,7 +9,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_still import guide_at_rest
+from procedures.guards.guide_displacement import guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.operator.question import YES
 from procedures.operator.topic import Topic
@@ -19,19 +19,19 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.surroundings import READS, surround_guide
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.clinical.tools.sight import require_seen_in_place
-from procedures.steps.clinical.validity.room import (
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import (
     ROOM_READS,
     check_room,
     expected_sight,
     head_must_show,
     require_unmoved,
 )
+from procedures.steps.clinical.surroundings import READS, surround_guide
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.tool_mounting import require_seen_in_place
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.target import refined_target_pose

@@ -5,12 +5,10 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
@@ -36,90 +34,39 @@ from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.shared_residual import UnnoticedPoint
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
 from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, StepResult, Values
+from procedures.results.result import FramedPose
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.error_budget.arm import arm_errors, unknown_sides_mm2
-from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
-from procedures.steps.clinical.error_budget.gate import (
+from procedures.steps.clinical.error_budget import (
     arm_covariance_mm2,
+    arm_errors,
+    budget_table,
+    displaced_spheres_mm,
+    held_guide,
     moved_spheres,
     residual_gate,
+    two_way_table,
+    unknown_sides_mm2,
     unnoticed_sphere,
 )
-from procedures.steps.clinical.error_budget.held_guide import held_guide
-from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.followed_move import MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.relocalization import Relocalization
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
-from procedures.steps.clinical.validity.followed_move import FollowedMove, MeasuredMove, followed_move
+from procedures.steps.clinical.results import (
+    NOT_PREDICTED,
+    ErrorShare,
+    LeftOutSphere,
+    Prediction,
+    RegisteredRobot,
+    Relocalization,
+)
 from procedures.workcell import MountedTool
-from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
-
-
-class ErrorShare(Values):
-    """What one source contributes to a predicted error; the squares of all shares add up to its square."""
-
-    source: str = Field(description="Such as `CT` or `guide tip`.")
-    rms_mm: float = Field(description="Root mean square at the target.")
-
-
-class Prediction(Values):
-    """Error to expect at the tip of the guide at one target."""
-
-    target: str = Field(description="Name of the trajectory.")
-    rms_mm: float = Field(description="Root mean square.")
-    limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
-    confidence: float = Field(description="Of that radius, 0 to 1.")
-    formula: str = Field(description="Method of prediction.")
-    budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
-    excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
-
-
-class RegisteredRobot(StepResult, kind="registration"):
-    """Pose of the CT in the robot frame, and how good it is where it is needed."""
-
-    robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
-    pairs: int = Field(description="Spheres it was fitted to.")
-    fre_mm: float = Field(description="Fiducial registration error: not a measure of accuracy.")
-    residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
-    leave_one_out_mm: tuple[float | None, ...] = Field(
-        description="Residual of each sphere when fitted without it."
-    )
-    predictions: tuple[Prediction, ...] = Field(description="One for each target it serves.")
-    two_way: TwoWayTable = Field(description="CT to room and room to CT.")
-    left_out_spheres: tuple[LeftOutSphere, ...] = Field(
-        default=(), description="Measured but not used in the fit: they disagree with all others."
-    )
-    followed: FollowedMove | None = Field(
-        default=None, description="The head movement that it follows; everything else is from before that."
-    )
-    left_out: dict[str, str] = Field(
-        default={},
-        description="Trajectories that it is not accurate enough for, and why; they are not targeted.",
-    )
-
-    def leaves_out(self) -> Mapping[str, str]:
-        return self.left_out
-
-    @property
-    def trajectories(self) -> frozenset[str]:
-        """The trajectories that it is for."""
-        return frozenset(one.target for one in self.predictions)
-
-    def prediction(self, target: str) -> Prediction:
-        """The prediction at a target; raises KeyError."""
-        for one in self.predictions:
-            if one.target == target:
-                return one
-        raise KeyError(target)
 
 
 @dataclass(frozen=True)

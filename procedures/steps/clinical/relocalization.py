@@ -12,11 +12,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
@@ -24,20 +22,17 @@ from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.relocalization.head_watch import check_head
 from procedures.results.errors import GateFailed
-from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import in_one_line, motions_over_spheres
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.path_check import CheckedPaths, in_one_line, motions_over_spheres
+from procedures.steps.clinical.results import LeftOutSphere, Relocalization
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.approach import ONE_SIDE
 from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
-from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 from ronna_hw.text.beyond import beyond
 
@@ -45,42 +40,6 @@ Array = NDArray[np.float64]
 
 SMALL_STEPS = "and the small steps over each sphere, or in search of one that is not seen"
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
-
-
-class Relocalization(StepResult, kind="relocalization", version=2):
-    """The spheres in the room, finely, as the stereo head sees them. One entry for each sphere."""
-
-    fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
-    points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
-    covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
-    residuals_mm: tuple[tuple[float, ...], ...] = Field(
-        description="Residuals of the servo, image pair by image pair."
-    )
-    ray_gaps_mm: tuple[float, ...] = Field(description="Distance between the two lines of sight.")
-    radii_mm: tuple[tuple[float, float], ...] = Field(
-        description="Centres of its outlines, left and right, at the measured position."
-    )
-    looks: tuple[int, ...] = Field(description="Image pairs taken.")
-    joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
-    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
-    left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
-    frame_at_home_mm: Numbers3 | None = Field(
-        default=None,
-        description="The frame on the arm before, home: by the tracker minus by the arm, robot frame.",
-    )
-
-    @model_validator(mode="after")
-    def _one_entry_for_each_sphere(self) -> Self:
-        counts = {len(self.points_robot_mm), len(self.covariances_mm2), len(self.residuals_mm)}
-        counts |= {len(self.ray_gaps_mm), len(self.radii_mm), len(self.looks), len(self.joints_rad)}
-        if counts != {len(self.fiducials)}:
-            raise ValueError("expected one entry for each of the fiducials")
-        return self
-
-    @property
-    def points_mm(self) -> Array:
-        """The spheres (n, 3) in the robot frame."""
-        return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:

@@ -10,8 +10,8 @@ from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.results import LinkHealth, link_health
 from procedures.steps.conditions import inserted_or_just_out
-from procedures.steps.link_health import LinkHealth, link_health
 
 
 class Retreated(StepResult, kind="retreat", version=2):

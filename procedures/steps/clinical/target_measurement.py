@@ -16,11 +16,11 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.errors import Saturated
 from procedures.results.result import FramedPose, Matrix3, Numbers6, StepResult
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import refused_by_name
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import refined_target_pose

@@ -9,12 +9,12 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.results import LinkHealth, link_health
+from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tools.exchange import exchange_for
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.tool_mounting import exchange_for
 from procedures.steps.conditions import exchangeable
-from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
 
 

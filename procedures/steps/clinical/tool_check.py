@@ -23,13 +23,12 @@ from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.branches import TOOL_BESIDE_GAUGE
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
+from procedures.steps.clinical.room import ROOM_READS, check_room, doubt
+from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tools.sight import require_seen_in_place
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
-from procedures.steps.conditions import carries
+from procedures.steps.clinical.tool_mounting import require_seen_in_place
+from procedures.steps.conditions import carries, require_recent
 from procedures.steps.errors import ToolBesideGauge
-from procedures.steps.reading_age import require_recent
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
 from ronna_hw.arm.angles import radians6
@@ -68,8 +67,6 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
 
     Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
     """
-    from procedures.steps.clinical.confirmation import doubt  # which reads the gauge as this step does
-
     try:
         return _checked(context)
     except ToolBesideGauge as problem:

@@ -33,12 +33,10 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import LinkHealth, Prediction, RegisteredRobot, Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.link_health import LinkHealth
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import target_pose

@@ -13,11 +13,8 @@ from recording_cell import GUIDE, RecordingCell
 
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.order import order_of
-from procedures.guards.arm_link import ArmLink
-from procedures.guards.disk_space import DiskSpace
-from procedures.guards.line_of_sight import PATIENCE_S, LineOfSight
-from procedures.guards.mounted_tool import ToolStillMounted
-from procedures.guards.wall_clock import WallClock
+from procedures.guards.default_guards import ArmLink, DiskSpace, ToolStillMounted, WallClock
+from procedures.guards.tracker_guards import FRAME_PATIENCE_S, LineOfSight
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
@@ -140,7 +137,7 @@ def test_a_lost_line_of_sight_suspends_the_case_until_the_tracker_sees_the_frame
     assert guard.unmet() is None
     tracker.validity = Validity.MISSING
     assert guard.unmet() is None  # a hand that passes
-    now_s += PATIENCE_S
+    now_s += FRAME_PATIENCE_S
     reason = guard.unmet()
     assert reason is not None
     assert "robot_frame" in reason

@@ -11,7 +11,7 @@ import pytest
 
 from procedures.engine.case_memory import CaseMemory
 from procedures.guards.room_watch import Approach, RoomWatch
-from procedures.guards.tracker_link import BETWEEN_LOOKS_S, JUDGED, TrackerLink
+from procedures.guards.tracker_guards import BETWEEN_LOOKS_S, JUDGED, TrackerLink
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout

@@ -7,8 +7,7 @@ import pytest
 
 from procedures.operator.topic import Topic
 from procedures.steps import branches
-from procedures.steps.branch import Branch, Ending
-from procedures.steps.branches import BRANCHES
+from procedures.steps.branches import BRANCHES, Branch, Ending
 from procedures.steps.catalogue import CLINICAL_STEPS
 
 TESTS = Path(__file__).resolve().parents[2]

@@ -7,8 +7,7 @@ from clinical_case import ClinicalCell
 
 from procedures.cli.case.commands import COMMANDS
 from procedures.operator.topic import Topic
-from procedures.steps.catalogue import CLINICAL_STEPS
-from procedures.steps.planned_questions import planned_questions
+from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
 
 
 def said(tmp_path: Path, command: str, argument: str = "") -> list[str]:

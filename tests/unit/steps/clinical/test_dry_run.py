@@ -12,11 +12,10 @@ from prepared_results import checked_paths, checked_plan, coarse, localized_fidu
 from procedures.engine.step import StepKey
 from procedures.planning.motions import HOME
 from procedures.steps.clinical import tool_check
-from procedures.steps.clinical.confirmation import ConfirmedTarget
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.dry_run import would_move

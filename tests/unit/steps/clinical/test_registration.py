@@ -22,7 +22,8 @@ from procedures.guards.stability import Subject
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
-from procedures.steps.clinical.registration import STEP, RegisteredRobot
+from procedures.steps.clinical.registration import STEP
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from procedures.registration import register
-from procedures.steps.clinical.error_budget.gate import (
+from procedures.steps.clinical.error_budget import (
     GATE_CONFIDENCE,
     REPEATABILITY_MM,
     moved_spheres,

@@ -178,7 +178,7 @@ def test_readings_that_are_not_finite_are_refused(cell: ClinicalCell) -> None:
 def test_dials_read_an_hour_before_the_result_are_refused(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the dials of the gauge: read too long ago"):
         check(cell, *(0.0,) * 5)
     assert cell.workcell.place.is_home

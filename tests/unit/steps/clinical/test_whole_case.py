@@ -27,7 +27,7 @@ from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.orientation import back_along_axis

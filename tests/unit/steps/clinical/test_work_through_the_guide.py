@@ -22,16 +22,16 @@ from watched_case import findings
 
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.guards import GuideStill, patient_watch
+from procedures.guards import GuideDisplacement, patient_watch
 from procedures.guards.errors import BaseShifted
-from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
+from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
 from procedures.workcell import MountedTool
 
@@ -45,9 +45,9 @@ STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.PLACE_READINGS", READINGS // 2)
-    monkeypatch.setattr("procedures.guards.guide_still.END_READINGS", READINGS)
+    monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_displacement.PLACE_READINGS", READINGS // 2)
+    monkeypatch.setattr("procedures.guards.guide_displacement.END_READINGS", READINGS)
 
 
 def before_the_entry(cell: ClinicalCell) -> Engine:
@@ -59,7 +59,7 @@ def before_the_entry(cell: ClinicalCell) -> Engine:
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideStill(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     return engine
@@ -92,7 +92,7 @@ def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
 ) -> None:
     """Its reference, taken in the step before, is fresh: a head may be hidden for ten seconds in all."""
     engine = before_the_entry(cell)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 1.0)
+    monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 1.0)
     looks, look = [], GuideAtRest.look
 
     def counted(rest: GuideAtRest, *views: Any) -> None:
@@ -159,11 +159,11 @@ def test_no_instrument_goes_in_by_a_depth_stop_read_too_long_ago(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = before_the_entry(cell)
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the depth stop for T1: read too long ago"):
         work(engine)
     assert [task.name for task in cell.room.worked] == ["depth_stop", "skin", "drill", "dura"]
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 60.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 60.0)
     cell.room.worked.clear()
     cell.operator.answers[Topic.WORK_BEGUN] = "from insert"
     work(engine)

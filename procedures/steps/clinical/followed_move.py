@@ -7,62 +7,37 @@ tracker has moved, and nothing hides the head. Nothing is followed but one rigid
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import room_reading
-from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.room_reading import RoomReading, room_reading
+from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import HEAD_NOTICEABLE_MM
 from procedures.registration.rigid_move import RigidMove, rigid_move
 from procedures.registration.shift import same_points, shift_of
 from procedures.results.errors import StepRefused
-from procedures.results.result import FramedPose, Values
+from procedures.results.result import FramedPose
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.workcell import Workcell
+from procedures.steps.clinical.results import FollowedMove
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM, frame_at_home, watch_over
 from procedures.workcell.tracker_look import FRAMES, frames_at_rest
-from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.text.beyond import beyond, side_by_side
-
-if TYPE_CHECKING:
-    from procedures.steps.clinical.relocalization import Relocalization
 
 Array = NDArray[np.float64]
 
 # Beyond this nothing is offered: paths and angles were chosen for the head as it lay, and a clamp that let a
 # head go further is not trusted to hold it now.
-MOST_FOLLOWED_MM = 5.0  # rms over the spheres
 MOST_FOLLOWED_RAD = math.radians(2.0)
 AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
 STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of one place; an estimate
-
-
-class FollowedMove(Values):
-    """How the head has moved since the re-localization, as measured by the tracker and accepted by the
-    operator."""
-
-    robot_from_robot: FramedPose = Field(
-        description="From the head's previous pose to its present one, robot frame."
-    )
-    way_mm: float = Field(description="Displacement of the spheres' centroid.")
-    turn_deg: float = Field(description="Angle of the rotation.")
-    pairs: int = Field(description="Spheres used.")
-    residual_mm: float = Field(description="Rms deviation from one rigid motion.")
-    limit_mm: float = Field(description="Limit of that residual, from the noise of both readings.")
-    base_mm: float = Field(
-        description="Motion between the frame on the arm and the tracker since the localization."
-    )
-    spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
 
 
 @dataclass(frozen=True)
@@ -78,43 +53,6 @@ class MeasuredMove:
             "measured head movement": self.fit.error_mm(place_mm),
             "cart and tracker stability": self.record.base_mm,
         }
-
-
-def watch_over(
-    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
-) -> RoomWatch:
-    """The watch over a localization of that name; over all its spheres while no `pairs` are matched."""
-    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
-    if pairs is not None:
-        spheres = spheres[[room for _, room in pairs]]
-    flange = workcell.flange_pose(localized.joints_rad)
-    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
-
-
-class Following(Protocol):
-    """A registration that may have followed a move."""
-
-    @property
-    def followed(self) -> FollowedMove | None: ...
-
-    @property
-    def trajectories(self) -> frozenset[str]: ...
-
-
-F = TypeVar("F", bound=Following)
-
-
-def that_followed(registrations: Sequence[F], trajectory: str | None) -> F | None:
-    """The registration of a trajectory, or the last one where none is for that, if it has followed a move."""
-    own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
-    return own[-1] if own and own[-1].followed is not None else None
-
-
-def spheres_followed(registration: Following | None) -> Array | None:
-    """Where the spheres are (n, 3), tracker frame, since a registration followed them; None if none did."""
-    move = None if registration is None else registration.followed
-    return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
@@ -230,14 +168,3 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
             "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")
-
-
-def frame_at_home(context: StepContext) -> Array | None:
-    """Place of the frame on the arm, home, before the spheres were localized again (3,) mm."""
-    from procedures.steps.clinical.relocalization import Relocalization  # which checks the room
-
-    def first(made: Sequence[Relocalization]) -> Relocalization | None:
-        return next((one for one in made if one.frame_at_home_mm is not None), None)
-
-    found = context.result_among(Relocalization, first)
-    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)

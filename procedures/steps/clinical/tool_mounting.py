@@ -1,20 +1,53 @@
-"""Gross check of a mounted tool: the tracker sees the frame on it where the tool's record says, to 1 mm.
-
-The frame on the tool is compared with frame M on the mount, in the same readings. So neither the arm, nor the
-place of the tracker, nor any calibration comes in. It is done before the tool is moved anywhere: a longer one
-would run into the gauge.
-"""
+"""People exchange the tool on the parked arm; the controller's inputs show when the right one is mounted."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from procedures.engine.context import StepContext
+from procedures.operator.question import YES
+from procedures.operator.topic import Topic
+from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.errors import ToolSeenElsewhere
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
+
+
+def exchange_for(context: StepContext, tool: MountedTool) -> int:
+    """End the correction stream and have a tool mounted until it is; its number. One already there stays on.
+
+    Raises PRO-002, or PRO-009 when it is not mounted.
+    """
+    workcell = context.workcell
+    workcell.rest()
+    number, name = STEREO_HEAD_NUMBER, "the stereo head"
+    if tool is MountedTool.GUIDE:
+        number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
+    value = f"{name}, tool {number}"
+    if workcell.tool is tool:  # of an exchange that was interrupted: mounted again, it would lose its seat
+        context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
+    else:
+        context.setting.room.change_tool(number, name)
+        context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
+    for mounting in range(1, MOUNTINGS + 1):
+        try:
+            return workcell.check_mounted(tool)
+        except WrongTool as problem:
+            if mounting == MOUNTINGS:
+                raise
+            context.setting.room.change_tool(number, name)
+            again = WRONG_TOOL.question(
+                "the wrong tool is mounted: mount again", f"{value}; {problem.summary}"
+            )
+            if context.choose(again) != YES:
+                raise
+    raise AssertionError("the last mounting has returned or raised")
+
 
 SEEN_LIMIT_MM = (
     1.0  # of any sphere on the tool: a gross check, above the tracker's error; the gauge sees the rest

@@ -1,9 +1,8 @@
-"""While someone works through the guide, it stays where it was held.
+"""Displacement of the guide while somebody works through it.
 
-The encoders do not see how an arm gives way under a hand; the tracker does, by the frame on the mount: by its
-place, and by where its pose has the lower end of the guide, which a turn of the wrist displaces alone. A
-guide that bears a frame of its own is seen by that too: its seat may give way. What the arm's own joints say
-is compared as well.
+Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
+and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
+with a frame of its own is seen by that too, as its seat may give way. The arm's joints are compared as well.
 """
 
 from __future__ import annotations
@@ -28,17 +27,17 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
-# In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm; the guide's end,
-# 160 mm away, one of 0.42 mm, so that less than `END_SEEN_MM` says nothing. Frames take time, of which a
-# trajectory in whose pose the head is hidden has ten seconds: a short look, and a long one if that says no.
+# In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm, the guide's end,
+# 160 mm away, one of 0.42 mm: less than `END_SEEN_MM` means nothing. Frames take time, and a trajectory in
+# whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
 END_SEEN_MM = 0.3
-END = 1  # its row among the points
-# Of arms of parameter set S with frames as calibrated, 0.25 deg at most; of the arm itself, nothing is seen.
+END = 1  # row of the guide's end among the points
+# For arms of parameter set S with calibrated frames, at most 0.25 deg; the arm's own share is not visible.
 TURNED_RAD = math.radians(0.5)
-FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half of which must show it
+FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
 BETWEEN_LOOKS_S = 1.0  # theatre time
-# Readings of a watch while it lasts, every fourth frame: with half as many for the place, 4 of 100 insertions
-# of ten minutes had a warning with nobody near.
+# Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of
+# ten minutes had a warning with nobody near.
 PLACE_READINGS = 30
 END_READINGS = 150
 HIDDEN = ", and clear the line between the tracker and the frame on the arm: it is not seen now"
@@ -46,14 +45,13 @@ HIDDEN = ", and clear the line between the tracker and the frame on the arm: it 
 
 @dataclass
 class GuideAtRest:
-    """How the guide was held when it had come to rest.
+    """The guide as it came to rest, and its displacement since.
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
-    tracker's frame: NaN for the last where it is not seen, and None where the first is not. `end_in_frame_mm`
-    (3,) is the end in the frame on the mount, `on_guide` the name of the frame on the guide, if it bears one.
-    `worked` says that someone is working through it now: else nothing waits for it; `left` that someone was.
-    `now_mm` is how far it was from its place when it was seen last; `looked_s` is the theatre time of the
-    last look, `unseen` says that this did not show it.
+    tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
+    in the frame on the mount; `on_guide` names the frame on the guide, if any. `worked` says that somebody
+    works through it now, `left` that somebody did. `now_mm` is its last known displacement, `looked_s` the
+    theatre time of the last look; `unseen` says that this look did not show the frame.
     """
 
     trajectory: str
@@ -66,15 +64,15 @@ class GuideAtRest:
     left: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
-    _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # each of the points, when it was seen last
+    _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
 
     def begin_watch(self) -> None:
-        """Readings of an earlier watch say nothing about where it is now."""
+        """Forget the readings of an earlier watch."""
         self._recent.clear()
 
     def take(self, frame: TrackerFrame, tool: str) -> None:
-        """Add one reading of a watch: the mean of the last ones is compared."""
+        """Add a reading of a watch, and compare the mean of the latest ones."""
         reading = frame.tool(tool)
         if self.seen_mm is None or reading.validity is not Validity.OK:
             return
@@ -89,7 +87,7 @@ class GuideAtRest:
             self._compare(now_mm)
 
     def look(self, workcell: Workcell, clock: Clock) -> None:
-        """See how far it is from its place now. Raises what the tracker raises."""
+        """Measure the displacement now. Raises the tracker's errors."""
         known = self.seen_mm is not None
         for count in (FRAMES_AT_FIRST, FRAMES):
             seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1] if known else None
@@ -99,7 +97,7 @@ class GuideAtRest:
                 break
 
     def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
-        """By whichever says most; a frame that is hidden now is taken to be where it was seen last."""
+        """Update the displacement by the largest evidence; a hidden frame stays where it was last seen."""
         if seen_mm is not None and self.seen_mm is not None:
             moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
             self._moved_mm = np.where(np.isfinite(moved_mm), moved_mm, self._moved_mm)
@@ -110,8 +108,8 @@ class GuideAtRest:
 
 
 @dataclass
-class GuideStill:
-    """Asked at checkpoints while the case remembers a `GuideAtRest` through which someone works."""
+class GuideDisplacement:
+    """Guard for a `GuideAtRest` in the memory of the case while somebody works through it."""
 
     workcell: Workcell
     clock: Clock
@@ -119,7 +117,7 @@ class GuideStill:
     name: str = "guide"
 
     def unmet(self) -> str | None:
-        """By how much it is pushed. Raises what the tracker raises."""
+        """Describe a push on the guide. Raises the tracker's errors."""
         rest = self.memory.find(GuideAtRest)
         if rest is None or not rest.worked:
             return None
@@ -138,9 +136,9 @@ class GuideStill:
 def guide_at_rest(
     workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
 ) -> GuideAtRest:
-    """How it is held now. Raises PRO-007 for a hand on it already, and what the tracker raises.
+    """Measure how the guide is held now. Raises PRO-007 if a hand is on it already, and the tracker's errors.
 
-    `room` is the watch of the case, by which the tracker knows how the arm has the frame.
+    `room` is the watch of the case, which relates the tracker to the arm.
     """
     tool = workcell.tool_pose()
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
@@ -155,7 +153,7 @@ def guide_at_rest(
 
 
 def _require_unturned(by_arm: Transform, seen: Transform) -> None:
-    """Raises PRO-007 when the frame on the mount is turned against where the arm has it."""
+    """Raise PRO-007 if the frame on the mount is turned against its pose by the arm."""
     turned_rad = float((by_arm.rigid.rotation.inv() * seen.rigid.rotation).magnitude())
     if turned_rad > TURNED_RAD:
         turned_deg, limit_deg = math.degrees(turned_rad), math.degrees(TURNED_RAD)
@@ -171,7 +169,7 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
 def _seen(
     workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
 ) -> tuple[Transform | None, Array | None]:
-    """Mean pose of the frame on the mount and `seen_mm`; None where too few frames show it."""
+    """Mean pose of the frame on the mount, and `seen_mm`; None if too few frames show it."""
     frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
     on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
     if on_mount is None:
@@ -181,6 +179,6 @@ def _seen(
 
 
 def _points_mm(on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
-    """The frame on the mount, the guide's end and the frame on the guide (3, 3), tracker frame."""
+    """Frame on the mount, end of the guide and frame on the guide (3, 3), tracker frame."""
     guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
     return np.array([on_mount.translation_mm, on_mount.apply(end_in_frame_mm), guide_mm])

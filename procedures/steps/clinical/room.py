@@ -2,29 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
+
 from procedures.engine.context import StepContext
-from procedures.guards.errors import PatientUnseen
-from procedures.guards.room_reading import FRAMES, check_now
-from procedures.guards.room_watch import Approach, RoomLook, RoomWatch
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.planning.line_of_sight import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.validity.followed_move import (
-    frame_at_home,
-    spheres_followed,
-    that_followed,
-    watch_over,
-)
+from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
+from procedures.workcell import MountedTool, Workcell
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
 
+Array = NDArray[np.float64]
+
+MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration may follow
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
 
@@ -34,8 +38,6 @@ def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLo
     The arm rests meanwhile. Raises PRO-019 and PRO-020; then the localization is superseded, or the
     registrations that may follow the move, and all that descends from them.
     """
-    from procedures.steps.clinical.confirmation import void_moved  # as in `room_watch`
-
     setting, void = context.setting, partial(void_moved, context)
     look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
     for finding in look.findings:
@@ -107,9 +109,6 @@ def room_watch(context: StepContext) -> RoomWatch:
 
     Where the registration has followed a move of the head, its spheres are watched where they are since.
     """
-    # registration reads what relocalization leaves, which checks the room
-    from procedures.steps.clinical.registration import RegisteredRobot
-
     localized = context.result(GlobalLocalization)
     name = context.identifier(GlobalLocalization)
     watch = context.setting.memory.find(RoomWatch)
@@ -120,3 +119,71 @@ def room_watch(context: StepContext) -> RoomWatch:
     followed = partial(that_followed, trajectory=context.key.trajectory)
     watch.follow(spheres_followed(context.result_among(RegisteredRobot, followed)))
     return watch
+
+
+def watch_over(
+    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
+) -> RoomWatch:
+    """Build the watch over the localization of this name, over all its spheres unless `pairs` are matched."""
+    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
+    if pairs is not None:
+        spheres = spheres[[room for _, room in pairs]]
+    flange = workcell.flange_pose(localized.joints_rad)
+    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+
+
+def that_followed(registrations: Sequence[RegisteredRobot], trajectory: str | None) -> RegisteredRobot | None:
+    """The registration of a trajectory, else the last one, if it has followed a move of the head."""
+    own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
+    return own[-1] if own and own[-1].followed is not None else None
+
+
+def spheres_followed(registration: RegisteredRobot | None) -> Array | None:
+    """Spheres (n, 3) since a registration followed them, tracker frame; None if none did."""
+    move = None if registration is None else registration.followed
+    return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
+
+
+def frame_at_home(context: StepContext) -> Array | None:
+    """Frame on the arm at home (3,) mm, before the spheres were localized again; None if not recorded."""
+
+    def first(made: Sequence[Relocalization]) -> Relocalization | None:
+        return next((one for one in made if one.frame_at_home_mm is not None), None)
+
+    found = context.result_among(Relocalization, first)
+    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)
+
+
+def unconfirmed(context: StepContext) -> tuple[str, ...]:
+    """The targets worked at, or begun to be, since the last look that showed nothing."""
+    confirmed = context.done_for(ConfirmedTarget, lambda look: not look.in_doubt)
+    stages = context.workcell.instrument.stages
+    return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
+
+
+def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
+    """Record a finding on the unconfirmed targets; unless `again`, on those without a look only."""
+    looked = () if again else context.done_for(ConfirmedTarget)
+    if targets := tuple(name for name in unconfirmed(context) if name not in looked):
+        context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
+
+
+def void_moved(context: StepContext, moved: RonnaError) -> None:
+    """Void the registrations that may follow a small move, with the guide mounted; else the localization.
+
+    A cart that has moved was not locked. Nobody knows when something moved: unconfirmed targets are in doubt.
+    """
+    doubt(context, moved.summary)
+    may_follow = (
+        isinstance(moved, PatientMoved)
+        and moved.moved_mm <= MOST_FOLLOWED_MM
+        and context.workcell.tool is MountedTool.GUIDE
+        and context.stands(RegisteredRobot)
+    )
+    if may_follow:
+        context.void_each(RegisteredRobot, moved)
+    elif isinstance(moved, BaseShifted) and moved.cart and context.stands(LockedCart):
+        context.void(LockedCart, moved)
+    else:
+        context.void(GlobalLocalization, moved)
